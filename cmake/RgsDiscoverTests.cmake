@@ -27,7 +27,6 @@ endif()
 string(JOIN "|" slow
   "convert: --lod takes no more"
   "convert: a streamed conversion writes the bytes"
-  "faults: SIGINT and SIGKILL"
   "format: every single-byte change"
   "format: files of Gaussians that are all alike"
   "lod: what cannot be sorted"
@@ -65,10 +64,6 @@ while(listing MATCHES "^([^\n]*)\n(.*)$")
   set(cost "")
   if("${LABEL}: ${name}" MATCHES "^(${slow})")
     set(cost " COST 10")
-  endif()
-  # It stops a program between two of its steps, for which it must not wait for a processor.
-  if("${LABEL}: ${name}" MATCHES "^programs: an input that changes or shrinks")
-    set(cost " RUN_SERIAL TRUE")
   endif()
   string(APPEND script "add_test([==[${label}: ${name}]==] ${command} --first=${number} --last=${number})\n"
     "set_tests_properties([==[${label}: ${name}]==] PROPERTIES LABELS ${label} TIMEOUT 3600${cost}\n"

@@ -1,4 +1,4 @@
-// audit.hpp - what rgs-audit finds out about one source and one asset: values only; audit_*.cpp fill and print them.
+// audit.hpp - the result of rgs-audit for one source and one asset: values only; audit_*.cpp fill and print them.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -19,7 +19,7 @@
 
 namespace rgs::audit {
 
-/// An error and the file or the names that it is about.
+/// An error, and the file or names that it is about.
 struct Failure {
   std::string subject;
   Error error;
@@ -33,7 +33,7 @@ inline tl::unexpected<Failure> make_error(std::string subject, const Error& erro
 
 struct Options {
   std::string source, asset;
-  std::vector<std::string> also;  ///< other files of the same scene, measured beside the asset
+  std::vector<std::string> also;  ///< other files of the same scene, measured like the asset
   std::string cameras;            ///< camera file or COLMAP folder; empty: views on a circle around the scene
   std::string split;              ///< train, test, all; empty: test if there are more than 32 cameras, else all
   std::string photos;             ///< folder of undistorted photographs named like the cameras; may be empty
@@ -41,11 +41,11 @@ struct Options {
   int views = 8;                  ///< number of views without cameras
   bool render = true;             ///< false: sizes and attributes only
   bool attribution = true;
-  bool compare_scales = false;  ///< also one SH scale set for the file against one per chunk
-  bool distances = true;        ///< of a file with levels of detail: what they look like from afar
+  bool compare_scales = false;  ///< also compare one SH scale set for the file with one per chunk
+  bool distances = true;        ///< of a file with levels of detail: quality from afar
   Backend backend = Backend::automatic;
   int threads = 0;
-  DecodeLimits limits;  ///< of the asset and the files beside it
+  DecodeLimits limits;  ///< of the asset and the `also` files
 };
 
 // ---- size
@@ -55,7 +55,6 @@ struct SectionSize {
   std::uint64_t stored_bytes = 0, decoded_bytes = 0;
 };
 
-/// Levels of detail that the asset holds.
 struct StoredLevels {
   std::uint32_t n_levels = 0, n_pages = 0;
   std::uint64_t n_gaussians = 0;  ///< of all pages
@@ -63,9 +62,9 @@ struct StoredLevels {
 
 struct SizeReport {
   std::uint64_t source_bytes = 0, asset_bytes = 0;
-  std::uint64_t n_source = 0, n_asset = 0;  ///< of levels of detail the finest
+  std::uint64_t n_source = 0, n_asset = 0;  ///< of level 0
   int source_sh_degree = 0, asset_sh_degree = 0;
-  /// What a renderer keeps resident: sections, or all pages, as decoded; 0 if not an .rgs file.
+  /// What a renderer keeps resident: sections, or all pages, decoded; 0 if not an .rgs file.
   std::uint64_t gpu_bytes = 0;
   std::uint64_t gpu_bytes_fp32 = 0;  ///< the same scene as FP32 attributes
   std::vector<SectionSize> sections;
@@ -83,10 +82,10 @@ struct ErrorStatistics {
   std::uint64_t n = 0, n_zero = 0;
   double max = 0, mean = 0, rms = 0, p50 = 0, p99 = 0, p999 = 0;
   int first_octave = 0;                    ///< quarter octaves from 2^first_octave on
-  std::vector<std::uint64_t> histogram{};  ///< errors in [2^(first_octave + i / 4), ...); zeros are in no bin
+  std::vector<std::uint64_t> histogram{};  ///< errors in [2^(first_octave + i / 4), ...); excludes zeros
 };
 
-/// One attribute's error in its own unit and in what it means.
+/// One attribute's error, in its own unit and in its meaning's.
 struct AttributeError {
   std::string key, name;           ///< "sh2.green", "SH degree 2, green"
   std::string unit, meaning_unit;  ///< "", "8-bit levels"
@@ -94,16 +93,16 @@ struct AttributeError {
 };
 
 struct WorstGaussian {
-  double error = 0;  ///< in the unit that it means
+  double error = 0;  ///< in the meaning's unit
   std::uint64_t asset_index = 0, source_index = 0;
-  std::array<double, 3> mean{};  ///< where the source has it in the world
+  std::array<double, 3> mean{};  ///< position in the source, world coordinates
 };
 struct WorstList {
   std::string key, name, unit;
   std::vector<WorstGaussian> gaussians;  ///< worst first
 };
 
-/// How often each of the codes -127..127 is used, by degree.
+/// How often each code -127..127 is used, by degree.
 struct CodeUsage {
   std::array<std::uint64_t, 255> count{};
   std::uint64_t n() const;
@@ -111,13 +110,13 @@ struct CodeUsage {
   double entropy_bits() const;
 };
 
-/// What the number formats could not hold.
+/// Values that the number formats could not hold.
 struct RangeCounts {
   std::uint64_t sh_clipped = 0;  ///< source more than half a step beyond the codes' range
-  std::uint64_t sh_limit = 0;    ///< codes +-127: the largest of each step set, so some always
+  std::uint64_t sh_limit = 0;    ///< codes of +-127: the largest of each step set, so always some
   std::uint64_t sh_flushed = 0;  ///< source not 0, stored 0
   std::uint64_t scale_subnormal = 0, scale_zero = 0;
-  std::uint64_t opacity_zero = 0, opacity_one = 0;  ///< that the source does not have
+  std::uint64_t opacity_zero = 0, opacity_one = 0;  ///< where the source is not 0 or 1
 };
 
 enum class PairedBy : std::uint8_t { permutation, order, means };
@@ -130,7 +129,7 @@ struct AttributeReport {
   std::vector<WorstList> worst;
   std::vector<CodeUsage> codes;  ///< [sh_degree + 1]
   RangeCounts ranges;
-  double seconds = 0;  ///< of pairing and pass
+  double seconds = 0;  ///< of pairing and comparing
 };
 
 // ---- rendered
@@ -146,17 +145,17 @@ struct PhotoScore {
   double loss() const { return source_psnr == asset_psnr ? 0 : source_psnr - asset_psnr; }  // both may be infinite
 };
 
-/// Share of its pixels on which the source or the asset must draw for a view to be rated. Where one pixel in a hundred is
-/// drawn, the equal background around them adds 20 dB: what is 28 dB in them would pass for 48 dB, "no visible loss".
+/// A view is rated if the source or the asset draws on at least this share of its pixels. With one pixel in a hundred
+/// drawn, the equal background adds 20 dB: 28 dB on the drawn pixels would pass for 48 dB, "no visible loss".
 inline constexpr double kRatedShare = 0.01;
-/// Below this share a view is rated, but flagged: 10 dB of its PSNR are background. Below this share of the source's
-/// Gaussians that lie in any view, most of the scene has not been compared.
+/// A view below this share is rated but flagged: the background adds 10 dB to its PSNR. If less than this share of the
+/// source's Gaussians lies in any view, most of the scene is not compared.
 inline constexpr double kHardlySeenShare = 0.1;
 
 struct ViewResult {
   std::string name;
   int width = 0, height = 0;
-  double drawn = 1;  ///< share of the pixels on which the source draws, or the asset where that is more
+  double drawn = 1;  ///< share of pixels on which the source or, if larger, the asset draws
   Score score;       ///< of rated views
   std::optional<PhotoScore> photo;
 
@@ -164,7 +163,7 @@ struct ViewResult {
   bool hardly_sees() const { return drawn < kHardlySeenShare; }
 };
 
-/// One cause of loss alone, or all together.
+/// The loss from one cause alone, or from all together.
 struct AttributionRow {
   std::string key, name;
   double psnr = 0;   ///< mean over the views, dB
@@ -193,15 +192,15 @@ struct RenderReport {
   std::vector<ViewResult> views;  ///< rated ones first, worst PSNR first
   std::size_t n_rated = 0;
   double drawn = 0;           ///< ViewResult::drawn, mean over all views
-  double gaussians_seen = 0;  ///< share of the source's Gaussians whose mean lies in at least one view
-  /// NaN without a rated view, which no condition takes for a pass.
+  double gaussians_seen = 0;  ///< share of the source's Gaussians whose mean lies in a view
+  /// NaN without a rated view, which fails every condition.
   double psnr = kUnrated, worst_psnr = kUnrated, ssim = kUnrated, worst_ssim = kUnrated, mse = kUnrated;
   float largest = std::numeric_limits<float>::quiet_NaN();
   std::optional<double> loss;       ///< mean over the views, dB
   std::optional<PhotoScore> photo;  ///< means over the views
   std::vector<AttributionRow> attribution;
-  std::string attribution_note;          ///< why there is none, or what it leaves out
-  std::uint64_t n_undrawable = 0;        ///< damaged Gaussians of the source, not in the reference
+  std::string attribution_note;          ///< why it is missing, or what it excludes
+  std::uint64_t n_undrawable = 0;        ///< damaged Gaussians of the source, missing from the reference
   std::vector<ViewPictures> pictures{};  ///< of the worst views, worst first
   std::vector<Camera> cameras{};         ///< of the rated views, in their order
   double seconds = 0;
@@ -209,13 +208,13 @@ struct RenderReport {
   static constexpr double kUnrated = std::numeric_limits<double>::quiet_NaN();
 };
 
-// ---- levels of detail from afar
+// ---- levels of detail at a distance
 
 /// What is compared with the truth at each distance.
 enum class FarScene : std::uint8_t {
   leaves,       ///< all Gaussians as the asset declares
-  compensated,  ///< all Gaussians with Mip-Splatting's opacities and the low-pass by which levels are drawn
-  levels,       ///< the pages that the default detail chooses, as renderers draw them
+  compensated,  ///< all Gaussians with Mip-Splatting's opacities and the levels' low-pass
+  levels,       ///< the pages chosen at the default detail, as renderers draw them
 };
 inline constexpr std::size_t kFarScenes = 3;
 
@@ -229,7 +228,7 @@ struct FarView {
   std::array<double, kFarScenes> psnr{}, ssim{};  ///< by FarScene
   double drawn = 0;  ///< Gaussians of the chosen pages, in view or not, over those of the asset
 };
-/// The rated views from `far` times as far away: as many times smaller.
+/// The rated views from `far` times the distance, with 1 / `far` of their size.
 struct FarRow {
   int far = 1;
   std::array<FarScore, kFarScenes> scores{};  ///< means and worst of the views
@@ -239,21 +238,21 @@ struct FarRow {
   const FarScore& score(FarScene what) const { return scores[static_cast<std::size_t>(what)]; }
 };
 struct FarPictures {
-  std::size_t row = 0, view = 0;  ///< FarRow::views[view]: the one in which the levels are worst
+  std::size_t row = 0, view = 0;  ///< FarRow::views[view]: the one with the worst levels
   Image truth, leaves, levels;
 };
 
-/// The truth: the source as it is drawn otherwise, at twice the size of the nearest view, clamped to what a screen can show
-/// and averaged over the pixels that become one.
+/// The truth is the source as drawn elsewhere, at twice the size of the nearest view, clamped to 0..1 and averaged over
+/// squares of pixels.
 struct DistanceReport {
   float detail_px = 0;
-  std::vector<FarRow> rows;             ///< near to far; distances at which a view is hardly a picture are left out
+  std::vector<FarRow> rows;             ///< near to far; without distances at which views are too small
   std::vector<FarPictures> pictures{};  ///< one a row
   std::string note{};                   ///< why rows are missing
   double seconds = 0;
 
   const FarRow* at(int far) const;  ///< null: not measured
-  /// dB that levels lose against all Gaussians compensated, at the distance where they lose most; NaN without rows.
+  /// Largest loss of levels against all Gaussians compensated over all distances, dB; NaN without rows.
   double loss() const;
 };
 
@@ -268,12 +267,12 @@ struct Condition {
 struct Report {
   std::string tool, source_name, source_format, asset_name, asset_format;
   std::uint64_t source_xxh3 = 0, asset_xxh3 = 0;
-  /// What a shell takes to look at both sides in rgs-view, of paths as they were given; empty where a path cannot be typed.
+  /// Shell command that shows both sides in rgs-view, with paths as given; empty if a path cannot be typed.
   std::string view_command = {};
   std::string fingerprint;               ///< of tool, options and inputs: equal fingerprints give equal measurements
-  std::optional<bool> made_from_source;  ///< whether the asset's provenance names this very source; absent: it has none
-  std::optional<Declarations> declarations;  ///< the asset's, of whatever format
-  /// The source's, if it states another anti-aliasing or low-pass than the usual: it is drawn so.
+  std::optional<bool> made_from_source;  ///< whether the asset's provenance names this source; absent: it has none
+  std::optional<Declarations> declarations;  ///< the asset's, whatever its format
+  /// The source's, if its anti-aliasing or low-pass is not the default: it is drawn with them.
   std::optional<Declarations> source_stated;
   SizeReport size;
   std::optional<AttributeReport> attributes;
@@ -286,26 +285,28 @@ struct Report {
   bool gate_holds() const;
 };
 
-/// How the result is put into words; the report's first line.
+/// The result in words; the report's first line.
 struct Verdict {
   enum class Grade : std::uint8_t { identical, lossless, close, visible, poor, unrated };
   Grade grade = Grade::unrated;
   bool depth_range_misfit = false;  ///< the quantised sort key alone is below 35 dB in some view
-  bool hardly_seen = false;         ///< rated, but what was compared is background or a small part of the scene
-  std::string finding;              ///< apart from conditions
-  std::string headline, detail;     ///< headline: what failed, then the finding
+  bool hardly_seen = false;         ///< rated, but the pictures are mostly background or show a small part of the scene
+  std::string finding;              ///< without conditions
+  std::string headline, detail;     ///< headline: failed conditions, then the finding
 };
 Verdict verdict(const Report& report);
 
-/// What makes the verdict say less than it seems to: views that are unrated or hardly see the scene. Sentences.
+/// Sentences that limit the verdict: views that are unrated or hardly see the scene.
 std::vector<std::string> warnings(const Report& report);
 
-/// Hash over this program's version, the contents of all inputs and every option that changes a measurement; what decides
-/// whether an earlier result still holds. Conditions are none of them: see earlier_audit(). Reads all inputs. Errors: open_failed, read_failed.
+/// Hash of this program's version, the contents of all inputs and every option that changes a measurement; an equal
+/// hash means that an earlier result still holds. Excludes conditions: see earlier_audit(). Reads all inputs. Errors:
+/// open_failed, read_failed.
 Outcome<std::string> fingerprint(const Options& options);
 
-/// Does all that `options` ask for; the gate is for evaluate(). Errors: those of Source::open(), FileView::open(), PagedFile::open(), validate(), the
-/// cameras and photographs; bad_value when no Gaussian of an .rgs asset is one of the source.
+/// Does all that `options` ask for, except the gate, see evaluate(). Errors: those of Source::open(), FileView::open(),
+/// PagedFile::open(), validate(), the cameras and photographs; bad_value if no Gaussian of an .rgs asset is in the
+/// source.
 Outcome<Report> run(const Options& options, tool::Progress& progress);
 
 }  // namespace rgs::audit

@@ -1,4 +1,4 @@
-// audit_attributes.cpp - errors in blocks: sums by block in a fixed order, histograms and extremes by thread.
+// audit_attributes.cpp - compares blocks: sums per block in a fixed order, histograms and extremes per thread.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_attributes.hpp"
 
@@ -18,11 +18,11 @@ namespace rgs::audit {
 namespace {
 
 constexpr std::uint64_t kBlock = 4096;
-constexpr std::size_t kAtOnce = 128;  // 30 KB of each file: they stay in the second-level cache
+constexpr std::size_t kAtOnce = 128;  // 30 KB of each file: fits the second-level cache
 constexpr std::size_t kWorst = 8;
-constexpr float kLeastScale = 0x1p-86f;  // e^-60: what errors of a scale of 0 are counted in
+constexpr float kLeastScale = 0x1p-86f;  // e^-60: the unit for errors of a scale of 0
 
-// Every distribution that is kept, in the order of the report.
+// All distributions, in the order of the report.
 enum Series : std::size_t {
   kShValue = 0,    // [4, 3] by degree and channel, each coefficient
   kShLevels = 12,  // [4, 3] RMS over all directions, 8-bit levels, each Gaussian
@@ -38,11 +38,9 @@ enum Series : std::size_t {
   kSeries,
 };
 
-// Lists of the worst Gaussians.
 enum Worst : std::size_t { kWorstColour, kWorstRotation, kWorstScale, kWorstOpacity, kWorstMean, kWorstLists };
 
-// Bins of errors by the top bits of FP32: 64 to a power of two, from 2^-48 (an FP32 rounding of something tiny) to
-// 2^16.
+// Bins by the top bits of FP32: 64 per power of two, from 2^-48 (an FP32 rounding of something tiny) to 2^16.
 constexpr int kLowestExponent = -48, kExponents = 64, kBinsPerOctave = 64;
 constexpr std::size_t kBins = static_cast<std::size_t>(kExponents) * kBinsPerOctave;
 constexpr std::uint32_t kShift = 23 - 6;
@@ -102,7 +100,7 @@ bool worse(const WorstGaussian& a, const WorstGaussian& b) {
   return a.error != b.error ? a.error > b.error : a.asset_index < b.asset_index;
 }
 
-// What a thread has seen; merging does not depend on how the work was split.
+// One thread's counts; merging does not depend on how the work was split.
 struct Seen {
   std::vector<Distribution> series = std::vector<Distribution>(kSeries);
   std::array<std::vector<WorstGaussian>, kWorstLists> worst{};
@@ -136,8 +134,8 @@ struct Seen {
   }
 };
 
-// Angle in degrees between two rotations, and the largest difference of a component, q and -q being one rotation.
-// Half-angle form of the angle between unit quaternions: exact where acos of their product has lost all digits.
+// Angle in degrees between two rotations, and the largest difference of a component; q and -q are one rotation. The
+// half-angle form is exact where acos of the product has lost all digits.
 struct RotationError {
   float degrees = 0, component = 0;
 };
@@ -211,7 +209,7 @@ class Comparison {
     std::array<double, 3> mean;
     for (std::size_t i = 0; i < 3; ++i) {
       mean[i] = source_origin_[i] + static_cast<double>(source.mean[i]);
-      // Origins first: they are equal as a rule, and then nothing is rounded.
+      // Subtract origins first: they are usually equal, and then nothing is rounded.
       const double d = (asset_origin_[i] - source_origin_[i]) +
                        (static_cast<double>(stored.mean[i]) - static_cast<double>(source.mean[i]));
       squared += d * d;
@@ -229,8 +227,8 @@ class Comparison {
   }
 
  private:
-  // Returns the colour error. The harmonics are orthonormal on the sphere (Parseval): the mean over all directions of a
-  // squared colour error is the sum of the squared coefficient errors over 4 pi, exactly and without sampling.
+  // Returns the colour error. Harmonics are orthonormal on the sphere (Parseval): the mean over all directions of the
+  // squared colour error is exactly the sum of the squared coefficient errors over 4 pi.
   template <class Note>
   float add_sh(const float* source, const float* stored, Seen& seen, const Note& note) const {
     std::array<double, 12> squares{};  // FP32 would overflow for the largest legal coefficients

@@ -9,9 +9,9 @@
 
 namespace rgs::audit {
 
-/// Compares each paired Gaussian of `asset` with its source. Both files are read once, in the asset's order; memory
-/// does not grow with them but for 512 bytes per 4,096 Gaussians. Results do not depend on the number of threads.
-/// `asset` must be valid, and preloaded if it is coded. Damaged Gaussians of the source are mended first, as repair() mends them.
+/// Compares each paired Gaussian of `asset` with its source. Reads both files once, in the asset's order; memory is
+/// constant apart from 512 bytes per 4,096 Gaussians. Results do not depend on the number of threads. `asset` must be
+/// valid, and preloaded if it is coded. Damaged Gaussians of the source are repaired first, see repair().
 AttributeReport compare_attributes(const Source& source, const FileView& asset, const Pairing& pairing,
                                    tool::Progress& progress);
 

@@ -1,4 +1,4 @@
-// audit_chart.cpp - histograms as SVG paths: one element each, whatever the number of bins.
+// audit_chart.cpp - histograms as SVG paths: one element each for any number of bins.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_chart.hpp"
 
@@ -25,7 +25,6 @@ SvgWriter chart_with_axis(const std::string& label) {
   return svg;
 }
 
-// Columns from kLeft to kRight; heights 0..1.
 void draw_columns(SvgWriter& svg, std::span<const double> heights) {
   const double step = (kRight - kLeft) / static_cast<double>(heights.size());
   std::string path;
@@ -50,10 +49,10 @@ std::string error_histogram(const ErrorStatistics& e, const std::string& unit, c
       fmt::format("{}: median {:.3g}, 99 % below {:.3g}, largest {:.3g} {}", label, e.p50, e.p99, e.max, unit);
   SvgWriter svg = chart_with_axis(described);
   if (e.histogram.empty()) {
-    svg.text(kWidth / 2, 64, "no error at all", Anchor::middle);
+    svg.text(kWidth / 2, 64, "no error", Anchor::middle);
     return svg.finish();
   }
-  // The smallest thousandth is left out: it would stretch the axis over decades of errors that nobody minds.
+  // Leave out the smallest thousandth: it would stretch the axis over decades of negligible errors.
   std::uint64_t all = 0, seen = 0;
   for (const std::uint64_t n : e.histogram) all += n;
   std::size_t skipped = 0;
@@ -61,7 +60,7 @@ std::string error_histogram(const ErrorStatistics& e, const std::string& unit, c
   skipped -= skipped % 4;
   const int first_octave = e.first_octave + static_cast<int>(skipped / 4);
   std::vector<std::uint64_t> bins(e.histogram.begin() + static_cast<std::ptrdiff_t>(skipped), e.histogram.end());
-  // At least four powers of two, so that a single value does not become a wall.
+  // At least four powers of two, so that a single value does not fill the chart.
   bins.resize(std::max<std::size_t>(16, (bins.size() + 3) / 4 * 4));
   const auto highest = static_cast<double>(*std::max_element(bins.begin(), bins.end()));
   std::vector<double> heights;

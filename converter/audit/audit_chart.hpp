@@ -8,11 +8,11 @@
 
 namespace rgs::audit {
 
-/// Errors over a logarithmic axis in `unit`, with marks at the median, 99 % and the largest. `label` describes it to
-/// those who cannot see it.
+/// Errors on a logarithmic axis in `unit`, with marks at the median, 99 % and the largest. `label` is for screen
+/// readers.
 std::string error_histogram(const ErrorStatistics& errors, const std::string& unit, const std::string& label);
 
-/// How often each SH code occurs, -127 to 127, height by the logarithm of the count.
+/// How often each SH code -127 to 127 occurs; height by the logarithm of the count.
 std::string code_histogram(const CodeUsage& usage, const std::string& label);
 
 }  // namespace rgs::audit

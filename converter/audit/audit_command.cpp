@@ -1,4 +1,4 @@
-// audit_command.cpp - words of a shell.
+// audit_command.cpp - quotes shell words.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_command.hpp"
 
@@ -9,7 +9,7 @@
 namespace rgs::audit {
 namespace {
 
-// Pages show no more of a text than 4,096 bytes; a command that ends early is another one.
+// Pages cut texts at 4,096 bytes; a cut command would be another one.
 constexpr std::size_t kLongestCommand = 3000;
 
 bool is_plain(char c) {
@@ -17,7 +17,7 @@ bool is_plain(char c) {
          std::string_view("_-./:,+@%").find(c) != std::string_view::npos;
 }
 
-// A path that no program takes for an option.
+// A path that programs do not take for an option.
 std::string path_word(const std::string& path) {
   return shell_word(path.starts_with('-') ? "./" + path : path);
 }

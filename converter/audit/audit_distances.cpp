@@ -1,4 +1,4 @@
-// audit_distances.cpp - levels of detail from afar: truth, all Gaussians, and the pages that a view chooses.
+// audit_distances.cpp - levels of detail at a distance: truth, all Gaussians, and the pages that a view chooses.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_distances.hpp"
 
@@ -19,8 +19,8 @@ namespace {
 constexpr std::uint64_t kBatchBytes = std::uint64_t{512} << 20;  // pictures of the truth
 constexpr int kSupersampling = 2;
 
-// The same view, of `by` / `per` times as many pixels a side; what is left of a pixel at the right and lower edges is cut
-// off, as box_filtered() does.
+// The same view with `by` / `per` times as many pixels a side; drops partial pixels at the right and lower edges, as
+// box_filtered() does.
 Camera scaled(Camera camera, int by, int per) {
   const double scale = static_cast<double>(by) / per;
   camera.fx *= scale, camera.fy *= scale, camera.cx *= scale, camera.cy *= scale;
@@ -29,7 +29,6 @@ Camera scaled(Camera camera, int by, int per) {
   return camera;
 }
 
-// Squares of factor x factor pixels, averaged.
 Image box_filtered(const Image& image, int factor) {
   Image out = Image::make(image.width / factor, image.height / factor, image.channels);
   for (int y = 0; y < out.height; ++y) {
@@ -97,12 +96,12 @@ class DistanceAudit {
       for (const int far : kDistances)
         if (least / far >= kLeastSide) report_.rows.push_back({far});
       if (report_.rows.size() < kDistances.size())
-        report_.note = fmt::format("views are less than {} pixels wide or high from further away", kLeastSide);
+        report_.note = fmt::format("farther away, views are less than {} pixels wide or high", kLeastSide);
     }
     report_.pictures.resize(report_.rows.size());
   }
 
-  // Views [first, end): all of the source, then all of the asset, so that one of them is held at a time.
+  // Views [first, end): all pictures of the source, then all of the asset, so that only one of them is in memory.
   Done batch(std::size_t first, std::size_t end) {
     std::vector<std::vector<Image>> truths;  // [view][row]
     {
@@ -119,7 +118,7 @@ class DistanceAudit {
     }
     const auto scene = Scene::load(options_.asset, options_.limits);
     if (!scene) return make_error(options_.asset, scene.error());
-    // By what is drawn, not by view: the renderer keeps what it made of the last pages.
+    // By content, not by view: the renderer caches the last pages.
     for (std::size_t i = first; i < end; ++i) {
       for (std::size_t row = 0; row < report_.rows.size(); ++row) {
         if (auto ok = compare(*scene, i, row, std::move(truths[i - first][row])); !ok) return ok;
@@ -159,7 +158,6 @@ class DistanceAudit {
     return {};
   }
 
-  // Pictures of the view in which levels are worst.
   void keep(std::size_t row, const FarView& result, Image truth, std::array<Image, kFarScenes> images) {
     constexpr auto kLevels = static_cast<std::size_t>(FarScene::levels);
     FarPictures& kept = report_.pictures[row];
@@ -193,7 +191,7 @@ class DistanceAudit {
     std::uint64_t n_gaussians = 0;
   };
 
-  // What a screen can show of it.
+  // Clamped to what a screen can show.
   Outcome<Frame> render(const Scene& scene, const Camera& camera, const RenderOptions& how) {
     Frame frame{Image::make(camera.width, camera.height, 3), 0};
     const auto stats = renderer_->render(scene, camera, {.rgb = frame.image.pixels}, how);

@@ -1,4 +1,4 @@
-// audit_distances.hpp - what the levels of detail of a file look like from 1 to 8 times as far, against the truth.
+// audit_distances.hpp - compares a file's levels of detail with the truth, from 1 to 8 times as far.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,14 +10,14 @@
 
 namespace rgs::audit {
 
-/// Times as far as the views are: by so much their sizes are divided.
+/// Multiples of the views' distance, by which their sizes are divided.
 inline constexpr std::array<int, 4> kDistances{1, 2, 4, 8};
-/// Sides from which on a picture says something of the scene, pixels.
+/// Smallest useful side of a picture, pixels.
 inline constexpr int kLeastSide = 8;
 
-/// Draws the source for the truth and the file at options.asset, which has levels of detail, as each FarScene, in `cameras`.
-/// Views are taken in batches whose pictures fit into 512 MB. Memory beside these: source and asset are not held at a
-/// time; of the asset the leaves and all pages as FP32.
+/// Draws the source for the truth and the file at options.asset, which has levels of detail, as each FarScene, in
+/// `cameras`. Views are taken in batches whose pictures fit into 512 MB. Further memory: the source, or the asset's
+/// leaves and all its pages as FP32.
 Outcome<DistanceReport> compare_distances(const RenderInputs& inputs, const Options& options,
                                           std::span<const Camera> cameras, tool::Progress& progress);
 

@@ -68,7 +68,7 @@ std::string base64(std::span<const std::byte> bytes) {
 std::array<std::byte, 32> sha256(std::string_view text) {
   std::array<std::uint32_t, 8> state{0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
                                      0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
-  // A one bit, zeros, and the length in bits fill the last block.
+  // Pad the last block with a one bit, zeros, and the length in bits.
   std::string padded(text);
   padded += '\x80';
   padded.resize((padded.size() + 8 + 63) / 64 * 64);

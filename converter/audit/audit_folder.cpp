@@ -1,4 +1,4 @@
-// audit_folder.cpp - pairs by stem; a pair's JSON file is its result and its proof of what it was made from.
+// audit_folder.cpp - pairs files by stem; a pair's JSON file is its result and records its inputs.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_folder.hpp"
 
@@ -46,12 +46,11 @@ const char* name_of(Status status) {
   return "";
 }
 
-// The scenes of one name.
 struct Candidates {
   std::vector<std::string> sources, rgs_sources, assets, rgs_assets;
 };
 
-// A mesh or point cloud beside the scenes has no partner and needs none.
+// A mesh or point cloud among the scenes needs no partner.
 bool holds_no_splats(const std::string& path, const DecodeLimits& limits) {
   const auto source = Source::open(path, limits, {});
   return !source && source.error().code == Errc::not_gaussian_splats;
@@ -77,14 +76,13 @@ Pair choose(const Candidates& c) {
   return pair;
 }
 
-// A folder with something for each pair, or one thing for all.
+// A folder with an entry for each pair, or one path for all.
 std::string own_or_common(const std::string& path, const std::string& own) {
   std::error_code ignored;
   const fs::path candidate = fs::path(path) / own;
   return !path.empty() && fs::exists(candidate, ignored) ? candidate.string() : path;
 }
 
-// Pictures were made, and none of them shows the scene.
 bool is_unrated(const FolderRow& row) {
   return row.n_views != 0 && row.n_rated == 0;
 }
@@ -156,12 +154,12 @@ class Folder {
     const auto pairs = pairs_of(options_.audit);
     if (!pairs) return tl::unexpected(pairs.error());
     for (const auto& pair : *pairs) {
-      // A pair may lie in a folder below.
+      // A pair may lie in a subfolder.
       const fs::path folder = (out_ / pair.first).parent_path();
       std::error_code failed;
       fs::create_directories(folder, failed);
       if (failed)
-        return make_error(folder.string(), {Errc::write_failed, Error::kNone, "the folder cannot be made", Error::kNone,
+        return make_error(folder.string(), {Errc::write_failed, Error::kNone, "cannot create the folder", Error::kNone,
                                             Error::kNone, failed.value()});
       rows_.push_back(audit(pair.first, pair.second));
       print(rows_.back(), pairs->size());
@@ -173,9 +171,8 @@ class Folder {
  private:
   FolderRow audit(const std::string& stem, const Pair& pair) {
     if (stem == kTableStem)
-      return failed_row(stem, {"",
-                               {Errc::bad_argument, Error::kNone,
-                                "the folder's table has this name: rename the pair, and its report finds a place"}});
+      return failed_row(stem,
+                        {"", {Errc::bad_argument, Error::kNone, "the folder's table has this name; rename the pair"}});
     if (!pair.error.empty()) {
       FolderRow row;
       row.stem = stem;
@@ -206,7 +203,7 @@ class Folder {
     const auto is_other = [&](const fs::path& path) {
       if (options_.overwrite || !fs::exists(path, ignored)) return false;
       if (path == json) return !earlier;
-      // Without its JSON file it is what a killed run has left, if it is of these inputs.
+      // Without its JSON file it is the rest of a killed run, if it has the same inputs.
       const auto file = MappedFile::open(path.string());
       return !file || !(earlier ? is_audit_page(text_of(*file)) : is_audit_page_of(text_of(*file), *fingerprint));
     };
@@ -214,10 +211,10 @@ class Folder {
       if (is_other(path))
         return failed_row(stem, {path.string(),
                                  {Errc::output_exists, Error::kNone,
-                                  "a result of other inputs or options; pass --overwrite to replace it"}});
+                                  "a result for other inputs or options; pass --overwrite to replace it"}});
     tool::Progress progress(options_.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
     auto report = audit::run(options, progress);
-    // That a file changed explains whatever was found wrong in it.
+    // A change of a file explains any other error.
     if (const auto changed = inputs.changed()) return failed_row(stem, {*changed, tool::kFileChanged});
     if (!report) return failed_row(stem, report.error());
     report->fingerprint = *fingerprint;
@@ -230,14 +227,13 @@ class Folder {
     return row_of_json(stem, Json::parse(text));
   }
 
-  // What was measured before, under the conditions of now. Nothing where its page is gone or another.
+  // An earlier result under the current conditions. None if its page is gone or differs.
   std::optional<FolderRow> reuse(const std::string& stem, const EarlierAudit& earlier, const fs::path& json,
                                  const fs::path& page, const std::string& fingerprint) const {
     const auto file = MappedFile::open(page.string());
     if (!file) return {};
     const auto text = with_gate(text_of(*file), fingerprint, earlier.verdict, earlier.gate);
     if (!text) return {};
-    // The JSON file last, as always.
     if (*text != text_of(*file))
       if (auto ok = write_text(page.string(), *text, true); !ok) return failed_row(stem, {page.string(), ok.error()});
     if (earlier.changed)
@@ -271,8 +267,8 @@ class Folder {
     return {};
   }
 
-  // One harmless cell: escaped as on a terminal, and with an apostrophe before what a spreadsheet would calculate, which
-  // the full-width forms of the same signs are in some.
+  // One safe cell: escaped as for a terminal, with an apostrophe before characters that spreadsheets evaluate; some
+  // also evaluate their full-width forms.
   static std::string quoted(const std::string& text) {
     const std::string shown = tool::escape_untrusted(text, false, 4096);
     std::string out = "\"";
@@ -345,7 +341,7 @@ class Folder {
            "\n";
   }
 
-  // Trouble first, then the worst pictures.
+  // Failures first, then the worst pictures.
   std::string page() const {
     std::vector<const FolderRow*> rows;
     for (const FolderRow& r : rows_) rows.push_back(&r);
@@ -367,7 +363,7 @@ class Folder {
     return text + "</tbody></table></div>\n</main>\n" + page_end();
   }
 
-  // A pair may lie in a folder below; whatever else is in its name is no part of a path.
+  // A pair may lie in a subfolder; the rest of its name is not a path.
   static std::string link_to_report(const std::string& stem) {
     std::string link = ".";
     for (const fs::path& part : fs::path(stem + ".html")) link += link_to_file(part.string()).substr(1);
@@ -408,7 +404,7 @@ Outcome<std::map<std::string, Pair>> pairs_of(const Options& options) {
   std::map<std::string, Candidates> candidates;
   std::map<std::string, Pair> pairs;
   const auto collect = [&](const std::string& folder, const std::string& other, bool is_source) -> Outcome<void> {
-    // Either may lie in the other.
+    // Either folder may lie in the other.
     const auto listed = tool::list_scenes(folder, one_folder ? std::vector<std::string>{} : std::vector{other}, true);
     if (!listed) return make_error(folder, listed.error());
     for (const tool::ListedScene& scene : listed->scenes) {
@@ -416,7 +412,7 @@ Outcome<std::map<std::string, Pair>> pairs_of(const Options& options) {
       const bool is_rgs = scene.format == SplatFormat::rgs ||
                           (scene.format == SplatFormat::unknown && format_of_name(scene.name) == SplatFormat::rgs);
       if (!scene.readable && format_of_name(scene.name) == SplatFormat::unknown) {
-        pairs[scene.name + "/"].error = "the folder cannot be read";
+        pairs[scene.name + "/"].error = "cannot read the folder";
         continue;
       }
       Candidates& c = candidates[stem];

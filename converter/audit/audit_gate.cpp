@@ -19,11 +19,11 @@ constexpr std::array<ConditionKind, 21> kKinds{{
     {"worst-psnr", "PSNR of the worst view, dB", true, Needs::pictures},
     {"ssim", "mean SSIM of the views", true, Needs::pictures},
     {"worst-ssim", "SSIM of the worst view", true, Needs::pictures},
-    {"together-psnr", "mean PSNR with the fast renderer's arithmetic too, dB", true, Needs::attribution},
+    {"together-psnr", "mean PSNR including the fast renderer's arithmetic, dB", true, Needs::attribution},
     {"largest", "largest difference of any pixel, 8-bit levels", false, Needs::pictures},
     {"rated-views", "views that show enough of the scene to be rated", true, Needs::pictures},
     {"loss", "PSNR lost against the photographs, dB", false, Needs::photos},
-    {"ratio", "size of the source over that of the asset", true, Needs::nothing},
+    {"ratio", "size of the source over the asset's", true, Needs::nothing},
     {"bytes-per-gaussian", "of the asset's file", false, Needs::nothing},
     {"gpu-bytes-per-gaussian", "resident on the GPU", false, Needs::nothing},
     {"dropped", "Gaussians of the source that the asset lacks", false, Needs::nothing},
@@ -31,7 +31,7 @@ constexpr std::array<ConditionKind, 21> kKinds{{
     {"levels-psnr-2x", "the same from twice as far", true, Needs::distances},
     {"levels-psnr-4x", "from four times as far", true, Needs::distances},
     {"levels-psnr-8x", "from eight times as far", true, Needs::distances},
-    {"levels-loss", "that dB lost against all Gaussians compensated, at any distance", false, Needs::distances},
+    {"levels-loss", "dB that levels lose against all Gaussians compensated, at any distance", false, Needs::distances},
     {"levels-drawn-1x", "share of the Gaussians that levels draw", false, Needs::distances},
     {"levels-drawn-2x", "the same from twice as far", false, Needs::distances},
     {"levels-drawn-4x", "from four times as far", false, Needs::distances},
@@ -43,15 +43,14 @@ const ConditionKind* kind_of(const std::string& name) {
   return found == kKinds.end() ? nullptr : &*found;
 }
 
-// Of a condition on levels of detail.
-double found_from_afar(const std::string& name, const DistanceReport& report) {
+double distance_value(const std::string& name, const DistanceReport& report) {
   if (name == "levels-loss") return report.loss();
   const FarRow* row = report.at(name[name.size() - 2] - '0');
   if (row == nullptr) return std::numeric_limits<double>::quiet_NaN();
   return name.starts_with("levels-drawn") ? row->drawn : row->score(FarScene::levels).psnr;
 }
 
-// NaN for what was not measured: no comparison with it holds.
+// NaN for what was not measured: every comparison with it fails.
 double found_value(const std::string& name, const Report& report) {
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   if (name == "ratio") return report.size.ratio();
@@ -63,7 +62,7 @@ double found_value(const std::string& name, const Report& report) {
     return report.attributes ? static_cast<double>(report.attributes->n_source_only) : std::max(0.0, missing);
   }
   if (kind_of(name)->needs == Needs::distances)
-    return report.distances ? found_from_afar(name, *report.distances) : kNone;
+    return report.distances ? distance_value(name, *report.distances) : kNone;
   if (!report.render) return kNone;
   const RenderReport& r = *report.render;
   if (name == "rated-views") return static_cast<double>(r.n_rated);
@@ -78,9 +77,9 @@ double found_value(const std::string& name, const Report& report) {
   return kNone;
 }
 
-// PSNR and SSIM are means over a picture, in which a few ruined pixels drown: the largest difference limits the grades that
-// promise that nothing stands out. A pixel 16 of 255 levels off is lost in any texture, one 64 off is a spot. Measured on
-// south: the default conversion stays below 7, archive below 48, SPZ reaches 111.
+// PSNR and SSIM average over a picture and hide a few bad pixels, so the largest difference also limits the grades
+// without visible loss. A pixel 16 of 255 levels off disappears in any texture, one 64 off is a spot. On south: the
+// default conversion stays below 7, archive below 48, SPZ reaches 111.
 constexpr float kLosslessLargest = 16.F / 255, kCloseLargest = 64.F / 255;
 
 Verdict::Grade grade(const RenderReport& r) {
@@ -94,7 +93,7 @@ Verdict::Grade grade(const RenderReport& r) {
   return Grade::poor;
 }
 
-// The quantised sort key, where it alone does visible damage: depths outside the declared range share its end bins.
+// The quantised sort key, if it alone does visible damage: depths outside the declared range share its end bins.
 const AttributionRow* misfit_key(const Report& report) {
   if (!report.render || !report.declarations) return nullptr;
   for (const AttributionRow& row : report.render->attribution)
@@ -113,7 +112,7 @@ const char* words(Verdict::Grade grade) {
   switch (grade) {
     case Verdict::Grade::identical: return "identical to the original";
     case Verdict::Grade::lossless: return "no visible loss";
-    case Verdict::Grade::close: return "differences that take a close look";
+    case Verdict::Grade::close: return "differences visible on a close look";
     case Verdict::Grade::visible: return "visible differences";
     case Verdict::Grade::poor: return "heavy damage";
     case Verdict::Grade::unrated: return "not rated";
@@ -138,7 +137,7 @@ tl::expected<std::vector<Condition>, std::string> parse_conditions(const std::st
     if (kind == nullptr) {
       std::string names;
       for (const ConditionKind& k : kKinds) names += std::string(names.empty() ? "" : ", ") + k.name;
-      return tl::unexpected("--fail-below knows no condition '" + part.substr(0, equals) + "', but " + names);
+      return tl::unexpected("--fail-below has no condition '" + part.substr(0, equals) + "', but " + names);
     }
     Condition condition{kind->name, 0, 0, kind->at_least, false};
     const char* first = equals == std::string::npos ? part.data() + part.size() : part.data() + equals + 1;
@@ -155,11 +154,11 @@ std::string unmeasurable(std::span<const Condition> conditions, const Options& o
     const Needs needs = kind_of(c.name)->needs;
     if (needs == Needs::photos && options.photos.empty()) return "the condition '" + c.name + "' needs --photos";
     if (needs != Needs::nothing && !options.render)
-      return "the condition '" + c.name + "' needs pictures: drop --no-render";
+      return "the condition '" + c.name + "' needs pictures; drop --no-render";
     if (needs == Needs::attribution && !options.attribution)
-      return "the condition '" + c.name + "' needs the attribution: drop --no-attribution";
+      return "the condition '" + c.name + "' needs the attribution; drop --no-attribution";
     if (needs == Needs::distances && !options.distances)
-      return "the condition '" + c.name + "' needs levels of detail to be looked at: drop --no-distances";
+      return "the condition '" + c.name + "' needs the levels of detail; drop --no-distances";
   }
   return {};
 }
@@ -180,7 +179,7 @@ std::vector<Condition> evaluate(std::vector<Condition> conditions, const Measure
     c.found = found(c.name.c_str());
     c.holds = c.at_least ? c.found >= c.limit : c.found <= c.limit;
   }
-  // Whoever sets conditions and has pictures made wants them to count: blind cameras must not pass on sizes alone.
+  // Conditions with unrated pictures must fail: cameras that see nothing must not pass on sizes alone.
   if (!conditions.empty() && found("rated-views") == 0) conditions.push_back({"rated-views", 1, 0, true, false});
   return conditions;
 }
@@ -228,7 +227,7 @@ Verdict verdict(const Report& report) {
           "largest difference of a pixel is {:.1f} levels.",
           255 * std::sqrt(r.mse), r.psnr, r.worst_psnr, r.n_rated, 255 * static_cast<double>(r.largest));
     } else {
-      out.detail = fmt::format("{} views are equal in every bit.", r.n_rated);
+      out.detail = fmt::format("{} views are identical in every bit.", r.n_rated);
     }
     const auto n_blind = static_cast<std::size_t>(
         std::count_if(r.views.begin(), r.views.end(), [](const ViewResult& v) { return v.hardly_sees(); }));
@@ -243,7 +242,7 @@ Verdict verdict(const Report& report) {
   }
   const auto add = [&out](const std::string& sentence) { out.detail += (out.detail.empty() ? "" : " ") + sentence; };
   if (report.attributes && report.attributes->n_source_only != 0)
-    add(fmt::format("{} Gaussians of the source are not in the asset.",
+    add(fmt::format("{} Gaussians of the source are missing from the asset.",
                     tool::format_count(report.attributes->n_source_only)));
   if (report.attributes && report.attributes->n_asset_only != 0)
     add(fmt::format("{} Gaussians of the asset are not in the source.",
@@ -251,17 +250,17 @@ Verdict verdict(const Report& report) {
   if (const AttributionRow* key = misfit_key(report)) {
     out.depth_range_misfit = true;
     out.finding += ", but its depth range does not fit these views";
-    add(fmt::format(
-        "A renderer that sorts by the declared range of depths, {:.4g} to {:.4g}, falls to {:.1f} dB: convert with "
-        "--cameras, or with --near and --far.",
-        report.declarations->z_near, report.declarations->z_far, key->worst));
+    add(
+        fmt::format("A renderer that sorts by the declared range of depths, {:.4g} to {:.4g}, falls to {:.1f} dB; "
+                    "convert with --cameras, or with --near and --far.",
+                    report.declarations->z_near, report.declarations->z_far, key->worst));
   }
   if (report.source_stated && report.declarations &&
       (report.source_stated->aa_mode != report.declarations->aa_mode ||
        report.source_stated->low_pass_px2 != report.declarations->low_pass_px2))
     add(fmt::format("The source states {}, the asset {}: each is drawn as it states.",
                     anti_aliasing_text(*report.source_stated), anti_aliasing_text(*report.declarations)));
-  if (report.made_from_source == false) add("The asset states that it was made from another file than this source.");
+  if (report.made_from_source == false) add("The asset names another file as its source.");
   out.headline = headline_of(out.finding, report.gate);
   return out;
 }
@@ -280,7 +279,7 @@ std::vector<std::string> warnings(const Report& report) {
   }
   if (r.n_rated < n_views)
     out.push_back(fmt::format(
-        "{} of {} views show the scene on less than {:g} % of their pixels; they are not rated and in no mean.",
+        "{} of {} views show the scene on less than {:g} % of their pixels; they are not rated and not in any mean.",
         n_views - r.n_rated, n_views, 100 * kRatedShare));
   const auto n_little = static_cast<std::size_t>(
       std::count_if(r.views.begin(), r.views.end(), [](const ViewResult& v) { return v.rated() && v.hardly_sees(); }));

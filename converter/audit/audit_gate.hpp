@@ -1,4 +1,4 @@
-// audit_gate.hpp - quality conditions that a pipeline sets, and the words for what an audit found.
+// audit_gate.hpp - quality conditions of pipelines, and the verdict in words.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -22,22 +22,23 @@ struct ConditionKind {
 };
 std::span<const ConditionKind> condition_kinds();
 
-/// Parses "psnr=50,ssim=0.995". A message for the user if a name is unknown or a limit is no finite number.
+/// Parses "psnr=50,ssim=0.995". The error is a message for the user: an unknown name, or a limit that is not a finite
+/// number.
 tl::expected<std::vector<Condition>, std::string> parse_conditions(const std::string& text);
-/// A message if a condition asks for what `options` do not measure; else empty.
+/// A message if a condition asks for something that `options` do not measure; else empty.
 std::string unmeasurable(std::span<const Condition> conditions, const Options& options);
-/// What conditions are about, by their names; what was not measured is absent. All that later conditions need.
+/// Measured values by the names of conditions, without those not measured. All that later conditions need.
 using Measured = std::map<std::string, double>;
 Measured measured(const Report& report);
-/// The conditions with what was found. One on something that turned out not to exist (the attribution of a PLY, the PSNR of
-/// views that do not show the scene) fails. Where pictures were made and none is rated, every gate fails.
+/// The conditions with their measured values. One on something that does not exist (the attribution of a PLY, the PSNR
+/// of views that do not show the scene) fails. If pictures were made and none is rated, every gate fails.
 std::vector<Condition> evaluate(std::vector<Condition> conditions, const Measured& measured);
 /// Fills in report.gate.
 void evaluate(std::vector<Condition> conditions, Report& report);
 bool holds(std::span<const Condition> gate);
 /// "psnr 48.20 < 50; ssim 0.9 < 0.99"; empty if all hold.
 std::string failed_conditions(std::span<const Condition> gate);
-/// Verdict::headline: the finding, after what failed.
+/// Verdict::headline: failed conditions, then the finding.
 std::string headline_of(const std::string& finding, std::span<const Condition> gate);
 /// "psnr 48.20 < 50".
 std::string describe(const Condition& condition);

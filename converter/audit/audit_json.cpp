@@ -23,8 +23,8 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSchema = "rgs-audit/2";
 
-// JSON has no infinity: null, which the schema explains for each field. What was not rated is left out, so that its
-// absence is not taken for infinity.
+// JSON has no infinity: null, as the schema says for each field. Unrated values are absent, which differs from
+// infinity.
 Json number(double value) {
   return std::isfinite(value) ? Json(value) : Json();
 }
@@ -56,7 +56,7 @@ const char* name_of(Grade grade) {
   return std::ranges::find(kGrades, grade, &std::pair<Grade, const char*>::first)->second;
 }
 
-// As for other numbers null is infinite; what is below all numbers, too, is the lowest of them.
+// null is infinite as elsewhere; negative infinity becomes the lowest number.
 Json json(const Measured& found) {
   Json out = Json::object();
   for (const auto& [name, value] : found)
@@ -77,7 +77,7 @@ Json json(std::span<const Condition> gate) {
   return {{"holds", holds(gate)}, {"conditions", std::move(conditions)}};
 }
 
-// ASCII only, and bytes that are not UTF-8 become U+FFFD: names cannot act on a terminal.
+// ASCII only, bytes that are not UTF-8 become U+FFFD: names cannot control a terminal.
 std::string dump(const Json& j) {
   return j.dump(2, ' ', true, Json::error_handler_t::replace) + "\n";
 }

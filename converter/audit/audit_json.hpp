@@ -13,16 +13,16 @@ namespace rgs::audit {
 /// Schema "rgs-audit/2", ASCII, "\n" at the end.
 std::string audit_json(const Report& report);
 
-/// An audit that was written before, under other conditions.
+/// An earlier audit, under the current conditions.
 struct EarlierAudit {
-  std::string json;  ///< of the same measurements and these conditions
+  std::string json;  ///< the same measurements with these conditions
   bool changed = false;
   std::vector<Condition> gate;
   Verdict verdict;
-  double seconds = 0;  ///< that it took
+  double seconds = 0;  ///< of the earlier audit
 };
-/// What the JSON file `path` says of the inputs and options that `fingerprint` stands for, with `conditions` evaluated on what
-/// was measured then. Nothing if it is no such file, is damaged, or is about something else.
+/// The result in the JSON file `path` for the inputs and options of `fingerprint`, with `conditions` evaluated on its
+/// measurements. None if it is no such file, is damaged, or has another fingerprint.
 std::optional<EarlierAudit> earlier_audit(const std::string& path, const std::string& fingerprint,
                                           std::vector<Condition> conditions);
 

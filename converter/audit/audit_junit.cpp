@@ -14,7 +14,7 @@ namespace {
 
 constexpr std::string_view kBegin = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites name=\"rgs-audit\"";
 
-// html() leaves what XML may hold, but for two code points.
+// html() leaves two code points that XML forbids.
 std::string xml(const std::string& text) {
   std::string out = html(text);
   for (const char* banned : {"\xEF\xBF\xBE", "\xEF\xBF\xBF"})

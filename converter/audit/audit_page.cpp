@@ -189,7 +189,7 @@ function selfTest() {
 addEventListener('load', () => { if (location.hash === '#self-test') selfTest(); });
 )js";
 
-// The source expression of a policy that admits this very text and no other.
+// The source expression of a policy that admits exactly this text.
 std::string allowed(std::string_view text) {
   return "'sha256-" + base64(sha256(text)) + "'";
 }

@@ -1,4 +1,4 @@
-// audit_pairing.cpp - by permutation, by order, or by a merge join of hashed means.
+// audit_pairing.cpp - pairs by permutation, by order, or by a merge join of hashed means.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_pairing.hpp"
 
@@ -21,7 +21,7 @@ constexpr std::size_t kAtOnce = 64;
 struct KeyedRow {
   std::uint64_t key;
   std::uint32_t row;
-  // Rows of one mean stay in order: Morton sorting is stable, so both files have them in the order of the source.
+  // Rows with equal means stay in order: Morton sorting is stable, so both files have them in source order.
   bool operator<(const KeyedRow& other) const { return key != other.key ? key < other.key : row < other.row; }
 };
 
@@ -68,7 +68,8 @@ void for_each_asset_mean(const FileView& asset, const Use& use) {
       asset.header().n_gaussians, [&](std::uint64_t first, auto part) { (void)asset.read(first, part); }, use);
 }
 
-// Empty if the permutation cannot be of this source. That of an asset made of another .rgs is of what this was made of.
+// Empty if the permutation does not fit this source. An asset made from another .rgs has that file's source's
+// positions.
 std::optional<Pairing> pair_by_permutation(const Source& source, const FileView& asset) {
   if (source.format() == SplatFormat::rgs) return {};
   if (asset.find(SectionType::permutation) == nullptr || asset.declarations().n_source != source.size()) return {};
@@ -79,7 +80,7 @@ std::optional<Pairing> pair_by_permutation(const Source& source, const FileView&
   return pairing;
 }
 
-// Both in the same order, rows of the source left out here and there. Empty if a mean is not found.
+// Both in the same order, with some rows of the source missing. Empty if a mean is not found.
 std::optional<Pairing> pair_by_order(const Source& source, const FileView& asset) {
   if (asset.declarations().order != Order::input) return {};
   Pairing pairing{PairedBy::order, std::vector<std::uint32_t>(asset.header().n_gaussians), 0};
@@ -114,7 +115,7 @@ Pairing pair_by_means(const Source& source, const FileView& asset) {
   if (const ArchiveParameters* archive = asset.archive()) {
     const auto keep = note(of_source);
     for_each_source_mean(source, [&](std::uint64_t row, const float* mean) {
-      keep(row, archive_mean(*archive, mean).data());  // what became of it
+      keep(row, archive_mean(*archive, mean).data());  // its value in the archive
     });
   } else {
     for_each_source_mean(source, note(of_source));
@@ -143,7 +144,7 @@ Result<Pairing> pair_gaussians(const Source& source, const FileView& asset) {
   if (auto pairing = pair_by_permutation(source, asset)) return *std::move(pairing);
   const Origin& origin = asset.declarations().origin;
   if (source.origin() != origin) {
-    // Means are equal where both are relative to one origin.
+    // Means are equal only relative to the same origin.
     const auto again = source.relative_to(origin);
     if (!again) return tl::unexpected(again.error());
     if (auto pairing = pair_by_order(*again, asset)) return *std::move(pairing);

@@ -1,4 +1,4 @@
-// audit_pairing.hpp - which Gaussian of the source became which of the asset.
+// audit_pairing.hpp - pairs the Gaussians of source and asset.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -20,9 +20,9 @@ struct Pairing {
 };
 
 /// Pairs by the file's permutation if it has one; else in order, if the asset keeps the source's; else by equal means,
-/// which conversion never changes (Gaussians on one spot keep their order). `asset` must be valid, and preloaded if it is coded.
-/// Takes 36 bytes a Gaussian at most. Means are compared relative to the
-/// asset's origin. Errors: limit_exceeded (2^32 - 1 Gaussians or more).
+/// relative to the asset's origin, which conversion never changes (coincident Gaussians keep their order). `asset` must
+/// be valid, and preloaded if it is coded. Takes at most 36 bytes a Gaussian. Errors: limit_exceeded (2^32 - 1
+/// Gaussians or more).
 Result<Pairing> pair_gaussians(const Source& source, const FileView& asset);
 
 }  // namespace rgs::audit

@@ -12,39 +12,39 @@
 
 namespace rgs::audit {
 
-/// Colour of a share 0..1 of a difference map's scale: black, violet, red, orange, yellow; above 1 white.
+/// Colour of a difference map for a share 0..1 of its scale: black, violet, red, orange, yellow; above 1 white.
 struct Colour {
   float r = 0, g = 0, b = 0;
 };
 Colour heat(float share);
 
-/// Largest absolute difference of the channels of each pixel, [height, width, 1], in 8-bit levels, as a screen can show
-/// it: values are clamped to 0..1 first.
+/// Largest absolute difference of each pixel's channels, [height, width, 1], in 8-bit levels; values are clamped to
+/// 0..1 first, as on a screen.
 Image difference_levels(const Image& a, const Image& b);
-/// A round number of levels that at most one pixel in a thousand exceeds, for the scale of all maps of a report.
+/// Top of the scale of all maps of a report: a round number of levels that at most one pixel in a thousand exceeds.
 float scale_top(std::span<const Image> levels);
-/// Levels as heat() colours over a scale from 0 to `top`.
+/// Colours levels by heat() on a scale from 0 to `top`.
 Image heat_map(const Image& levels, float top);
 
-/// At most `width` pixels wide. Colours are averaged over the pixels that fall together; of difference levels the
-/// largest is kept, so that a single bad pixel stays visible.
+/// Shrinks to at most `width` pixels. Averages colours, but keeps the largest of difference levels, so that a single
+/// bad pixel stays visible.
 Image shrunk(const Image& image, int width);
 Image shrunk_to_largest(const Image& levels, int width);
 Image cropped(const Image& image, int x, int y, int width, int height);
 
 /// A part of a view.
 struct Region {
-  std::size_t pictures = 0;  ///< index into the list that was searched
+  std::size_t pictures = 0;  ///< index into the searched list
   int x = 0, y = 0, width = 0, height = 0;
-  double rms = 0;  ///< of the levels in it
+  double rms = 0;  ///< of its levels
 };
-/// The `n` regions of about width x height pixels with the largest squared error, worst first, apart from each other
-/// and at most `per_view` from one view. Regions without any difference are left out.
+/// The `n` regions of about width x height pixels with the largest squared error, worst first, without overlap and at
+/// most `per_view` from one view. Omits regions without any difference.
 std::vector<Region> worst_regions(std::span<const Image> levels, int width, int height, std::size_t n,
                                   std::size_t per_view);
 
-/// "data:image/png;base64,..." if that fits into `max_bytes`, else JPEG of falling quality and then size.
-/// `lossless` says which; may be null.
+/// "data:image/png;base64,..." if that fits into `max_bytes`, else JPEG of decreasing quality and then size. `lossless`
+/// says which; may be null.
 std::string picture_uri(const Image& image, std::size_t max_bytes, bool* lossless = nullptr);
 
 }  // namespace rgs::audit

@@ -1,4 +1,4 @@
-// audit_render.cpp - scene by scene over a batch of views, so that few scenes and few pictures are held at once.
+// audit_render.cpp - renders scene by scene over a batch of views, so that few scenes and pictures are in memory.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_render.hpp"
 
@@ -47,7 +47,7 @@ Image clamped(const Image& image) {
   return out;
 }
 
-// Share of the pixels of which Gaussians are a part, however faint.
+// Share of the pixels that Gaussians touch, however faintly.
 double drawn_share(std::span<const float> alpha) {
   const auto n = std::count_if(alpha.begin(), alpha.end(), [](float a) { return a > 0; });
   return static_cast<double>(n) / static_cast<double>(alpha.size());
@@ -60,7 +60,6 @@ bool in_view(const Camera& camera, const glm::dvec3& mean_world) {
   return u >= 0 && u < camera.width && v >= 0 && v < camera.height;
 }
 
-// What is known of one variant, view by view.
 struct Series {
   std::string key, name;
   std::vector<double> psnr{}, mse{}, loss{};
@@ -112,21 +111,21 @@ class PictureAudit {
  private:
   using Done = Outcome<void>;
 
-  // ---- what is rendered
+  // ---- scenes and variants
 
   bool attribute() const { return options_.attribution && inputs_.pairing != nullptr && mixable(); }
   bool mixable() const { return inputs_.pairing->n_paired == inputs_.pairing->source_of.size(); }
 
   void plan_attribution() {
     if (!options_.attribution) {
-      report_.attribution_note = "not asked for";
+      report_.attribution_note = "not requested";
     } else if (inputs_.pairing == nullptr) {
-      report_.attribution_note = "only .rgs files say how they were made";
+      report_.attribution_note = "only .rgs files record how they were made";
     } else if (!mixable()) {
       report_.attribution_note = "Gaussians of the asset have no partner in the source";
     }
     if (!attribute()) return;
-    if (inputs_.pairing->n_paired != inputs_.source->size()) variants_.push_back({"left_out", "Gaussians left out"});
+    if (inputs_.pairing->n_paired != inputs_.source->size()) variants_.push_back({"left_out", "Gaussians dropped"});
     variants_.push_back({"sh", "SH as INT8"});
     variants_.push_back({"geometry", "Geometry as FP16"});
     variants_.push_back({"conversion", "SH and geometry: the conversion"});
@@ -140,7 +139,6 @@ class PictureAudit {
   }
 
   std::uint64_t frames_per_view() const {
-    // The conversion's own frame serves twice.
     return 2 + (variants_.empty() ? 0 : variants_.size() - 1) +
            static_cast<std::uint64_t>(
                std::count_if(also_.begin(), also_.end(), [](auto& a) { return a.note.empty(); }));
@@ -163,7 +161,7 @@ class PictureAudit {
     const RenderOptions exact = reference_arithmetic(inputs_.declared);
     if (scene_.size() == 0 && first > 0)
       if (auto ok = load_source(); !ok) return ok;
-    if (auto ok = look_for_gaussians(first, end); !ok) return ok;
+    if (auto ok = mark_visible_gaussians(first, end); !ok) return ok;
     const RenderOptions as_source = inputs_.source_stated ? reference_arithmetic(inputs_.source_stated) : exact;
     references_.clear();
     reference_drawn_.clear();
@@ -264,9 +262,9 @@ class PictureAudit {
     return {};
   }
 
-  // ---- pictures and numbers
+  // ---- pictures and scores
 
-  // `drawn` becomes the share of the pixels on which the scene draws, if it is asked for.
+  // Sets `drawn`, if requested, to the share of pixels on which the scene draws.
   Outcome<Image> render(std::size_t view, const RenderOptions& how, double* drawn = nullptr) {
     const Camera& camera = views_[view].camera;
     Image image = Image::make(camera.width, camera.height, 3);
@@ -279,14 +277,14 @@ class PictureAudit {
     return image;
   }
 
-  // Whether pictures of the view say anything; if not, its frame of a variant is skipped.
+  // Whether the view is rated; if not, its variants are skipped.
   bool is_rated(std::size_t view) {
     if (rated_[view] == 0) progress_.advance(1);
     return rated_[view] != 0;
   }
 
   // Marks the Gaussians of the source whose means lie in views [first, end).
-  Done look_for_gaussians(std::size_t first, std::size_t end) {
+  Done mark_visible_gaussians(std::size_t first, std::size_t end) {
     const auto source = scene_.view();
     if (!source) return make_error(options_.source, source.error());
     seen_.resize(source->n);
@@ -348,7 +346,7 @@ class PictureAudit {
     return {};
   }
 
-  // Against photographs as 3DGS evaluates: values beyond what a photograph can hold are clamped.
+  // Against photographs as 3DGS evaluates: clamped to a photograph's range.
   static Outcome<PhotoScore> compare_to_photo(const View& view, const Image& photo, const Image& reference,
                                               const Image& image) {
     PhotoScore score;
@@ -363,7 +361,7 @@ class PictureAudit {
     return score;
   }
 
-  // What `image` loses against the photograph, dB; 0 without one.
+  // Loss of `image` against the photograph, dB; 0 without one.
   static Outcome<double> photo_loss(const View& view, const Image& reference, const Image& image) {
     if (view.photo.empty()) return 0;
     const auto photo = read_photo(view);
@@ -373,7 +371,7 @@ class PictureAudit {
     return before->psnr == after->psnr ? 0 : before->psnr - after->psnr;
   }
 
-  // The worst views so far, within a number and a size.
+  // Keeps the worst views, up to a number and a size.
   void keep(ViewPictures pictures) {
     const auto psnr = [this](const ViewPictures& p) { return report_.views[p.view].score.psnr; };
     auto& kept = report_.pictures;
@@ -456,7 +454,7 @@ class PictureAudit {
       report_.photo = photo;
       report_.loss = photo.loss();
     }
-    // Rated ones first, of these the worst; pictures keep pointing at their views.
+    // Rated views first, worst first; pictures keep pointing at their views.
     std::vector<std::size_t> order(views.size()), place(views.size());
     for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
     std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
@@ -492,11 +490,11 @@ class PictureAudit {
   Scene scene_;  // the one being rendered
   SceneBounds bounds_;
   std::vector<View> views_;
-  std::vector<std::uint8_t> rated_;      // [views], as far as they are drawn
+  std::vector<std::uint8_t> rated_;      // [views], of those drawn so far
   std::vector<std::uint8_t> seen_;       // [Gaussians drawn of the source]
   std::vector<Image> references_;        // of the batch
   std::vector<double> reference_drawn_;  // of the batch
-  std::vector<float> alpha_;             // of the last frame that asked for it
+  std::vector<float> alpha_;             // of the last frame that requested it
   std::vector<Series> variants_;
   std::vector<AlsoSums> also_sums_ = std::vector<AlsoSums>(also_.size());
   RenderReport report_;

@@ -1,4 +1,4 @@
-// audit_render.hpp - source against asset as pictures: how far apart, why, and where.
+// audit_render.hpp - compares pictures of source and asset: how much they differ, why, and where.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,9 +13,9 @@
 
 namespace rgs::audit {
 
-/// What is rendered against what. `rgs` and `pairing` are absent for assets of other formats, which then have no
-/// attribution. All is drawn as the asset declares, but the source's own pictures as the source states, if it states
-/// anything: an anti-aliasing that got lost shows.
+/// Inputs of the comparison. `rgs` and `pairing` are absent for assets of other formats, which get no attribution. All
+/// is drawn as the asset declares, except the source's own pictures if the source declares something: a lost
+/// anti-aliasing shows.
 struct RenderInputs {
   const Source* source = nullptr;
   const FileView* rgs = nullptr;
@@ -23,14 +23,15 @@ struct RenderInputs {
   std::optional<Declarations> declared = {}, source_stated = {};
 };
 
-/// The image's definition by Kerbl et al. 2023 (docs/format/RENDERING.md), as steps, for its parts to be changed one by one: what
-/// source and asset are compared in. Of levels of detail the leaves. `declared`: anti-aliasing and low-pass.
+/// The image of Kerbl et al. 2023 (docs/format/RENDERING.md) in separate steps, which can be changed one by one: the
+/// arithmetic in which source and asset are compared. Levels of detail: the leaves. `declared`: anti-aliasing and
+/// low-pass.
 RenderOptions reference_arithmetic(const std::optional<Declarations>& declared);
 
-/// Mean of PSNRs, of those that are finite: one identical view does not make a mean infinite.
+/// Mean of the finite PSNRs: one identical view does not make the mean infinite.
 double mean_psnr(std::span<const double> values);
 
-/// Renders every view of source and asset in the reference definition (FP32, square extent, exact order and
+/// Renders every view of source and asset by the reference definition (FP32, square extent, exact order and
 /// exponential), and the attribution's variants. Views are taken in batches whose reference pictures fit into 512 MB,
 /// and at most two scenes are in memory at a time. Fills `also` too. Variants and other files are drawn in the rated
 /// views alone.

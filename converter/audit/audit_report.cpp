@@ -1,4 +1,4 @@
-// audit_report.cpp - the page from top to bottom: verdict and worst picture for everyone, then the evidence.
+// audit_report.cpp - the page from top to bottom: verdict and worst picture first, then the evidence.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_report.hpp"
 
@@ -25,8 +25,9 @@ namespace {
 using tool::format_bytes;
 using tool::format_count;
 
-// Encoded bytes of pictures; base64 makes 4 of 3. Two pictures and a map on top, maps of two more views, six crops of
-// three pictures: 13.5 MB of text at most, and with photographs, which share these, no more; strips of four from four distances: 1.3 MB.
+// Encoded bytes of pictures; base64 adds a third. Two pictures and a map on top, maps of two more views, six crops of
+// three pictures: at most 13.5 MB of text, also with photographs, which share these; strips of four from four
+// distances: 1.3 MB.
 constexpr std::size_t kTopBytes = 3'000'000, kMapBytes = 700'000, kCropBytes = 70'000;
 constexpr std::size_t kTopBytesBesidePhoto = kTopBytes * 2 / 3, kCropBytesBesidePhoto = kCropBytes * 3 / 4;
 constexpr int kTopWidth = 1920, kMapWidth = 960;
@@ -65,7 +66,7 @@ const char* badge_of(Verdict::Grade grade) {
   return "";
 }
 
-// What a page says that depends on conditions is found again between these. No name can look like them: all are escaped.
+// The parts of a page that depend on conditions lie between these. Names cannot contain them: all are escaped.
 constexpr std::string_view kVerdictBegins = "<!-- verdict -->\n", kVerdictEnds = "<!-- end of verdict -->\n";
 
 const char* badge(const Verdict& verdict, std::span<const Condition> gate) {
@@ -154,7 +155,7 @@ class Page {
   }
   void end_table() { add("</tbody></table></div>\n"); }
 
-  // ---- for everyone
+  // ---- summary
 
   void head() {
     add("<header>\n<p class=\"names\"><b>rgs-audit</b> &nbsp; {} &rarr; <b>{}</b></p>\n", html(report_.source_name),
@@ -190,13 +191,13 @@ class Page {
     }
     const RenderReport& r = *report_.render;
     if (r.n_rated == 0) {
-      card("Likeness to the original", "?", "", "no view shows the scene");
+      card("Similarity to the original", "?", "", "no view shows the scene");
       add("</dl>\n");
       return;
     }
     const bool same = !std::isfinite(r.psnr);
-    card("Likeness to the original", same ? "&infin;" : fmt::format("{:.1f}", r.psnr), "dB PSNR",
-         same ? "every pixel is the same"
+    card("Similarity to the original", same ? "&infin;" : fmt::format("{:.1f}", r.psnr), "dB PSNR",
+         same ? "every pixel is identical"
               : fmt::format("worst view {:.1f} dB; error {:.2g} of 255 levels RMS", r.worst_psnr, levels(r.mse)));
     if (r.photo) {
       card("Lost against the photographs", fmt::format("{:.3f}", std::max(0.0, *r.loss)), "dB",
@@ -273,9 +274,8 @@ class Page {
   void where() {
     const RenderReport& r = *report_.render;
     title("where", "Where it differs");
-    add("<p>The largest difference of the three channels, pixel by pixel, amplified {:.0f} times and on one scale for "
-        "all "
-        "pictures. Maps show what a screen can show: values are clamped to 0..1 here, but not in the numbers.</p>\n",
+    add("<p>The largest difference of the three channels, pixel by pixel, amplified {:.0f} times, on one scale for all "
+        "pictures. Maps clamp values to 0..1, as a screen does; the numbers do not.</p>\n",
         255 / static_cast<double>(top_));
     scale_bar();
     add("<div class=\"grid\">\n");
@@ -313,14 +313,12 @@ class Page {
 
   void views(const RenderReport& r) {
     title("views", "Views");
-    add("<p>Worst first. Both sides are rendered with the same arithmetic, that of the original 3DGS definition in "
-        "FP32, and "
-        "compared in floating point: what differs is the asset.{}</p>\n",
-        r.automatic_views
-            ? " No cameras were given: these views lie on a circle around the scene, where it may never have been "
-              "photographed."
-            : "");
-    look_at(r);
+    add("<p>Worst first. Both sides are rendered by the original 3DGS definition in FP32 and compared in floating "
+        "point, so that all differences come from the asset.{}</p>\n",
+        r.automatic_views ? " No cameras were given: these views lie on a circle around the scene, where no photograph "
+                            "may have been taken."
+                          : "");
+    view_command(r);
     const bool photos = r.photo.has_value();
     const bool one_size = std::all_of(r.views.begin(), r.views.end(), [&](const ViewResult& v) {
       return v.width == r.views.front().width && v.height == r.views.front().height;
@@ -345,17 +343,18 @@ class Page {
     end_table();
     if (r.views.size() > kListedViews) add("<p class=\"note\">The JSON output lists all views.</p>\n");
     if (r.n_undrawable != 0)
-      add("<p class=\"note\">{} damaged Gaussians of the source cannot be drawn and are not in the reference.</p>\n",
+      add("<p class=\"note\">{} damaged Gaussians of the source cannot be drawn and are missing from the "
+          "reference.</p>\n",
           format_count(r.n_undrawable));
     end_section();
   }
 
-  // The script puts the arguments of a view behind the command.
-  void look_at(const RenderReport& r) {
+  // The script appends a view's argument to the command.
+  void view_command(const RenderReport& r) {
     if (report_.view_command.empty()) return;
     const std::string command = html(report_.view_command);
     add("<p>To look at both sides in a browser: <code id=\"look\" data-command=\"{0}\">{0}</code>{1}</p>\n", command,
-        r.automatic_views ? "" : ". A view's button puts it behind the command and copies both.");
+        r.automatic_views ? "" : ". A view's button adds it to the command and copies both.");
   }
 
   std::string copy_button(const ViewResult& v) const {
@@ -381,7 +380,7 @@ class Page {
       add("<td>{}</td><td>{}<b>{:.3f}</b></td><td>{:.6f}</td><td>{:.1f}</td>", number(v.score.psnr, 2),
           meter(highest > 0 ? rms / highest : 0), rms, v.score.ssim, 255 * static_cast<double>(v.score.largest));
     } else {
-      add("<td colspan=\"4\" class=\"fair\">not rated: hardly anything is drawn</td>");
+      add("<td colspan=\"4\" class=\"fair\">not rated: almost nothing is drawn</td>");
     }
     add("<td{}>{:.1f}</td>", v.hardly_sees() ? " class=\"fair\"" : "", 100 * v.drawn);
     if (!v.rated() && photos) add("<td colspan=\"3\"></td>");
@@ -399,16 +398,14 @@ class Page {
 
   void attribution(const RenderReport& r) {
     if (r.attribution.empty()) {
-      if (r.attribution_note != "not asked for")
-        add("<p class=\"note\">There is no attribution of the loss to steps: {}.</p>\n", html(r.attribution_note));
+      if (r.attribution_note != "not requested")
+        add("<p class=\"note\">No attribution of the loss to steps: {}.</p>\n", html(r.attribution_note));
       return;
     }
     title("steps", "Which step costs what");
-    add("<p>Each step alone, with all others exact, against the original. The first rows are what is stored in the "
-        "asset; the "
-        "next are what a fast renderer adds while it draws; the last is everything at once. Shares are of the squared "
-        "error of "
-        "everything at once; they need not add up to 100 %, because errors add up or cancel.</p>\n");
+    add("<p>Each step alone, with all others exact, against the original. The first rows are losses of storage, the "
+        "next those of a fast renderer, the last is all together. Shares are of the squared error of all together; "
+        "they need not add up to 100 %, because errors add up or cancel.</p>\n");
     table("Attribution of the loss");
     const bool photos = r.photo.has_value();
     add("<thead><tr><th>Step</th><th>PSNR, dB</th><th>Worst view, dB</th><th>Error, levels RMS</th><th>Share of the "
@@ -438,19 +435,17 @@ class Page {
 
   static const char* group_of(const std::string& key) {
     if (key == "together") return "";
-    if (key.ends_with("scales")) return "For comparison: step sizes of SH, the source quantised anew";
+    if (key.ends_with("scales")) return "For comparison: SH step sizes, requantised from the source";
     return key == "key" || key == "exp" || key == "lists" ? "Drawn by a fast renderer" : "Stored in the asset";
   }
 
   // ---- levels of detail
 
   void distances(const DistanceReport& r) {
-    title("distances", "Levels of detail from afar");
-    add("<p>The rated views from up to {} times as far: as many times smaller. The truth is the original as it is "
-        "drawn "
-        "otherwise, at twice the size of the nearest view, averaged over the pixels that become one. Levels are drawn "
-        "at "
-        "a detail of {:g} pixel; {} Gaussians in {} levels are stored.</p>\n",
+    title("distances", "Levels of detail at a distance");
+    add("<p>The rated views from up to {} times as far, in pictures as many times smaller. The truth is the original "
+        "as drawn above, at twice the size of the nearest view, averaged over squares of pixels. Levels are drawn at a "
+        "detail of {:g} pixel; {} Gaussians in {} levels are stored.</p>\n",
         r.rows.back().far, r.detail_px, format_count(report_.size.levels->n_gaussians), report_.size.levels->n_levels);
     table("Levels of detail by distance");
     add("<thead><tr><th>As far</th><th>All Gaussians as declared, dB</th><th>SSIM</th><th>All, compensated, dB</th>"
@@ -465,13 +460,12 @@ class Page {
           number(levels.worst_psnr, 2), levels.ssim, meter(row.drawn), 100 * row.drawn);
     }
     end_table();
-    if (!r.note.empty()) add("<p class=\"note\">Not all distances: {}.</p>\n", html(r.note));
+    if (!r.note.empty()) add("<p class=\"note\">Some distances are missing: {}.</p>\n", html(r.note));
     std::vector<Image> maps;
     for (const FarPictures& p : r.pictures) maps.push_back(difference_levels(p.truth, p.levels));
     const float top = scale_top(maps);
-    add("<p class=\"note\">Below, of each distance, the view in which the levels are worst. Differences between truth "
-        "and "
-        "levels are on one scale of colours, from 0 to {:.3g} of 255 levels.</p>\n",
+    add("<p class=\"note\">Below, for each distance, the view with the worst levels. Differences between truth and "
+        "levels share one colour scale, from 0 to {:.3g} of 255 levels.</p>\n",
         top);
     add("<div class=\"strips\">\n");
     for (std::size_t i = 0; i < r.pictures.size(); ++i) strip(r, r.pictures[i], heat_map(maps[i], top));
@@ -504,10 +498,10 @@ class Page {
     title("attributes", "Attributes");
     add("<p>{} Gaussians paired {}. {}</p>\n", format_count(a.n_paired), pairing_words(a.paired_by),
         a.n_source_only + a.n_asset_only == 0
-            ? std::string("None is missing, none was added.")
+            ? std::string("None is missing or added.")
             : fmt::format("<b class=\"bad\">{} are only in the source, {} only in the asset.</b>",
                           format_count(a.n_source_only), format_count(a.n_asset_only)));
-    error_table("Errors by what they mean");
+    error_table("Errors by meaning");
     error_row(a.colour.name, a.colour.meaning_unit, a.colour.meaning);
     for (const AttributeError& e : a.errors)
       if (!is_sh(e)) error_row(e.name, e.meaning_unit, e.meaning);
@@ -519,16 +513,15 @@ class Page {
     for (const AttributeError& e : a.errors) error_row(e.name, e.unit.empty() ? "coefficient" : e.unit, e.value);
     end_table();
     add("</details>\n");
-    add("<p class=\"note\">Errors are absolute. A colour error is the RMS over all directions a Gaussian can be seen "
-        "from, before "
-        "it is blended; percentiles are at most 1.6 % too high.</p>\n");
+    add("<p class=\"note\">Errors are absolute. A colour error is the RMS over all viewing directions of a Gaussian, "
+        "before blending; percentiles are at most 1.6 % too high.</p>\n");
     histograms(a);
     limits(a);
     end_section();
     worst_gaussians(a);
   }
 
-  // Equally many digits in a column; no digits for an exact 0.
+  // The same number of digits in a column; an exact 0 has none.
   static std::string three_digits(double value) { return value == 0 ? "0" : fmt::format("{:#.3g}", value); }
 
   static bool is_sh(const AttributeError& e) { return e.key.starts_with("sh"); }
@@ -554,7 +547,7 @@ class Page {
   }
 
   void histograms(const AttributeReport& a) {
-    add("<h3>How errors are spread</h3>\n<p class=\"note\">Logarithmic axes. Lines: median, 99 % (dashed), largest "
+    add("<h3>Distribution of errors</h3>\n<p class=\"note\">Logarithmic axes. Lines: median, 99 % (dashed), largest "
         "(dotted).</p>\n");
     add("<div class=\"grid\">\n");
     histogram(a.colour.name, a.colour.meaning_unit, a.colour.meaning);
@@ -562,9 +555,8 @@ class Page {
       if (!is_sh(e)) histogram(e.name, e.meaning_unit, e.meaning);
     for (const AttributeError& e : a.errors)
       if (is_sh(e) && e.key.ends_with("green")) histogram(e.name, e.meaning_unit, e.meaning);
-    add("</div>\n<h3>How the 255 SH codes are used</h3>\n<p class=\"note\">Height by the logarithm of the count. Codes "
-        "that are "
-        "never used are precision given away.</p>\n<div class=\"grid narrow\">\n");
+    add("</div>\n<h3>Use of the 255 SH codes</h3>\n<p class=\"note\">Height by the logarithm of the count. Unused "
+        "codes waste precision.</p>\n<div class=\"grid narrow\">\n");
     for (std::size_t d = 0; d < a.codes.size(); ++d) {
       const CodeUsage& c = a.codes[d];
       const std::string name = fmt::format("SH degree {}", d);
@@ -584,7 +576,7 @@ class Page {
       add("<tr><td>{}</td><td>{}</td><td class=\"left soft\">{}</td></tr>\n", name, format_count(n), meaning);
     };
     row("SH clipped", r.sh_clipped, "more than half a step beyond the largest code: lost");
-    row("SH at the largest code", r.sh_limit, "&plusmn;127; the largest value of every step set, so never none");
+    row("SH at the largest code", r.sh_limit, "&plusmn;127; the largest value of every step set, so always some");
     row("SH flushed to 0", r.sh_flushed, "smaller than half a step, not 0 in the source");
     row("Scale subnormal", r.scale_subnormal, "below the normal range of FP16: fewer digits");
     row("Scale flushed to 0", r.scale_zero, "too small for FP16: lost");
@@ -640,7 +632,7 @@ class Page {
     }
     end_table();
     if (s.gpu_bytes != 0)
-      add("<p>On the GPU the asset takes {} ({:.1f} bytes per Gaussian), its FP32 attributes would take {}.</p>\n",
+      add("<p>On the GPU the asset takes {} ({:.1f} bytes per Gaussian), as FP32 attributes {}.</p>\n",
           format_bytes(s.gpu_bytes), s.gpu_bytes_per_gaussian(), format_bytes(s.gpu_bytes_fp32));
     end_section();
   }
@@ -701,10 +693,9 @@ class Page {
     fact("Asset", fmt::format("{}: {} bytes, {} Gaussians, SH degree {}, XXH3 <code>{:016x}</code>",
                               html(report_.asset_name), format_count(report_.size.asset_bytes),
                               format_count(report_.size.n_asset), report_.size.asset_sh_degree, report_.asset_xxh3));
-    fact("Descent", !report_.made_from_source ? "the asset does not say what it was made from"
-                    : *report_.made_from_source
-                        ? "the asset states that it was made from this very source: name, size and hash agree"
-                        : "<b class=\"bad\">the asset states that it was made from another file than this source</b>");
+    fact("Provenance", !report_.made_from_source   ? "the asset does not state its source"
+                       : *report_.made_from_source ? "the asset names this source: name, size and hash agree"
+                                                   : "<b class=\"bad\">the asset names another file as its source</b>");
     if (report_.render) {
       fact("Reference",
            "the source in FP32 by the original 3DGS definition: square extent of 3 sigma, exact depth order, exact "
@@ -713,13 +704,14 @@ class Page {
            "-10 log10 of the mean squared difference of floating-point values with peak 1, neither clamped nor rounded "
            "to "
            "8 bits; means are over the rated views that differ");
-      fact("Rated", fmt::format("views on whose pixels source or asset draw to {:g} % at least; below {:g} % they are "
-                                "flagged, because equal background raises PSNR",
+      fact("Rated", fmt::format("views in which source or asset draws on at least {:g} % of the pixels; below {:g} % "
+                                "they are flagged, because equal background raises PSNR",
                                 100 * kRatedShare, 100 * kHardlySeenShare));
       fact("SSIM", "as in 3DGS: 11 x 11 Gaussian window, sigma 1.5, zero padding");
       if (report_.render->photo)
         fact("Photographs",
-             "values clamped to 0..1, PSNR and SSIM against the photograph; lost is what the source's PSNR has more");
+             "values clamped to 0..1, PSNR and SSIM against the photograph; lost is the source's PSNR minus the "
+             "asset's");
       fact("Renderer", html(report_.render->backend));
     }
     fact("Tool", html(report_.tool) + (report_.fingerprint.empty() ? "" : run_html(report_.fingerprint)));

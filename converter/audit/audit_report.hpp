@@ -13,15 +13,15 @@ namespace rgs::audit {
 
 inline constexpr std::size_t kMaxReportBytes = 15'000'000;
 
-/// A page with everything in it, pictures too: no other file and no network is needed. At most kMaxReportBytes.
-/// Opened with #self-test it tries itself and leaves the outcome in <html data-self-test="...">, "ok" or what failed.
+/// A self-contained page, pictures included: needs no other file and no network. At most kMaxReportBytes. Opened with
+/// #self-test it tests itself and leaves the outcome in <html data-self-test="...">, "ok" or what failed.
 std::string audit_html(const Report& report);
 
-/// Whether `page` is one of audit_html(); that of the run with this fingerprint.
+/// Whether `page` is one of audit_html(); or the one of the run with this fingerprint.
 bool is_audit_page(const std::string& page);
 bool is_audit_page_of(const std::string& page, const std::string& fingerprint);
 
-/// An earlier page of the run with this fingerprint, with another gate. Nothing if it is no such page.
+/// An earlier page of the run with this fingerprint, with another gate. None if it is no such page.
 std::optional<std::string> with_gate(const std::string& page, const std::string& fingerprint, const Verdict& verdict,
                                      std::span<const Condition> gate);
 

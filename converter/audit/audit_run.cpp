@@ -1,4 +1,4 @@
-// audit_run.cpp - opens source and asset and asks every part of the audit in turn.
+// audit_run.cpp - opens source and asset and runs each part of the audit.
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/format.h>
 #include <tbb/parallel_invoke.h>
@@ -43,7 +43,7 @@ std::string file_name(const std::string& path) {
   return fs::path(path).filename().string();
 }
 
-// FP32 attributes of a Gaussian as a renderer without compression keeps them.
+// Bytes of a Gaussian's FP32 attributes in a renderer without compression.
 std::uint64_t fp32_bytes(int sh_degree) {
   return sizeof(float) * static_cast<std::uint64_t>(3 + 4 + 3 + 1 + 3 * sh_coefficients(sh_degree));
 }
@@ -52,21 +52,20 @@ void measure_sections(const FileView& view, SizeReport& size) {
   for (const SectionEntry& s : view.sections()) {
     const auto type = static_cast<SectionType>(s.type);
     size.sections.push_back({tool::four_characters(s.type), tool::describe(type), s.stored_bytes, s.decoded_bytes});
-    // What stays on the device while a scene is shown; the rest is for loading and for people.
+    // Resident while a scene is shown; other sections are for loading and for people.
     const bool resident = type == SectionType::means || type == SectionType::geometry || type == SectionType::sh ||
                           type == SectionType::sh_steps || type == SectionType::chunks;
     if (resident) size.gpu_bytes += s.decoded_bytes;
   }
 }
 
-// Pages take the place of the sections above.
+// Pages replace the sections above.
 void measure_pages(const PagedFile& file, SizeReport& size) {
   for (std::uint32_t page = 0; page < file.n_pages(); ++page) size.gpu_bytes += file.decoded_bytes(page);
   size.levels = {file.n_levels(), file.n_pages(), file.n_stored()};
 }
 
-// An .rgs asset. One with levels of detail is read as a file of its leaves, which are Gaussians of the source as those of
-// any other file are.
+// An .rgs asset. One with levels of detail is read as a file of its leaves, which correspond to the source's Gaussians.
 struct RgsAsset {
   std::optional<PagedFile> levels;
   std::vector<std::byte> leaves;
@@ -85,7 +84,7 @@ Result<RgsAsset> open_rgs(std::span<const std::byte> bytes, const DecodeLimits& 
   if (!file) return tl::unexpected(file.error());
   if (!file->complete())
     return rgs::make_error(Errc::pages_missing, bytes.size(),
-                           "the end of the file is missing: only whole files are audited",
+                           "the end of the file is missing; only whole files can be audited",
                            file->head().header().file_bytes, bytes.size());
   asset.levels = *std::move(file);
   return asset;
@@ -97,7 +96,6 @@ const Axes& axes_of(const RgsAsset& asset) {
   return (asset.levels ? asset.levels->head() : asset.view).declarations().axes;
 }
 
-// Checks every value, and decodes what is coded.
 Status load_rgs(RgsAsset& asset, unsigned threads) {
   if (!asset.levels) return asset.view.preload({.threads = threads});
   if (auto ok = validate(*asset.levels, threads); !ok) return ok;
@@ -125,8 +123,8 @@ Outcome<std::vector<AlsoReport>> measure_also(const Options& options) {
   return out;
 }
 
-// Contents of a file, or names and contents of all files of a folder; nothing for an empty path. Of a SOG's meta.json also
-// of the pictures beside it.
+// Hashes the contents of a file, or names and contents of all files of a folder; with a SOG's meta.json the pictures
+// beside it. None for an empty path.
 Outcome<std::uint64_t> hash_path(const std::string& path) {
   if (path.empty()) return 0;
   std::error_code failed;
@@ -135,7 +133,7 @@ Outcome<std::uint64_t> hash_path(const std::string& path) {
     for (fs::recursive_directory_iterator it(path, failed), end; !failed && it != end; it.increment(failed))
       if (it->is_regular_file(failed)) files.push_back(it->path());
     if (failed)
-      return make_error(path, {Errc::open_failed, Error::kNone, "the folder cannot be read", Error::kNone, Error::kNone,
+      return make_error(path, {Errc::open_failed, Error::kNone, "cannot read the folder", Error::kNone, Error::kNone,
                                failed.value()});
     std::sort(files.begin(), files.end());
   } else {
@@ -196,10 +194,10 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.view_command = view_command(options);
   const bool rgs_asset = is_rgs(file->bytes());
   Result<RgsAsset> asset = rgs_asset ? open_rgs(file->bytes(), options.limits) : Result<RgsAsset>();
-  // What an asset names as its source: of a SOG's folder meta.json alone.
+  // The file that an asset may name as its source; of a SOG folder meta.json alone.
   const auto original = MappedFile::open(options.source);
   if (!original) return make_error(options.source, original.error());
-  // Formats with axes of their own are turned into the asset's by a conversion, a PLY is not unless that is asked for.
+  // A conversion turns formats with axes of their own into the asset's; a PLY only on request.
   const bool is_ply = detect_format(original->bytes()) == SplatFormat::ply;
   std::optional<Axes> axes, other_axes;
   if (rgs_asset && asset) {
@@ -241,7 +239,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     if (const auto& provenance = view.provenance()) {
       report.made_from_source =
           provenance->source_xxh3 == report.source_xxh3 && provenance->source_bytes == original->bytes().size();
-      // What is made of an .rgs names what that was made of.
+      // What is made from an .rgs names that file's source.
       if (const auto& through = source->provenance(); through && provenance->source_xxh3 == through->source_xxh3 &&
                                                       provenance->source_bytes == through->source_bytes)
         report.made_from_source = true;
@@ -251,7 +249,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     if (!paired) return make_error(options.asset, paired.error());
     pairing = std::move(*paired);
     if (2 * pairing.n_paired < size.n_asset) {
-      // Perhaps the conversion was told of other axes than the source states.
+      // The conversion may have been given other axes than the source states.
       auto other = Source::open(options.source, options.limits, other_axes);
       if (!other) return make_error(options.source, other.error());
       auto again = pair_gaussians(*other, view);
@@ -262,10 +260,9 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
       }
     }
     if (pairing.n_paired == 0 && size.n_asset != 0)
-      return make_error(
-          options.asset,
-          {Errc::bad_value, Error::kNone,
-           "none of its Gaussians is one of the source: was it converted from another file?", size.n_asset, 0});
+      return make_error(options.asset, {Errc::bad_value, Error::kNone,
+                                        "none of its Gaussians is in the source: was it converted from another file?",
+                                        size.n_asset, 0});
     report.attributes = compare_attributes(*source, view, pairing, progress);
     report.attributes->seconds = since(began);
   } else {

@@ -1,4 +1,4 @@
-// audit_scenes.cpp - scenes in the order of the asset, so that ties in depth are resolved as the asset resolves them.
+// audit_scenes.cpp - scenes in the asset's order, so that ties in depth resolve as in the asset.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_scenes.hpp"
 
@@ -19,7 +19,6 @@ constexpr std::uint64_t kBlock = 4096;
 constexpr std::size_t kAtOnce = 64;
 constexpr std::uint64_t kChunk = 256;
 
-// Codes and back, for Gaussians [first, end).
 void requantise(SplatCloud& cloud, std::uint64_t first, std::uint64_t end, const ShStepSet& set) {
   const auto floats = 3 * static_cast<std::uint64_t>(sh_coefficients(cloud.sh_degree));
   for (std::uint64_t i = first * floats; i < end * floats; ++i) {
@@ -49,7 +48,7 @@ void requantise(SplatCloud& cloud, bool by_chunk) {
                     [&](std::uint64_t chunk) { requantise(cloud, chunk * kChunk, end(chunk), set); });
 }
 
-// Only where it lies: how it is drawn is for those who render it.
+// Only its position: the renderer's options say how it is drawn.
 Declarations declared_at(const Origin& origin) {
   Declarations d;
   d.origin = origin;
@@ -83,7 +82,7 @@ Result<SourceScene> source_scene(const Source& source) {
 
 Result<Scene> mixed_scene(const Source& source, const FileView& asset, const Pairing& pairing, Mixture mixture) {
   if (pairing.n_paired != pairing.source_of.size())
-    return rgs::make_error(Errc::bad_argument, Error::kNone, "a Gaussian of the asset has no source");
+    return rgs::make_error(Errc::bad_argument, Error::kNone, "a Gaussian of the asset has no partner in the source");
   const std::uint64_t n = pairing.source_of.size();
   SplatCloud cloud;
   cloud.resize(n, std::max(source.sh_degree(), static_cast<int>(asset.header().sh_degree)));
@@ -95,7 +94,7 @@ Result<Scene> mixed_scene(const Source& source, const FileView& asset, const Pai
       source.gather(std::span(pairing.source_of).subspan(first, count), std::span(rows).first(count));
       (void)asset.read(first, std::span(stored).first(count));
       for (std::size_t i = 0; i < count; ++i) {
-        // What cannot be mended is not in the asset.
+        // Gaussians that cannot be repaired are not in the asset.
         if (const std::uint32_t defects = find_defects(rows[i], source.sh_degree()); defects != 0)
           repair(rows[i], defects);
         if (mixture == Mixture::stored_sh) std::ranges::copy(stored[i].sh, rows[i].sh);
@@ -109,7 +108,7 @@ Result<Scene> mixed_scene(const Source& source, const FileView& asset, const Pai
   });
   if (mixture == Mixture::file_scales || mixture == Mixture::chunk_step_sets)
     requantise(cloud, mixture == Mixture::chunk_step_sets);
-  const bool is_stored = mixture == Mixture::stored_geometry;  // the means too
+  const bool is_stored = mixture == Mixture::stored_geometry;  // means too
   return Scene::load(std::move(cloud), declared_at(is_stored ? asset.declarations().origin : source.origin()));
 }
 

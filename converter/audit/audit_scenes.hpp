@@ -13,7 +13,7 @@
 
 namespace rgs::audit {
 
-/// The source as it is drawn: damaged Gaussians are mended as repair() mends them, or left out and counted.
+/// The source for drawing: damaged Gaussians are repaired as by repair(), or dropped and counted.
 struct SourceScene {
   Scene scene;
   SceneBounds bounds;
@@ -21,7 +21,7 @@ struct SourceScene {
 };
 Result<SourceScene> source_scene(const Source& source);
 
-/// Where the attributes of a mixture come from. Its Gaussians are the asset's, in the asset's order.
+/// The sources of a mixture's attributes. Its Gaussians are the asset's, in the asset's order.
 enum class Mixture : std::uint8_t {
   source,           ///< all of the source
   stored_sh,        ///< SH of the asset, the rest of the source
@@ -29,7 +29,7 @@ enum class Mixture : std::uint8_t {
   file_scales,      ///< SH of the source quantised with one step set for the file, the rest of the source
   chunk_step_sets,  ///< the same with one set per chunk of 256
 };
-/// Needs every Gaussian of the asset paired: bad_argument otherwise.
+/// Requires that every Gaussian of the asset is paired; else bad_argument.
 Result<Scene> mixed_scene(const Source& source, const FileView& asset, const Pairing& pairing, Mixture mixture);
 
 }  // namespace rgs::audit

@@ -1,4 +1,4 @@
-// audit_source.hpp - the Gaussians that an asset was made from, out of a file of any format.
+// audit_source.hpp - the Gaussians from which an asset was made, in a file of any format.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -15,13 +15,13 @@
 
 namespace rgs::audit {
 
-/// A PLY is read row by row from its file; what any other file holds is in memory, of levels of detail the finest. Copies
-/// share it. Reading is thread-safe.
+/// Reads a PLY row by row from its file; holds other files in memory, of levels of detail level 0. Copies share it.
+/// Reading is thread-safe.
 class Source {
  public:
   Source() = default;
   Source(const PlyFile& ply) : ply_(&ply) {}  // NOLINT: a PLY file is a source; it must outlive this one
-  /// The file's Gaussians in `axes`, or as they are if either is undeclared. Without `axes`: a PLY's in its own, others in
+  /// The file's Gaussians in `axes`, or unchanged if either is undeclared. Without `axes`: a PLY in its own, others in
   /// those of 3DGS. Errors: those of MappedFile::open(), PlyFile::open() and read_splats().
   static Result<Source> open(const std::string& path, const DecodeLimits& limits, const std::optional<Axes>& axes);
 
@@ -29,10 +29,10 @@ class Source {
   int sh_degree() const { return ply_ != nullptr ? ply_->sh_degree() : file_->cloud.sh_degree; }
   std::uint64_t bytes() const { return ply_ != nullptr ? ply_->bytes() : file_->bytes; }
   SplatFormat format() const { return ply_ != nullptr ? SplatFormat::ply : file_->format; }
-  /// What the file states of its scene; axes and origin are those of the Gaussians.
+  /// The file's declarations; axes and origin are those of the Gaussians.
   const Declarations& declarations() const { return ply_ != nullptr ? ply_->declarations() : stated_; }
   const Origin& origin() const { return ply_ != nullptr ? ply_->origin() : file_->origin; }
-  /// Of an .rgs: the file that it was made from, which an asset made of it names as its own source.
+  /// Of an .rgs: its source, which an asset made from it names as its own.
   std::optional<Provenance> provenance() const { return ply_ != nullptr ? std::nullopt : file_->provenance; }
   /// The same Gaussians with means relative to `origin`. Errors: those of PlyFile::open().
   Result<Source> relative_to(const Origin& origin) const;

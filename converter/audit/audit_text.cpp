@@ -83,7 +83,7 @@ class Text : private tool::TextLines {
       line("  photos      source {:.3f} dB, asset {:.3f} dB: loss {:.4f} dB; SSIM {:.5f}, {:.5f}", r.photo->source_psnr,
            r.photo->asset_psnr, r.photo->loss(), r.photo->source_ssim, r.photo->asset_ssim);
     if (r.n_undrawable != 0)
-      line("  reference   {} damaged Gaussians of the source are left out", format_count(r.n_undrawable));
+      line("  reference   {} damaged Gaussians of the source are missing", format_count(r.n_undrawable));
     for (const AttributionRow& a : r.attribution)
       line("    {:<40}{:>12}  {:6.2f} % of the squared error", a.name, format_psnr(a.psnr), 100 * a.share);
     if (!r.attribution_note.empty()) line("  attribution none: {}", r.attribution_note);

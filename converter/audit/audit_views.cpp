@@ -1,4 +1,4 @@
-// audit_views.cpp - cameras by split, photographs by name.
+// audit_views.cpp - chooses cameras by split, and photographs by name.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_views.hpp"
 
@@ -17,8 +17,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kAllOfFew = 32;  // more cameras than this, and the test cameras speak for them
-constexpr std::size_t kNamed = 8;      // names in an error; the rest is counted
+constexpr std::size_t kAllOfFew = 32;  // with more cameras than this, the test cameras alone are used
+constexpr std::size_t kNamed = 8;      // names in an error; the rest are counted
 
 // "a, b, c and 5 more".
 std::string listed(const std::vector<std::string>& names) {
@@ -36,12 +36,11 @@ Outcome<std::vector<Camera>> cameras_of(const Options& options) {
   for (std::size_t i = 0; i < set->cameras.size(); ++i)
     if (split == "all" || (set->split[i] == Split::test) == (split == "test")) chosen.push_back(set->cameras[i]);
   if (chosen.empty())
-    return make_error(options.cameras,
-                      {Errc::bad_argument, Error::kNone, "no camera of the split that --split asks for"});
+    return make_error(options.cameras, {Errc::bad_argument, Error::kNone, "no camera is in the split of --split"});
   return chosen;
 }
 
-// Gives every view its photograph. All that are missing are named at once, and all of another size.
+// Assigns each view its photograph. One error names all that are missing, one all of another size.
 Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& options) {
   const auto photos = PhotoFolder::open(options.photos);
   if (!photos) return make_error(options.photos, photos.error());
@@ -66,7 +65,7 @@ Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& o
   if (!different.empty())
     return make_error(fmt::format("{}: {}", options.photos, listed(different)),
                       {Errc::bad_argument, Error::kNone,
-                       "photographs of another size than their cameras; undistort and scale them as the cameras say"});
+                       "photographs differ in size from their cameras; undistort and scale them to match"});
   return views;
 }
 

@@ -1,4 +1,4 @@
-// audit_views.hpp - the views that an audit renders, and the photographs that belong to them.
+// audit_views.hpp - the views that an audit renders, and their photographs.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -16,8 +16,8 @@ struct View {
   std::string photo;  ///< file; empty without photographs
 };
 
-/// The views that `options` ask for: cameras of the file at their size or options.size, or options.views automatic ones
-/// around `bounds`. With options.photos every view has its photograph, of the camera's size.
+/// The requested views: cameras of the file at their own size or options.size, or options.views automatic ones around
+/// `bounds`. With options.photos every view has a photograph of the camera's size.
 /// Errors: those of read_camera_set(); bad_argument (no camera of the split; photographs that are missing or of another
 /// size, each named in the subject); read errors of the photographs.
 Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const glm::dvec3& up);

@@ -1,4 +1,4 @@
-// rgs_audit.cpp - rgs-audit: what a conversion cost and lost. Arguments and exit codes; the work is in src/audit_*.cpp.
+// rgs_audit.cpp - rgs-audit: size and quality of a conversion. Arguments and exit codes; audit_*.cpp do the work.
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/format.h>
 #include <tbb/global_control.h>
@@ -58,7 +58,7 @@ std::string read_text(const std::string& path) {
   return file ? std::string(reinterpret_cast<const char*>(file->bytes().data()), file->bytes().size()) : std::string();
 }
 
-// An earlier one is replaced without being asked, as CI systems look for it under one name.
+// Replaces an earlier one without asking: CI systems expect it under one name.
 bool may_replace_junit(const Arguments& a) {
   return a.overwrite || audit::is_junit_of_audit(read_text(a.junit));
 }
@@ -69,7 +69,7 @@ int write_junit(const Arguments& a, const audit::FolderRow& row) {
   return ok ? tool::kSuccess : tool::report(a.junit, ok.error());
 }
 
-// An audit that ends early: an earlier file must not go on saying that all is well.
+// Ends the audit early and removes an earlier JUnit file, which must not keep reporting success.
 int fail(const Arguments& a, const audit::Failure& failure) {
   const int written = write_junit(a, audit::failed_row(fs::path(a.audit.asset).filename().string(), failure));
   return tool::worse_exit_code(report_failure(failure), written);
@@ -87,7 +87,6 @@ int write_outputs(const audit::Report& report, const Arguments& a, bool replaces
   return tool::kSuccess;
 }
 
-// Found before the work, not after it.
 rgs::Status is_free(const std::string& path, bool overwrite) {
   if (path.empty() || path == "-") return {};
   return rgs::AtomicFile::create(path, {.overwrite = overwrite, .sync = false}).map([](const rgs::AtomicFile&) {});
@@ -98,7 +97,7 @@ int check_free(const std::string& path, bool overwrite) {
   return free ? tool::kSuccess : tool::report(path, free.error());
 }
 
-// What --json has of these very inputs and options, and --report too if that is asked for.
+// Earlier results of the same inputs and options: --json, and --report if requested.
 struct Earlier {
   audit::EarlierAudit audit;
   std::optional<std::string> page;
@@ -139,7 +138,7 @@ int report_earlier(const Earlier& earlier, const Arguments& a) {
   return report_gate(audit.gate);
 }
 
-// A page of these very inputs whose JSON file is not there is what a killed run has left.
+// A page of the same inputs without its JSON file is left by a killed run.
 bool may_replace_page(const Arguments& a) {
   std::error_code ignored;
   if (a.overwrite) return true;
@@ -150,7 +149,6 @@ bool may_replace_page(const Arguments& a) {
   return fingerprint && audit::is_audit_page_of(page, *fingerprint);
 }
 
-// What a pair of files, or two folders, are audited with.
 tool::InputFiles common_inputs(const Arguments& a) {
   tool::InputFiles inputs;
   inputs.add_cameras(a.audit.cameras);
@@ -178,7 +176,7 @@ int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
     tool::Progress progress(a.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
     report = audit::run(a.audit, progress);
   }
-  // That a file changed explains whatever was found wrong in it.
+  // A change of a file explains any other error.
   if (const auto changed = inputs.changed()) return fail(a, {*changed, tool::kFileChanged});
   if (!report) return fail(a, report.error());
   const auto fingerprint = audit::fingerprint(a.audit);
@@ -191,7 +189,7 @@ int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
   return report_gate(report->gate);
 }
 
-// Pairs are read by their stem, and written by it.
+// Pairs are read and written by stem.
 int check_folders(const Arguments& a) {
   tool::InputFiles inputs = common_inputs(a);
   const auto pairs = audit::pairs_of(a.audit);
@@ -209,7 +207,7 @@ int check_folders(const Arguments& a) {
     const std::string own = (cameras / (stem + ".json")).string();
     if (!cameras.empty() && fs::exists(own, ignored)) inputs.add(own);
     if (!photos.empty()) inputs.add_pictures((photos / stem).string());
-    // A pair that is called as the tables are is refused later, and writes nothing.
+    // audit_folder() rejects a pair named like the tables and writes nothing.
     if (stem == "index") continue;
     for (const char* extension : {".json", ".html"}) outputs.push_back((out / (stem + extension)).string());
   }
@@ -218,14 +216,15 @@ int check_folders(const Arguments& a) {
 
 int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
   if (a.report.empty() || a.report == "-")
-    return tool::report_usage("two folders need a folder for the reports: --report FOLDER");
-  if (!a.json.empty()) return tool::report_usage("with two folders JSON goes into the folder of --report; drop --json");
-  if (!a.audit.also.empty()) return tool::report_usage("--also goes with one pair, not with two folders");
+    return tool::report_usage("two folders require a folder for the reports: --report FOLDER");
+  if (!a.json.empty())
+    return tool::report_usage("with two folders, JSON goes into the folder of --report; drop --json");
+  if (!a.audit.also.empty()) return tool::report_usage("--also requires one pair, not two folders");
   if (const int code = check_folders(a); code != tool::kSuccess) return code;
   std::error_code failed;
   fs::create_directories(a.report, failed);  // --junit may lie there
   if (failed)
-    return tool::report(a.report, {rgs::Errc::write_failed, rgs::Error::kNone, "the folder cannot be made",
+    return tool::report(a.report, {rgs::Errc::write_failed, rgs::Error::kNone, "cannot create the folder",
                                    rgs::Error::kNone, rgs::Error::kNone, failed.value()});
   if (const int code = check_free(a.junit, may_replace_junit(a)); code != tool::kSuccess) return code;
   const auto rows = audit::audit_folder({a.audit, std::move(conditions), a.report, a.junit, a.overwrite, a.quiet});
@@ -256,7 +255,7 @@ int audit_main(Arguments& a) {
   if (const std::string wrong = audit::unmeasurable(conditions, a.audit); !wrong.empty())
     return tool::report_usage(wrong);
   if (!a.audit.photos.empty() && a.audit.cameras.empty())
-    return tool::report_usage("--photos needs the cameras that took them");
+    return tool::report_usage("--photos requires --cameras, which took them");
   if (a.json == "-" && a.report == "-") return tool::report_usage("--json - and --report - both need standard output");
   const std::size_t threads = a.audit.threads > 0 ? static_cast<std::size_t>(a.audit.threads)
                                                   : std::max(1u, std::thread::hardware_concurrency());
@@ -264,7 +263,7 @@ int audit_main(Arguments& a) {
   std::error_code ignored;
   const bool folders = fs::is_directory(a.audit.source, ignored);
   if (folders != fs::is_directory(a.audit.asset, ignored))
-    return tool::report_usage("source and asset are two files or two folders, not one of each");
+    return tool::report_usage("source and asset must be two files or two folders");
   return folders ? audit_pairs(a, std::move(conditions)) : audit_pair(a, std::move(conditions));
 }
 
@@ -273,20 +272,19 @@ void add_options(CLI::App& app, Arguments& a) {
   std::string names;
   for (const audit::ConditionKind& kind : audit::condition_kinds())
     names += fmt::format("\n  {:<24}{} {}", kind.name, kind.at_least ? "at least:" : "at most: ", kind.meaning);
-  app.add_option("source", o.source, "What the asset was made from: " RGS_SCENE_FORMATS "; or a folder of such")
-      ->required();
+  app.add_option("source", o.source, "Source of the asset: " RGS_SCENE_FORMATS "; or a folder of these")->required();
   app.add_option("asset", o.asset,
-                 "What was made from it, of any of these formats; or a folder of files of the same names")
+                 "Asset made from it, in any of these formats; or a folder of files with the same names")
       ->required();
-  app.add_option("--cameras,-c", o.cameras, "Views to compare in: camera file or COLMAP folder (docs/user/CAMERAS.md)");
+  app.add_option("--cameras,-c", o.cameras, "Views to compare: camera file or COLMAP folder (docs/user/CAMERAS.md)");
   app.add_option("--photos", o.photos, "Folder of the cameras' undistorted photographs, by name")->needs("--cameras");
   app.add_option("--report,-o", a.report, "Write the report as one HTML file; for two folders, a folder");
   app.add_option("--json", a.json, "Write the results as JSON (docs/user/AUDIT_JSON.md); - for standard output");
-  app.add_option("--junit", a.junit, "Write each condition of each scene as a test case of JUnit XML, for CI systems")
+  app.add_option("--junit", a.junit, "Write each condition of each scene as a JUnit XML test case, for CI systems")
       ->option_text("FILE");
   app.add_option("--fail-below", a.conditions, "Conditions such as psnr=50,loss=0.03; exit code 5 if one does not hold")
       ->option_text("NAME=LIMIT,...");
-  app.add_option("--also", o.also, "Another file of the same scene to measure beside the asset; may be repeated")
+  app.add_option("--also", o.also, "Another file of the same scene to measure like the asset; may be repeated")
       ->option_text("FILE");
   app.add_flag("--overwrite", a.overwrite, "Replace existing outputs");
 
@@ -301,11 +299,12 @@ void add_options(CLI::App& app, Arguments& a) {
       ->capture_default_str()
       ->excludes("--cameras")
       ->group(views);
-  app.add_flag("--no-render", a.no_render, "Sizes and attributes only")->group(views);
-  app.add_flag("--no-attribution", a.no_attribution, "Not which step lost how much")->group(views);
-  app.add_flag("--no-distances", a.no_distances, "Not what levels of detail look like from 1 to 8 times as far")
+  app.add_flag("--no-render", a.no_render, "Compare sizes and attributes only")->group(views);
+  app.add_flag("--no-attribution", a.no_attribution, "Do not attribute the loss to steps")->group(views);
+  app.add_flag("--no-distances", a.no_distances, "Do not compare levels of detail from 1 to 8 times as far")
       ->group(views);
-  app.add_flag("--compare-scales", o.compare_scales, "Also SH with one scale set for the file against one per chunk")
+  app.add_flag("--compare-scales", o.compare_scales,
+               "Also compare SH with one scale set for the file and one per chunk")
       ->group(views);
 
   const std::string machine = "Machine";
@@ -320,10 +319,10 @@ void add_options(CLI::App& app, Arguments& a) {
   tool::add_max_expansion(app, o.limits)->group(machine);
   app.add_flag("--quiet,-q", a.quiet, "No progress, no summary")->group(machine);
   app.set_version_flag("--version", "rgs-audit " RGS_VERSION);
-  app.footer("Conditions of --fail-below:" + names +
-             "\nExit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 5 a condition failed, "
-             "6 the end of a "
-             "file with levels of detail is missing. Of two folders the worst, in this order: 1, 3, 2, 4, 6, 5.");
+  app.footer(
+      "Conditions of --fail-below:" + names +
+      "\nExit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 5 a condition failed, "
+      "6 a file with levels of detail is cut off. Two folders return the worst, in this order: 1, 3, 2, 4, 6, 5.");
 }
 
 }  // namespace

@@ -1,8 +1,9 @@
-// batch.cpp - a process for each scene: what ends one of them (damage, lack of memory, a bug) does not end the others.
+// batch.cpp - converts each scene in a process of its own: damage, lack of memory or a bug in one does not end the
+// others.
 // SPDX-License-Identifier: Apache-2.0
 //
-// The parent has one thread and starts none, so that fork() alone is safe: it lists, waits, writes the state and prints.
-// A child converts one scene and sends one line of JSON through a pipe. It is told to end when its parent dies.
+// The parent stays single-threaded, so that plain fork() is safe: it lists, waits, writes the state and prints. A child
+// converts one scene and sends one line of JSON through a pipe. It gets a signal when its parent dies.
 #include "batch.hpp"
 
 #include <fmt/format.h>
@@ -58,7 +59,7 @@ Json failure_json(const BatchFailure& failure) {
           {"error", error_json(failure.file, failure.error)}};
 }
 
-// What a child sends, in full or not at all: it may be killed at any moment.
+// Sends the child's line, in full or not at all: it may be killed at any moment.
 void send(int fd, std::string text) {
   text += '\n';
   for (std::string_view left = text; !left.empty();) {
@@ -77,7 +78,7 @@ Json record_json(const BatchRecord& record) {
           {"made_stamp", record.made_stamp}};
 }
 
-// How records call an input: names need not be UTF-8.
+// An input's name in records, which need not be UTF-8.
 std::string full_path(const std::string& path) {
   std::error_code failed;
   const fs::path full = fs::absolute(path, failed);
@@ -87,7 +88,7 @@ std::string full_path(const std::string& path) {
 Json output_exists(const BatchScene& scene) {
   return failure_json({scene.output_path,
                        {Errc::output_exists, Error::kNone,
-                        "the output is there already and is not what was made of this input here; move it away, or "
+                        "the output exists and was not made from this input here; move it away, or "
                         "pass --overwrite to replace it"}});
 }
 
@@ -96,7 +97,7 @@ bool exists(const BatchScene& scene) {
   return fs::exists(scene.output_path, ignored);
 }
 
-// Removes what a killed process has left of an output: NAME.tmp-XXXXXX beside it, as AtomicFile calls it.
+// Removes what a killed process left of an output: NAME.tmp-XXXXXX, AtomicFile's temporary name.
 void remove_unfinished(const std::string& output) {
   std::error_code failed;
   const fs::path place(follow_links(output));
@@ -140,7 +141,7 @@ class Batch {
         bytes += scenes_[i].bytes;
       }
     }
-    // Side by side the largest come first, so that no long one is left for the end.
+    // Start the largest first, so that no long one is left for the end.
     if (options_.jobs > 1)
       std::ranges::stable_sort(todo_,
                                [&](std::size_t a, std::size_t b) { return scenes_[a].bytes > scenes_[b].bytes; });
@@ -159,9 +160,9 @@ class Batch {
     std::string text;
   };
 
-  // ---- what needs no process
+  // ---- checks without a process
 
-  // Whether what is there was made of this very input, and nobody has changed it since.
+  // Whether the existing output was made from this input and is unchanged since.
   bool is_ours(const BatchScene& scene) const {
     const std::string input_path = full_path(scene.input), stamp = stamp_of({&scene.output_path, 1});
     if (state_.was_begun(scene.output, input_path)) return true;
@@ -202,16 +203,16 @@ class Batch {
       settle(i, {{"status", "kept"}, {"exit_code", 0}, {"summary", Json::parse(known.summary, nullptr, false)}});
       return true;
     }
-    // The rest takes reading: start() and convert().
+    // The rest requires reading: start() and convert().
     if (!exists(scene) || !state_.find(scene.output).empty() || state_.was_begun(scene.output, want.input_path))
       return false;
     settle(i, output_exists(scene));
     return true;
   }
 
-  // ---- a child
+  // ---- child
 
-  // What is done already, found by reading what was written to or replaced; else the conversion.
+  // Reads a touched or replaced file to see whether the work is done already; converts otherwise.
   Json convert(const BatchScene& scene, const BatchShare& share) {
     BatchRecord record = wanted(scene);
     const std::vector<std::string> files = tool::files_of_scene(scene.input);
@@ -225,7 +226,7 @@ class Batch {
       for (const BatchRecord& known : state_.find(scene.output)) {
         if (!made || !known.same_work(record) || known.input != *input || known.made != *made) continue;
         record.made = *made;
-        record.input_path = known.input_path;  // a copy of the input does not take the output over
+        record.input_path = known.input_path;  // a copy of the input does not take over the output
         return {{"status", "kept"},
                 {"exit_code", 0},
                 {"summary", Json::parse(known.summary, nullptr, false)},
@@ -233,18 +234,18 @@ class Batch {
       }
     }
     if (!share.overwrite && exists(scene)) return output_exists(scene);
-    if (share.unfinished && !state_.others_work()) remove_unfinished(scene.output_path);
+    if (share.unfinished && !state_.others_may_work()) remove_unfinished(scene.output_path);
     std::error_code failed;
     const fs::path folder = fs::path(scene.output_path).parent_path();
     fs::create_directories(folder, failed);
     if (failed)
-      return failure_json({folder.string(),
-                           {Errc::write_failed, Error::kNone, "the folder cannot be made", Error::kNone, Error::kNone,
-                            failed.value()}});
+      return failure_json(
+          {folder.string(),
+           {Errc::write_failed, Error::kNone, "cannot create the folder", Error::kNone, Error::kNone, failed.value()}});
     auto summary = convert_(scene, share);
     if (!summary) {
       Json json = failure_json(summary.error());
-      // A point cloud or a mesh beside the scenes.
+      // A point cloud or mesh among the scenes.
       if (!scene.named && summary.error().error.code == Errc::not_gaussian_splats) {
         json["status"] = "skipped";
         json["exit_code"] = 0;
@@ -256,7 +257,7 @@ class Batch {
     if (!made) return failure_json({scene.output_path, made.error()});
     record.made = *made;
     Json json{{"status", "converted"}, {"exit_code", 0}, {"summary", Json::parse(summary_json(*summary))}};
-    // Whoever touched the input meanwhile may have changed it before it was opened: without a record it is done again.
+    // If the input was touched meanwhile, it may have changed before it was opened: without a record it is done again.
     if (stamp_of(files) == record.input_stamp) json["record"] = record_json(record);
     return json;
   }
@@ -265,7 +266,7 @@ class Batch {
     state_.forget();
     ::prctl(PR_SET_PDEATHSIG, SIGTERM);
     ::sigprocmask(SIG_SETMASK, &usual_signals_, nullptr);
-    if (::getppid() != parent) ::_exit(tool::kInternal);  // it died before it could have told
+    if (::getppid() != parent) ::_exit(tool::kInternal);  // it died before PR_SET_PDEATHSIG
     const BatchScene& scene = scenes_[i];
     Json json;
     try {
@@ -281,7 +282,7 @@ class Batch {
     ::_exit(0);
   }
 
-  // ---- the parent
+  // ---- parent
 
   void block_signals() {
     sigset_t ending;
@@ -293,19 +294,19 @@ class Batch {
     }
     ::sigprocmask(SIG_BLOCK, &ending, &usual_signals_);
     signals_ = ::signalfd(-1, &ending, SFD_CLOEXEC | SFD_NONBLOCK);
-    if (signals_ < 0) ::sigprocmask(SIG_SETMASK, &usual_signals_, nullptr);  // nobody would hear them
+    if (signals_ < 0) ::sigprocmask(SIG_SETMASK, &usual_signals_, nullptr);  // signals would be lost
   }
 
   void work() {
     std::size_t next = 0;
-    // A scene may fail before it has a process, and before there is work at all.
+    // Starting may fail, so check before each.
     const auto may_start = [&] {
       return next < todo_.size() && stopped_by_ == 0 && (options_.keep_going || n_failed_ == 0);
     };
     while (!children_.empty() || may_start()) {
       while (may_start() && children_.size() < options_.jobs) {
-        const auto side_by_side = static_cast<unsigned>(std::min<std::size_t>(options_.jobs, todo_.size()));
-        start(todo_[next++], std::max(1U, options_.threads / side_by_side));
+        const auto at_once = static_cast<unsigned>(std::min<std::size_t>(options_.jobs, todo_.size()));
+        start(todo_[next++], std::max(1U, options_.threads / at_once));
       }
       if (!children_.empty()) wait();
     }
@@ -317,7 +318,7 @@ class Batch {
     const BatchScene& scene = scenes_[i];
     const bool is_there = exists(scene);
     const BatchShare share{threads, options_.overwrite || (is_there && is_ours(scene)), state_.was_begun(scene.output)};
-    // Whatever a killed process leaves there is ours to replace; what is not ours is only looked at.
+    // What a killed process leaves here is ours to replace; a foreign file is only compared.
     if (share.overwrite || !is_there) {
       const Status begun = state_.begin(scene.output, full_path(scene.input), options_.sync);
       if (!begun) return settle(i, failure_json({state_.path(), begun.error()}));
@@ -342,7 +343,7 @@ class Batch {
   void cannot_start(std::size_t i, int why) {
     note(state_.cancel(scenes_[i].output));
     settle(i, failure_json({scenes_[i].name,
-                            {Errc::host_out_of_memory, Error::kNone, "a process for it cannot be started", Error::kNone,
+                            {Errc::host_out_of_memory, Error::kNone, "cannot start a process for it", Error::kNone,
                              Error::kNone, why}}));
   }
 
@@ -354,7 +355,10 @@ class Batch {
       signalfd_siginfo info{};
       if (::read(signals_, &info, sizeof info) == sizeof info) {
         stopped_by_ = static_cast<int>(info.ssi_signo);
-        for (const Child& child : children_) ::kill(child.id, stopped_by_);
+        for (const Child& child : children_) {
+          ::kill(child.id, stopped_by_);
+          ::kill(child.id, SIGCONT);  // one that is stopped would not hear it
+        }
       }
     }
     std::vector<Child> open;
@@ -365,7 +369,7 @@ class Batch {
     std::swap(children_, open);
   }
 
-  // False once the child is gone.
+  // Returns false once the child is gone.
   bool read(Child& child) {
     char buffer[65536];
     const ssize_t n = ::read(child.fd, buffer, sizeof buffer);
@@ -387,26 +391,24 @@ class Batch {
     return false;
   }
 
-  // What is said of a child that could not say it.
   static Error death(int status) {
     if (WIFEXITED(status) && WEXITSTATUS(status) == exit_code(Errc::read_failed))
       return {Errc::read_failed, Error::kNone, "the file shrank or became unreadable while it was read"};
     if (WIFSIGNALED(status) && WTERMSIG(status) == SIGKILL)
       return {Errc::host_out_of_memory, Error::kNone,
-              "its process was killed (signal 9): by somebody, or by the system for lack of memory"};
+              "its process was killed (signal 9): by a user, or by the system for lack of memory"};
     return {Errc::internal, Error::kNone,
-            "its process ended without a word; the number is that of the signal, or its exit code", Error::kNone,
+            "its process ended without a report; the number is the signal's, or its exit code", Error::kNone,
             static_cast<std::uint64_t>(WIFSIGNALED(status) ? WTERMSIG(status) : WEXITSTATUS(status))};
   }
 
-  // Keeps the first failure of the state: outputs are made all the same.
+  // Keeps the first error of the state file; conversion goes on.
   void note(const Status& written) {
     if (!written && state_error_.code != Errc::write_failed) state_error_ = written.error();
   }
 
   // ---- lines
 
-  // On a terminal, for people.
   bool text_lines() const { return !options_.json && options_.report.empty() && ::isatty(STDOUT_FILENO) == 1; }
 
   void settle(std::size_t i, Json result) {
@@ -441,7 +443,7 @@ class Batch {
       const Json& error = result["error"];
       const std::string hint = error.value("hint", "");
       tool::print_error(fmt::format("rgs-convert: {}: {}{} [{}]\n{}", tool::printable(error.value("file", "")),
-                                    status == "skipped" ? "no scene, left out: " : "",
+                                    status == "skipped" ? "not a scene, skipped: " : "",
                                     tool::printable(error.value("message", "")), error.value("code", ""),
                                     hint.empty() ? "" : "  hint: " + hint + "\n"));
     }
@@ -471,7 +473,7 @@ class Batch {
     }
     if (state_error_.code == Errc::write_failed) {
       worst_ = tool::worse_exit_code(worst_, tool::report(state_.path(), state_error_));
-      tool::print_error("  what was converted meanwhile will be converted again\n");
+      tool::print_error("  scenes converted since then will be converted again\n");
     }
     if (!options_.quiet) tool::print_error(summary());
     return worst_;
@@ -485,18 +487,18 @@ class Batch {
         options_.n_shards == 1 ? "" : fmt::format("shard {} of {}: ", options_.shard, options_.n_shards);
     return fmt::format("rgs-convert: {}{} scenes: {} converted{}{}{}{}{}, {} -> {}, in {}\n", shard,
                        tool::format_count(scenes_.size()), tool::format_count(n_converted_),
-                       count(n_kept_, "kept, as they were done before"), count(n_failed_, "failed"),
-                       count(n_skipped_, "left out, as they hold no Gaussian splats"), count(n_left_, "not begun"),
-                       count(options_.n_others, "other files passed over"), tool::format_bytes(read_bytes_),
+                       count(n_kept_, "kept (already done)"), count(n_failed_, "failed"),
+                       count(n_skipped_, "skipped (no Gaussian splats)"), count(n_left_, "not begun"),
+                       count(options_.n_others, "other files ignored"), tool::format_bytes(read_bytes_),
                        tool::format_bytes(made_bytes_),
                        tool::format_seconds(std::chrono::duration<double>(Clock::now() - start_).count()));
   }
 
-  // Children have removed what they had not finished, and are gone; now this process dies as it was told to.
+  // Children are gone and have removed unfinished files; this process now dies by the signal it received.
   int die() {
     if (!options_.quiet)
       tool::print_error(fmt::format(
-          "rgs-convert: interrupted after {} of {} scenes; the same command goes on from there\n",
+          "rgs-convert: interrupted after {} of {} scenes; run the same command to continue\n",
           tool::format_count(n_converted_ + n_kept_ + n_failed_ + n_skipped_), tool::format_count(scenes_.size())));
     tool::flush();
     ::raise(stopped_by_);
@@ -530,7 +532,7 @@ std::vector<BatchScene> scenes_of_shard(std::vector<BatchScene> scenes, unsigned
     const BatchScene &x = scenes[a], &y = scenes[b];
     return x.bytes != y.bytes ? x.bytes > y.bytes : x.output != y.output ? x.output < y.output : a < b;
   });
-  // A file costs something however small it is.
+  // Even a tiny file costs something.
   constexpr std::uint64_t kEach = 1 << 16;
   using Load = std::pair<std::uint64_t, unsigned>;
   std::vector<Load> loads;  // a heap, the least loaded first
@@ -567,8 +569,8 @@ int make_folder(const std::string& path) {
   std::error_code failed;
   fs::create_directories(path, failed);
   if (!failed) return tool::kSuccess;
-  return tool::report(path, {Errc::write_failed, Error::kNone, "the folder cannot be made", Error::kNone, Error::kNone,
-                             failed.value()});
+  return tool::report(
+      path, {Errc::write_failed, Error::kNone, "cannot create the folder", Error::kNone, Error::kNone, failed.value()});
 }
 
 int run_batch(std::vector<BatchScene> scenes, const BatchOptions& options, const BatchConvert& convert) {

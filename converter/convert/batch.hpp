@@ -1,4 +1,4 @@
-// batch.hpp - many scenes, one conversion each, in processes of their own: rgs-convert of folders and lists.
+// batch.hpp - rgs-convert of folders and lists: many scenes, each converted in a process of its own.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -14,59 +14,57 @@
 
 namespace rgs {
 
-/// One scene of many, and where it goes.
 struct BatchScene {
-  std::string name, input;  ///< as a user calls it; its path
-  std::string output;       ///< relative to the folder of the outputs, or absolute
+  std::string name, input;  ///< the user's name for it; its path
+  std::string output;       ///< relative to the output folder, or absolute
   std::string output_path;
   std::uint64_t bytes = 0;
-  bool named = false;  ///< in a list: that it is no scene is an error
+  bool named = false;  ///< from a list: it is an error if it is not a scene
   Status readable;
 };
 
-/// An error and the file that it is about.
 struct BatchFailure {
   std::string file;
   Error error;
 };
 
 struct BatchOptions {
-  std::string out;           ///< folder of the outputs
-  std::string report;        ///< file of the lines; empty: standard output
-  std::string options_hash;  ///< of all options that show in an output
+  std::string out;           ///< output folder
+  std::string report;        ///< file for the report lines; empty: standard output
+  std::string options_hash;  ///< of all options that affect an output
   std::string tool;          ///< program and version
   unsigned jobs = 1, threads = 1;
   unsigned shard = 1, n_shards = 1;
   bool keep_going = true, overwrite = false, sync = true, quiet = false, json = false;
-  std::uint64_t n_others = 0;  ///< files that were passed over
+  std::uint64_t n_others = 0;  ///< files that were ignored
 };
 
-/// What a process of its own has to convert a scene with.
+/// A child's share of resources, and what it may do.
 struct BatchShare {
   unsigned threads = 1;
-  bool overwrite = false;   ///< whatever is there is ours
-  bool unfinished = false;  ///< a conversion of it was begun and may have left its temporary file
+  bool overwrite = false;   ///< replace an existing file
+  bool unfinished = false;  ///< an earlier conversion may have left its temporary file
 };
 
-/// Converts one scene to scene.output_path. Called in a child process, which ends afterwards.
+/// Converts one scene to scene.output_path. Called in a child process, which then ends.
 using BatchConvert =
     std::function<tl::expected<ConvertSummary, BatchFailure>(const BatchScene& scene, const BatchShare& share)>;
 
-/// Takes from `scenes` those of one shard: the largest first, each to the shard that has least so far, so that
-/// the same list is split in the same way everywhere.
+/// The scenes of one shard: each scene, largest first, goes to the shard with the least so far. Every machine splits
+/// the same list the same way.
 std::vector<BatchScene> scenes_of_shard(std::vector<BatchScene> scenes, unsigned shard, unsigned n_shards);
 
-/// Whether a report can be written to `path`: nothing is there, or an earlier report, or `overwrite`. Errors: output_exists,
-/// those of AtomicFile::create().
+/// Whether a report can be written to `path`: no file or an earlier report is there, or `overwrite`. Errors:
+/// output_exists, those of AtomicFile::create().
 Status check_report(const std::string& path, bool overwrite);
 
-/// The files in the folder `out` that remember what was made: that of these options, then others that are there.
+/// State files in the folder `out`: that of these options, then any others.
 std::vector<std::string> state_files(const std::string& out, const BatchOptions& options);
 
-/// Makes the folder of the outputs where there is none. An exit code; errors are printed.
+/// Creates the output folder if needed. Returns an exit code; prints errors.
 int make_folder(const std::string& path);
 
-/// Converts what is not done already, prints or writes a line for each scene and a summary. Returns the worst exit code,
+/// Converts scenes that are not done yet, prints or writes a line for each, and a summary. Returns the worst exit code,
 /// see tool::worse_exit_code().
 int run_batch(std::vector<BatchScene> scenes, const BatchOptions& options, const BatchConvert& convert);
 

@@ -1,4 +1,4 @@
-// batch_plan.cpp - folders through list_scenes(), lists line by line.
+// batch_plan.cpp - plans folders through list_scenes(), and lists line by line.
 // SPDX-License-Identifier: Apache-2.0
 #include "batch_plan.hpp"
 
@@ -31,7 +31,7 @@ tl::unexpected<PlanFailure> failed(const std::string& file, const Error& error) 
   return tl::unexpected(PlanFailure{{}, file, error});
 }
 
-// From the folder of the outputs on, so that the state calls an output by one name.
+// Relative to the output folder, so that an output has one name in the state.
 std::string normal(const std::string& name) {
   return fs::path(name).lexically_normal().string();
 }
@@ -41,7 +41,6 @@ void complete(BatchScene& scene, const std::string& out) {
   scene.output_path = (fs::path(out) / scene.output).string();
 }
 
-// A pipe will do as well as a file.
 Result<std::string> read_text(const std::string& path) {
   const bool is_stdin = path == "-";
   const std::unique_ptr<std::FILE, void (*)(std::FILE*)> file(is_stdin ? stdin : std::fopen(path.c_str(), "rbe"),
@@ -62,7 +61,7 @@ std::string output_of(const std::string& name, SplatFormat to) {
   return tool::scene_stem(name) + "." + format_name(to);
 }
 
-// Relative paths keep their folders, as those in a folder do; others would leave the folder of the outputs.
+// Keeps the folders of a relative path; others would leave the output folder.
 std::string name_inside(const std::string& input) {
   const fs::path path = fs::path(input).lexically_normal();
   return path.is_absolute() || *path.begin() == ".." ? path.filename().string() : path.string();
@@ -92,10 +91,10 @@ tl::expected<BatchPlan, PlanFailure> plan_list(const std::string& list, const st
     const std::string output(tab == line.npos ? std::string_view() : line.substr(tab + 1));
     if (input.empty()) return usage(where + "no input before the tab");
     if (tab != line.npos && output.empty()) return usage(where + "no output after the tab");
-    if (line.find('\0') != line.npos) return usage(where + "a zero byte: names are separated by line ends");
+    if (line.find('\0') != line.npos) return usage(where + "a zero byte; separate names by line ends");
     if (output.find('\t') != output.npos) return usage(where + "more than one tab");
     if (output.empty() && to == SplatFormat::unknown)
-      return usage(where + "no output is named: pass --to rgs, ply, spz, ...");
+      return usage(where + "no output is named; pass --to rgs, ply, spz, ...");
     BatchScene scene;
     scene.name = input;
     scene.input = folder.empty() ? input : (fs::path(folder) / input).string();
@@ -130,10 +129,10 @@ tl::expected<BatchPlan, PlanFailure> plan_batch(const std::string& list, const s
                                                 const std::string& out, SplatFormat to) {
   std::error_code ignored;
   if (fs::exists(out, ignored) && !fs::is_directory(out, ignored))
-    return failed(out, {Errc::output_unusable, Error::kNone, "many scenes need a folder for their outputs"});
+    return failed(out, {Errc::output_unusable, Error::kNone, "many scenes need an output folder"});
   if (!list.empty()) return plan_list(list, folder, out, to);
   if (fs::equivalent(folder, out, ignored))
-    return usage("the folder of the inputs is that of the outputs: name another, it may lie in the first");
+    return usage("the input folder is also the output folder; name another, which may lie inside it");
   auto listed = tool::list_scenes(folder, {out});
   if (!listed) return failed(folder, listed.error());
   BatchPlan plan;
@@ -145,7 +144,7 @@ tl::expected<BatchPlan, PlanFailure> plan_batch(const std::string& list, const s
     scene.input = found.path;
     scene.bytes = found.bytes;
     scene.readable = found.readable;
-    // A folder that cannot be read has no output, so that none can clash with it.
+    // An unreadable folder has no output that could clash.
     const bool is_folder = !scene.readable && format_of_name(found.name) == SplatFormat::unknown;
     scene.output = is_folder ? found.name + "/" : output_of(found.name, to);
     complete(scene, out);
@@ -159,8 +158,9 @@ std::string outputs_that_clash(const BatchPlan& plan, const std::string& out) {
   for (const BatchScene& scene : plan.scenes) {
     const auto [place, is_new] = taken.emplace(normal(scene.output_path), &scene);
     if (!is_new)
-      return fmt::format("{} and {} would both become {} in {}: convert one of them apart, or name outputs in a --list",
-                         place->second->name, scene.name, scene.output, out);
+      return fmt::format(
+          "{} and {} would both become {} in {}; convert one of them separately, or name outputs in a --list",
+          place->second->name, scene.name, scene.output, out);
   }
   return {};
 }

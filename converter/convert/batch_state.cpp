@@ -1,4 +1,4 @@
-// batch_state.cpp - JSON lines by write() to a descriptor that appends; a lock keeps a second program away.
+// batch_state.cpp - appends JSON lines by write(); a lock excludes a second program.
 // SPDX-License-Identifier: Apache-2.0
 #include "batch_state.hpp"
 
@@ -29,7 +29,6 @@ tl::unexpected<Error> system_error(Errc code, const char* what) {
   return make_error(code, Error::kNone, what, Error::kNone, Error::kNone, errno);
 }
 
-// The files of the state of all shards in a folder.
 std::vector<std::string> state_files(const std::string& folder) {
   std::vector<std::string> paths;
   if (DIR* const open = ::opendir(folder.c_str())) {
@@ -42,7 +41,7 @@ std::vector<std::string> state_files(const std::string& folder) {
   return paths;
 }
 
-// Names need not be UTF-8, and lines must be told apart: escaped, which no two names are alike.
+// Names need not be UTF-8; escaping keeps different names different.
 std::string key_of(const std::string& output) {
   return tool::printable(output);
 }
@@ -97,22 +96,22 @@ Result<BatchState> BatchState::open(const std::string& folder, const std::string
   state.folder_ = folder;
   state.path_ = files(folder, shard).front();
   state.fd_ = ::open(state.path_.c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC, 0666);
-  if (state.fd_ < 0) return system_error(Errc::open_failed, "the state of the conversions cannot be opened");
+  if (state.fd_ < 0) return system_error(Errc::open_failed, "cannot open the state file");
   struct flock lock {};
   lock.l_type = F_WRLCK;
   lock.l_whence = SEEK_SET;
-  // File systems without locks go without: names appear complete or not at all whoever makes them.
+  // File systems without locks go without: outputs appear complete or not at all in any case.
   state.locked_ = ::fcntl(state.fd_, F_SETLK, &lock) == 0;
   if (!state.locked_ && (errno == EACCES || errno == EAGAIN))
     return make_error(Errc::open_failed, Error::kNone,
-                      "another rgs-convert works on this folder; wait for it, or give each its --shard");
-  // Closing another descriptor of this file would give the lock away, so it is read through this one.
+                      "another rgs-convert is working on this folder; wait for it, or give each its own --shard");
+  // Read through this descriptor: closing another one of the file would drop the lock.
   std::string text;
   char buffer[65536];
   for (off_t at = 0;;) {
     const ssize_t n = ::pread(state.fd_, buffer, sizeof buffer, at);
     if (n < 0 && errno == EINTR) continue;
-    if (n < 0) return system_error(Errc::read_failed, "the state of the conversions cannot be read");
+    if (n < 0) return system_error(Errc::read_failed, "cannot read the state file");
     if (n == 0) break;
     text.append(buffer, static_cast<std::size_t>(n));
     at += n;
@@ -144,7 +143,7 @@ void BatchState::forget() {
   if (fd_ >= 0) ::close(std::exchange(fd_, -1));
 }
 
-// Lines that are none of ours, damaged or cut off say nothing.
+// Skips lines that are foreign, damaged or cut off.
 void BatchState::read(const std::string& path, std::string_view text) {
   while (!text.empty()) {
     const std::size_t end = text.find('\n');
@@ -160,7 +159,7 @@ void BatchState::read(const std::string& path, std::string_view text) {
     if (string(line, "schema") != kSchema || output.empty()) continue;
     Known& known = known_[output];
     if (const auto begun = line.find("begun"); begun != line.end()) {
-      // What one shard ended says nothing of what another began.
+      // One shard's end says nothing about another's begin.
       if (*begun == true) {
         known.begun[path] = string(line, "input_path");
       } else {
@@ -197,7 +196,7 @@ bool BatchState::was_begun(const std::string& output) const {
   return found != known_.end() && !found->second.begun.empty();
 }
 
-bool BatchState::others_work() const {
+bool BatchState::others_may_work() const {
   if (!locked_) return true;
   for (const std::string& path : state_files(folder_)) {
     if (path == path_) continue;
@@ -214,7 +213,7 @@ bool BatchState::others_work() const {
 
 Status BatchState::append(std::string line) {
   line += '\n';
-  // What a full disk has cut off stays a line of its own.
+  // A line that a full disk cut off stays on its own.
   if (line_open_) line.insert(line.begin(), '\n');
   std::size_t done = 0;
   while (done < line.size()) {
@@ -222,7 +221,7 @@ Status BatchState::append(std::string line) {
     if (n < 0 && errno == EINTR) continue;
     if (n < 0) {
       line_open_ = line_open_ || done != 0;
-      return system_error(Errc::write_failed, "the state of the conversions cannot be written");
+      return system_error(Errc::write_failed, "cannot write the state file");
     }
     done += static_cast<std::size_t>(n);
   }
@@ -235,8 +234,7 @@ Status BatchState::begin(const std::string& output, const std::string& input_pat
   if (const auto begun = known.begun.find(path_); begun != known.begun.end() && begun->second == input_path) return {};
   const Json line{{"schema", kSchema}, {"output", key_of(output)}, {"begun", true}, {"input_path", input_path}};
   if (const Status s = append(dump(line)); !s) return s;
-  if (sync && ::fdatasync(fd_) != 0)
-    return system_error(Errc::write_failed, "the state of the conversions cannot be written");
+  if (sync && ::fdatasync(fd_) != 0) return system_error(Errc::write_failed, "cannot write the state file");
   known.begun[path_] = input_path;
   return {};
 }

@@ -1,4 +1,4 @@
-// convert.hpp - whole-file conversions, streamed and parallel: what rgs-convert does.
+// convert.hpp - whole-file conversions, streamed and parallel, as rgs-convert runs them.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -24,7 +24,7 @@
 
 namespace rgs {
 
-/// Receives how far a stage is; the texts are static. Called with total first, then with 0 and the units done, from
+/// Receives a stage's progress; texts are static. Called first with the total, then with 0 and the units done, from
 /// several threads.
 struct StageObserver {
   std::function<void(const char* stage, std::uint64_t total, const char* unit)> begin = [](auto...) {};
@@ -33,32 +33,31 @@ struct StageObserver {
 };
 
 struct ConvertOptions {
-  EncodeOptions encode;         ///< but its origin, which is that of the Gaussians
+  EncodeOptions encode;         ///< except its origin, which is that of the Gaussians
   std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
-  std::optional<float> z_near, z_far;  ///< override one end or both of whatever range was found
+  std::optional<float> z_near, z_far;  ///< override either end of the range
   int spz_version = WriteOptions{}.spz_version;
   /// Levels of detail beside the Gaussians of an .rgs (docs/develop/LEVELS.md).
   std::optional<lod::Quality> levels;
-  lod::BuildOptions build;                           ///< of levels, but its quality and chunks
+  lod::BuildOptions build;                           ///< of levels, except quality and chunks
   std::uint64_t memory_bytes = lod::kDefaultMemory;  ///< for levels, see lod::StreamOptions
   std::string scratch;                               ///< for levels: folder of temporary files
   bool strict =
-      false;  ///< bad_value, and nothing is written, if values would be clamped or flushed to the output's range
+      false;  ///< fail with bad_value, writing nothing, if values would be clamped or flushed to the output's range
   AtomicFile::Options output;
 };
 
-/// What a conversion did, for people and programs.
 struct ConvertSummary {
   std::string source_name, source_format, output_format;
   std::uint64_t source_bytes = 0, output_bytes = 0;
   std::uint64_t n_source = 0, n_filtered = 0, n_written = 0, n_repaired = 0;
   int source_sh_degree = 0, sh_degree = 0;
   int spz_version = 0;              ///< of an SPZ
-  std::vector<std::string> unused;  ///< what the source holds besides, see SplatFile::unused
+  std::vector<std::string> unused;  ///< other contents of the source, see SplatFile::unused
   std::array<std::uint64_t, kDefectKinds> defects{};
-  Declarations declarations;       ///< of an .rgs; of other outputs what the scene declares
-  std::vector<std::string> lost;   ///< of what the source declares, what the output cannot state
-  std::vector<std::string> notes;  ///< where inputs disagree, and the like
+  Declarations declarations;       ///< of an .rgs; for other outputs the scene's
+  std::vector<std::string> lost;   ///< declarations of the source that the output cannot state
+  std::vector<std::string> notes;  ///< disagreements of inputs, and the like
   Header header;
   std::uint32_t n_levels = 0, n_pages = 0;  ///< of an .rgs with levels of detail
   std::uint64_t n_stored = 0;               ///< Gaussians of all its pages
@@ -66,72 +65,71 @@ struct ConvertSummary {
   float min_scale = 0, max_scale = 0, min_opacity = 0, max_opacity = 0;
   std::vector<std::pair<const char*, double>> seconds;  ///< by stage, in order
   double sync_seconds = 0;
-  Origin origin = kNoOrigin;  ///< of the output
-  double position_rounding =
-      0;                ///< how far coordinates were rounded, world units: see rgs::position_rounding(), and merging
-  WriteReport clamped;  ///< formats other than .rgs, whose counts are in `declarations`
+  Origin origin = kNoOrigin;     ///< of the output
+  double position_rounding = 0;  ///< largest rounding of a coordinate, world units, also by merging: see
+                                 ///< rgs::position_rounding()
+  WriteReport clamped;           ///< for formats other than .rgs; its counts are in `declarations`
 };
 
-/// Whether a file may hold so many Gaussians. Errors: limit_exceeded.
+/// Whether a file can hold so many Gaussians. Errors: limit_exceeded.
 Status check_count(std::uint64_t n);
 
-/// To .rgs, two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a Gaussian on two
-/// threads. The bytes do not depend on the number of threads (which the caller limits through oneTBB's global_control).
+/// Converts to .rgs in two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a
+/// Gaussian on two threads. The bytes do not depend on the number of threads (limited by the caller through oneTBB's
+/// global_control).
 /// Errors: those of PlyFile, SceneWriter, depth_range_from_cameras, AtomicFile; limit_exceeded for more than 2^32 - 1
 /// Gaussians.
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer = {});
 
-/// What a stream of Gaussians comes from.
 struct StreamFacts {
   std::uint64_t bytes = 0;
-  Origin origin = kNoOrigin;            ///< that means are relative to
+  Origin origin = kNoOrigin;            ///< of the means
   std::function<std::uint64_t()> hash;  ///< XXH3-64 of the bytes
-  /// Byte at which Gaussian i starts; Error::kNone if it cannot be told.
+  /// Byte at which Gaussian i starts; Error::kNone if unknown.
   std::function<std::uint64_t(std::uint64_t i)> row_offset = [](std::uint64_t) { return Error::kNone; };
 };
-/// A stream to .rgs with levels, in about options.memory_bytes whatever its size, but for 200 bytes a page and 4 bytes a
-/// Gaussian with keep_permutation; Profile::archive takes the scene into memory. The leaves are what convert_to_rgs()
-/// makes of the same Gaussians. The bytes depend neither on threads nor on memory.
+/// Converts a stream to .rgs with levels, in about options.memory_bytes whatever its size, plus 200 bytes a page and 4
+/// bytes a Gaussian with keep_permutation; Profile::archive takes the scene into memory. The leaves are those of
+/// convert_to_rgs(). The bytes depend on neither threads nor memory.
 /// Errors: the stream's, convert_to_rgs()'s, those of stream_levels.hpp.
 Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const StreamFacts& facts,
                                          const std::string& output_path, const ConvertOptions& options,
                                          const StageObserver& observer = {});
 
-/// .rgs to PLY. The file is validated first. With a permutation section rows come in the order of the source. `stated` is
-/// what the PLY's comments say of the scene; absent: what the file declares.
+/// Converts .rgs to PLY; validates the file first. With a permutation section rows are in source order. `stated` goes
+/// into the PLY's comments; absent: the file's declarations.
 /// Errors: those of validate() and PlyWriter.
 Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::string& output_path,
                                           const AtomicFile::Options& output, const StageObserver& observer = {},
                                           const std::optional<Declarations>& stated = std::nullopt);
 
-/// A scene in memory and where it came from.
 struct LoadedScene {
   SplatCloud cloud;
   std::string format;          ///< of the file; "merged" for several
-  std::uint64_t bytes = 0;     ///< of the file or files
-  std::uint64_t xxh3 = 0;      ///< of their bytes, one after the other
-  std::uint64_t n_source = 0;  ///< Gaussians in them; what is not in `cloud` has been filtered out
+  std::uint64_t bytes = 0;     ///< of all files
+  std::uint64_t xxh3 = 0;      ///< of their concatenated bytes
+  std::uint64_t n_source = 0;  ///< Gaussians in them; those not in `cloud` were filtered out
   int source_sh_degree = 0;
-  Origin origin = kNoOrigin;     ///< that means are relative to
-  double position_rounding = 0;  ///< of coordinates, world units, where clouds of several origins were merged
-  /// With EncodeOptions::keep_permutation what its source_index becomes, see keep_source(); empty: 0, 1, 2, ...
+  Origin origin = kNoOrigin;     ///< of the means
+  double position_rounding = 0;  ///< largest rounding of a coordinate, world units, if clouds of several origins were
+                                 ///< merged
+  /// EncodeOptions::keep_permutation stores this, see keep_source(); empty: 0, 1, 2, ...
   std::vector<std::uint32_t> source_index = {};
   std::vector<std::string> unused;  ///< see SplatFile::unused
 };
 
-/// Makes `scene`, what is left of `file`, and `encode` speak of the source that the file comes from: the count of its
-/// Gaussians and, of an .rgs, the source that it names. `kept` are the positions in the file of the scene's Gaussians.
-/// encode.provenance is that of the file itself; encode.keep_permutation must be set already. False: positions are asked
-/// for and the .rgs has lost them: it is its own source then.
+/// Describes the source of `file` in `scene`, which holds the rest of its Gaussians, and in `encode`: the count of
+/// Gaussians and, for an .rgs, the source that it names. `kept`: positions in the file of the scene's Gaussians.
+/// encode.provenance is that of the file itself; encode.keep_permutation must be set already. Returns false if
+/// positions are requested but the .rgs has lost them; it is then its own source.
 bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& file, std::span<const std::uint64_t> kept,
                  bool edited = false);
-/// What of these declarations a file of that format cannot state: "anti-aliasing (mip-splatting)", ...
+/// Those declarations that a file of that format cannot state: "anti-aliasing (mip-splatting)", ...
 std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptions& declared);
 
-/// A scene in memory to a file of any writable format, or .rgs. Its Gaussians must be in the axes that the format has,
-/// see format_axes(), or in options.encode.axes for .rgs. Damaged ones are treated as options.encode.on_bad says, but
-/// PLY keeps them.
+/// Writes a scene in memory as .rgs or any writable format. Its Gaussians must be in format_axes(format), for .rgs in
+/// options.encode.axes. options.encode.on_bad applies to damaged ones, except that PLY keeps them.
 /// Errors: those of convert_to_rgs(), clean_splats(), encode_splats() and AtomicFile.
 Result<ConvertSummary> convert_scene(LoadedScene&& scene, SplatFormat format, const std::string& output_path,
                                      const ConvertOptions& options, const StageObserver& observer = {});

@@ -1,4 +1,4 @@
-// convert_arguments.cpp - values of rgs-convert's options out of their texts.
+// convert_arguments.cpp - parses values of rgs-convert's options.
 // SPDX-License-Identifier: Apache-2.0
 #include "convert_arguments.hpp"
 
@@ -21,7 +21,7 @@ std::vector<std::string_view> split(std::string_view text) {
   }
 }
 
-// Finite numbers between commas; empty if the text is anything else.
+// Finite numbers separated by commas; empty if the text is anything else.
 std::vector<double> numbers(const std::string& text) {
   std::vector<double> values;
   for (const std::string_view part : split(text)) {

@@ -1,4 +1,4 @@
-// convert_arguments.hpp - values of rgs-convert's options out of their texts.
+// convert_arguments.hpp - parses values of rgs-convert's options.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,10 +12,10 @@ namespace rgs {
 
 // All errors are bad_argument.
 
-/// "right,down,forward" or a name for a usual frame: 3dgs, opengl, gltf, undeclared.
+/// "right,down,forward" or the name of a usual frame: 3dgs, opengl, gltf, undeclared.
 Result<Axes> parse_axes(const std::string& text);
 /// `translate`: "x,y,z". `rotate`: "x,y,z" in degrees (see rotation_from_euler) or a quaternion "w,x,y,z". `scale`: a
-/// factor above 0. An empty text leaves its part out.
+/// factor above 0. An empty text means identity.
 Result<Similarity> parse_similarity(const std::string& translate, const std::string& rotate, const std::string& scale);
 /// "x,y,z,X,Y,Z": two corners.
 Result<WorldBox> parse_box(const std::string& text);

@@ -1,4 +1,4 @@
-// convert_scene.cpp - a scene in memory to a file of any format.
+// convert_scene.cpp - writes a scene in memory to a file of any format.
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/format.h>
 
@@ -20,13 +20,13 @@ const char* name_of(AaMode mode) {
   return mode == AaMode::classic ? "classic" : mode == AaMode::mip_splatting ? "mip-splatting" : "undeclared";
 }
 
-// Whether the .rgs tells where its Gaussians were in its source.
+// Whether the .rgs holds its Gaussians' positions in its source.
 bool knows_positions(const SplatFile& file) {
   const Declarations& d = *file.declarations;
   return file.finest && (!file.source_index.empty() || (d.order == Order::input && d.n_dropped == 0));
 }
 
-// Formats other than .rgs: damage is dealt with first, then the file is made in memory.
+// For formats other than .rgs: handles damage, then encodes the file in memory.
 Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const std::string& output_path,
                                    const ConvertOptions& options, const StageObserver& observer) {
   ConvertSummary summary;
@@ -85,7 +85,7 @@ bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& fil
     encode.n_source = file.declarations->n_source;
     encode.n_repaired = file.declarations->n_repaired;
     if (file.provenance && encode.provenance) {
-      // Leaving levels away changes nothing of the scene, and nothing of what made it.
+      // Dropping levels changes neither the scene nor its provenance.
       const bool same = file.n_levels != 0 && file.finest && !edited && kept.size() == scene.n_source;
       const std::string through = same ? "" : " from " + encode.provenance->source_name;
       scene.xxh3 = file.provenance->source_xxh3;
@@ -124,7 +124,7 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
       lost.push_back(declared.colour_space == ColourSpace::linear_display ? "colour space (linear)"
                                                                           : "colour space (undeclared)");
     if (declared.metres_per_unit != 0) lost.push_back(fmt::format("metres per unit ({})", declared.metres_per_unit));
-    if (declared.axes != format_axes(format)) lost.push_back("axes that are not those of the format");
+    if (declared.axes != format_axes(format)) lost.push_back("axes other than the format's");
   }
   if (declared.depth && declared.depth->source != DepthSource::scene_extent)
     lost.push_back(fmt::format("depth range ({} to {})", declared.depth->z_near, declared.depth->z_far));

@@ -29,7 +29,7 @@ const char* aa_name(AaMode mode) {
   return mode == AaMode::classic ? "classic" : mode == AaMode::mip_splatting ? "mip-splatting" : "undeclared";
 }
 
-// The shortest decimals that are this float, as a number of JSON.
+// The shortest decimals of this float, as a JSON number.
 double decimal_of(float value) {
   return std::stod(fmt::format("{}", value));
 }
@@ -38,7 +38,7 @@ const char* colour_name(ColourSpace space) {
   return space == ColourSpace::srgb_display ? "srgb" : space == ColourSpace::linear_display ? "linear" : "undeclared";
 }
 
-// Means, or pages, of every profile have a codec of their own.
+// Each profile has its own codec for means, or pages.
 const char* profile_name(const std::vector<SectionEntry>& sections) {
   for (const SectionEntry& section : sections) {
     const auto type = static_cast<SectionType>(section.type);
@@ -59,18 +59,18 @@ double total_seconds(const ConvertSummary& s) {
   return sum;
 }
 
-// One line for each attribute that a format's range clamped.
+// One line for each attribute that was clamped to a format's range.
 std::string clamped_text(const WriteReport& clamped, const std::string& format) {
   const bool no_sh = format == format_name(SplatFormat::splat);
   const struct {
     const Clamped& of;
     const char* what;
     const char* unit;
-  } kinds[] = {{clamped.mean, "means in coarser steps, since some are far out", " units"},
+  } kinds[] = {{clamped.mean, "means in coarser steps, because some are far out", " units"},
                {clamped.log_scale, "log-scales beyond its range", ""},
                {clamped.opacity_logit, "opacities that are 0 or 1 in its numbers; logits beyond them", ""},
                {clamped.sh_dc, "colours (f_dc) beyond its range", ""},
-               {clamped.sh, no_sh ? "harmonics (f_rest) left out" : "harmonics (f_rest) beyond its range", ""}};
+               {clamped.sh, no_sh ? "harmonics (f_rest) dropped" : "harmonics (f_rest) beyond its range", ""}};
   std::string text;
   for (const auto& kind : kinds) {
     if (kind.of.n == 0) continue;

@@ -1,4 +1,4 @@
-// convert_to_ply.cpp - .rgs to PLY, batch by batch on all threads.
+// convert_to_ply.cpp - converts .rgs to PLY, batch by batch on all threads.
 // SPDX-License-Identifier: Apache-2.0
 #include <tbb/parallel_for.h>
 
@@ -15,7 +15,7 @@ namespace {
 
 constexpr std::uint64_t kBatchRows = 4096;
 
-// Positions in the file in the order of the source, of a checked permutation.
+// File positions in source order, from a validated permutation.
 std::vector<std::uint64_t> source_order(const FileView& view) {
   std::vector<std::uint64_t> order(view.header().n_gaussians);
   std::iota(order.begin(), order.end(), std::uint64_t{0});
@@ -23,7 +23,7 @@ std::vector<std::uint64_t> source_order(const FileView& view) {
   return order;
 }
 
-// Rows first .. first + count - 1 of the PLY in batches on all threads; read(first, rows) reads them.
+// Writes rows first .. first + count - 1 of the PLY in batches on all threads; read(first, rows) reads them.
 template <class Read>
 Status write_batches(std::uint64_t first, std::uint64_t count, PlyWriter& writer, const StageObserver& observer,
                      const Read& read) {
@@ -46,7 +46,7 @@ Status write_batches(std::uint64_t first, std::uint64_t count, PlyWriter& writer
   return status;
 }
 
-// In the order of the file: what is decoded to be checked is written at once.
+// In file order: rows decoded for validation are written at once.
 Status write_in_file_order(const FileView& source, PlyWriter& writer, const StageObserver& observer) {
   auto validation = Validation::begin(source);
   if (!validation) return tl::unexpected(validation.error());
@@ -61,7 +61,7 @@ Status write_in_file_order(const FileView& source, PlyWriter& writer, const Stag
   return validation->finish();
 }
 
-// In that of the source, which is known once the permutation is checked, rows come from everywhere.
+// In source order, which is known only after the permutation is validated: gathers rows.
 Status write_in_source_order(const FileView& source, PlyWriter& writer, const StageObserver& observer) {
   if (Status s = validate(source); !s) return s;
   const auto data = load_direct(source, {.validate = false});

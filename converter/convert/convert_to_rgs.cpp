@@ -30,7 +30,7 @@ constexpr std::uint64_t kScanRows = 4096;  // a multiple of 64: blocks own whole
 struct Scanned {
   SceneScan scan;
   std::vector<std::uint64_t> kept;  // bit set over source rows
-  std::vector<float> means;         // [n_source, 3]; rows that are not kept are undefined
+  std::vector<float> means;         // [n_source, 3]; undefined for rows that are not kept
 };
 
 Scanned scan_source(const SplatSource& source, const EncodeOptions& options, const StageObserver& observer) {
@@ -60,7 +60,7 @@ Scanned scan_source(const SplatSource& source, const EncodeOptions& options, con
   return result;
 }
 
-// Index of the first row that the scan did not keep or had to mend: what a refusal points at.
+// Index of the first row that the scan dropped or repaired, for the error of --on-bad refuse.
 std::uint64_t first_damaged(const SplatSource& source, int sh_degree) {
   Splat row;
   for (std::uint64_t i = 0; i < source.size(); ++i) {
@@ -142,7 +142,7 @@ Status encode_batches(const SplatSource& source, SceneWriter& writer, const Stag
 Result<WrittenScene> write_plain(const SplatSource& source, AtomicFile& file, const SceneScan& scan,
                                  const EncodeOptions& encode, std::span<const std::uint32_t> indices, StageClock& clock,
                                  const StageObserver& observer) {
-  // How long Profile::archive takes once all Gaussians are there, nobody can tell.
+  // Profile::archive starts only once all Gaussians are present, so progress is unknown.
   clock.begin("encode", encode.profile == Profile::archive ? 0 : scan.n_kept(), "Gaussians");
   auto writer = SceneWriter::create(file, scan, encode, indices);
   if (!writer) return tl::unexpected(writer.error());
@@ -150,7 +150,7 @@ Result<WrittenScene> write_plain(const SplatSource& source, AtomicFile& file, co
   return writer->finish();
 }
 
-// Lets bytes of a mapped file that have been read leave memory; without effect on others.
+// Lets pages of a mapped file leave memory once read; does nothing for other sources.
 class ReadOnce {
  public:
   ReadOnce(std::span<const std::byte> bytes, const std::vector<const MappedFile*>& files) {
@@ -168,7 +168,6 @@ class ReadOnce {
   const MappedFile* file_ = nullptr;
 };
 
-// Rows of a source block by block.
 lod::SplatStream stream_of(const SplatSource& source, const ReadOnce& memory) {
   return {source.size(), source.sh_degree(), [&source, memory](const lod::SplatStream::Visit& visit) -> Status {
             constexpr std::uint64_t kRows = 65536, kPart = 1024;
@@ -229,25 +228,23 @@ Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, co
 }
 
 tl::unexpected<Error> damaged_gaussian(std::uint64_t offset, const SceneScan& scan) {
-  return make_error(Errc::bad_value, offset,
-                    "a damaged Gaussian; --on-bad drop leaves such out, --on-bad repair mends them", 0,
+  return make_error(Errc::bad_value, offset, "a damaged Gaussian; pass --on-bad drop or --on-bad repair", 0,
                     scan.n_source() - scan.n_kept());
 }
 
 tl::unexpected<Error> nothing_for_levels() {
   return make_error(Errc::bad_argument, Error::kNone,
-                    "a scene without Gaussians has no levels of detail: convert it without --lod");
+                    "a scene without Gaussians has no levels of detail; convert it without --lod");
 }
 
 Result<double> commit_scene(AtomicFile& file, const WrittenScene& written, const ConvertOptions& options,
                             StageClock& clock) {
   const Declarations& counts = written.declarations;
   if (const std::uint64_t n = counts.n_scale_subnormal + counts.n_scale_zero; options.strict && n != 0) {
-    return make_error(
-        Errc::bad_value, Error::kNone,
-        "scales are so far below the scene's largest that FP16 flushes or coarsens them; without --strict "
-        "they are stored so",
-        0, n);
+    return make_error(Errc::bad_value, Error::kNone,
+                      "scales are so far below the scene's largest that FP16 flushes or coarsens them; drop --strict "
+                      "to store them so",
+                      0, n);
   }
   clock.begin("commit", 0, "");
   const auto synced = file.commit();
@@ -289,7 +286,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   auto file = AtomicFile::create(output_path, options.output);
   if (!file) return tl::unexpected(file.error());
 
-  // The source's hash is one serial stream: it runs beside the first pass and the sort.
+  // The source's hash is one serial stream: computed beside the first pass and the sort.
   std::uint64_t source_xxh3 = 0;
   tbb::task_group hashing;
   if (encode.provenance) hashing.run([&] { source_xxh3 = source.hash(); });
@@ -362,12 +359,12 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   if (scan.n_kept() == 0) {
     return nothing_for_levels();
   }
-  // About 300 bytes a Gaussian beside the Gaussians themselves, see LevelsWriter.
+  // About 300 bytes a Gaussian besides the Gaussians, see LevelsWriter.
   const std::uint64_t all_bytes =
       scan.n_kept() * (400 + 16 * static_cast<std::uint64_t>(sh_coefficients(scan.sh_degree())));
   if (encode.profile == Profile::archive && all_bytes > options.memory_bytes) {
     return make_error(Errc::limit_exceeded, Error::kNone,
-                      "archive with levels takes all Gaussians into memory; give as many bytes with --memory, or "
+                      "archive with levels takes all Gaussians into memory; raise --memory to so many bytes, or "
                       "choose --profile packed",
                       options.memory_bytes, all_bytes);
   }
@@ -389,7 +386,7 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   if (!written) {
     Error error = written.error();
     if (error.code ==
-        Errc::bad_value) {  // its place is one in a page; what it names, a leaf, if it is one of the source
+        Errc::bad_value) {  // the offset is a position in a page; report the leaf, if it is one of the source
       error.offset = Error::kNone;
       error.found = error.found < levels.positions.size() ? levels.positions[error.found] : Error::kNone;
     }

@@ -1,4 +1,4 @@
-// depth_range.cpp - from the near plane to a percentile of visible depth.
+// depth_range.cpp - depth range from the near plane to a percentile of visible depth.
 // SPDX-License-Identifier: Apache-2.0
 #include "depth_range.hpp"
 
@@ -48,9 +48,8 @@ Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std
   };
   const double high = percentile(999);
   DepthRange range;
-  // No percentile at the near end: the few Gaussians right before a camera cover much of its image, and one that falls
-  // below the range loses its order (measured: one test view of 16 at 24 dB), while bins down to the near plane are
-  // few.
+  // No percentile at the near end: the few Gaussians right in front of a camera cover much of its image, and those
+  // below the range lose their order (one test view of 16 fell to 24 dB), while bins down to the near plane are few.
   range.z_near = static_cast<float>(kNearPlane);
   range.z_far = static_cast<float>(high * (1 + kMargin));
   range.source = DepthSource::cameras;

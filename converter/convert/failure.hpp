@@ -1,4 +1,4 @@
-// failure.hpp - the error of one of several files.
+// failure.hpp - an error and the file that it is about.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -1,4 +1,4 @@
-// input_declarations.cpp - the rules by which declarations pass from inputs and options to the output.
+// input_declarations.cpp - how declarations pass from inputs and options to the output.
 // SPDX-License-Identifier: Apache-2.0
 #include "input_declarations.hpp"
 
@@ -26,7 +26,7 @@ float low_pass_of(const EncodeOptions& o) {
   return o.low_pass_px2.value_or(default_low_pass_px2(o.aa_mode));
 }
 
-// The first input that declares something: value(options) is not `none`. Notes those that declare something else.
+// Takes the first input's declaration, value(options) other than `none`; notes inputs that declare another.
 template <class Value, class Differs>
 auto first_of(std::span<const InputDeclarations> inputs, const char* what, const Value& value,
               decltype(value(EncodeOptions())) none, const Differs& differs, std::vector<std::string>* notes) {
@@ -37,7 +37,7 @@ auto first_of(std::span<const InputDeclarations> inputs, const char* what, const
     if (taken == nullptr) {
       taken = &input;
     } else if (notes != nullptr && differs(own, value(taken->stated))) {
-      notes->push_back(fmt::format("the inputs declare different {}: {} of {} is taken, {} has {}", what,
+      notes->push_back(fmt::format("the inputs declare different {}: {} of {} is used, {} has {}", what,
                                    name_of(value(taken->stated)), taken->name, input.name, name_of(own)));
     }
   }
@@ -67,11 +67,11 @@ void declare_depth(EncodeOptions& encode, std::span<const InputDeclarations> inp
   } else if (std::ranges::any_of(inputs, [](const auto& i) {
                return i.stated.depth && i.stated.depth->source != DepthSource::scene_extent;
              })) {
-    notes.emplace_back("the inputs declare different depth ranges: that of the merged scene's extent is taken");
+    notes.emplace_back("the inputs declare different depth ranges: the merged scene's extent is used");
   }
   if (asked.depth_mapping && *asked.depth_mapping != encode.depth_mapping) {
     encode.depth_mapping = *asked.depth_mapping;
-    // How far a range out of the extent reaches is a matter of its mapping.
+    // How far a range from the extent reaches depends on its mapping, so it is not taken over.
     if (encode.depth && encode.depth->source == DepthSource::scene_extent) encode.depth.reset();
   }
 }
@@ -84,7 +84,7 @@ void declare_thresholds(EncodeOptions& encode, std::span<const InputDeclarations
     if (taken == nullptr) {
       taken = &input;
     } else if (!same_thresholds(taken->stated, input.stated)) {
-      notes.push_back(fmt::format("the inputs declare different thresholds: those of {} are taken, {} has others",
+      notes.push_back(fmt::format("the inputs declare different thresholds: those of {} are used, not those of {}",
                                   taken->name, input.name));
     }
   }
@@ -124,7 +124,7 @@ InputDeclarations declared_by(const FileView& view, const std::string& name) {
 Status declare_scene(EncodeOptions& encode, std::span<const InputDeclarations> inputs, const AskedDeclarations& asked,
                      std::vector<std::string>& notes) {
   const auto differs = [](const auto& a, const auto& b) { return a != b; };
-  // Through factors of --scale: equal but for their rounding.
+  // Scaled by --scale: compare up to rounding.
   const auto differs_much = [](float a, float b) { return std::abs(a - b) > 1e-6F * std::max(a, b); };
   const auto unless = [&notes](bool is_asked) { return is_asked ? nullptr : &notes; };
 
@@ -139,7 +139,7 @@ Status declare_scene(EncodeOptions& encode, std::span<const InputDeclarations> i
       unless(asked.aa_mode.has_value())));
   if (asked.low_pass_px2 && encode.aa_mode == AaMode::undeclared) {
     return make_error(Errc::bad_argument, Error::kNone,
-                      "the input declares no anti-aliasing, to which a low-pass belongs: give --aa with --low-pass");
+                      "the input declares no anti-aliasing, which a low-pass requires; pass --aa with --low-pass");
   }
   encode.low_pass_px2 = asked.low_pass_px2;
   if (!encode.low_pass_px2) {

@@ -1,4 +1,4 @@
-// input_declarations.hpp - what the inputs of a conversion declare, what is asked for, and what the output declares.
+// input_declarations.hpp - combines what inputs declare and what options ask for into the output's declarations.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -15,41 +15,41 @@
 
 namespace rgs {
 
-/// Options that beat what inputs declare.
+/// Options that override the inputs' declarations.
 struct AskedDeclarations {
   std::optional<AaMode> aa_mode;
-  std::optional<float> low_pass_px2;  ///< absent: of the input if it has this anti-aliasing, else the mode's usual one
+  std::optional<float> low_pass_px2;  ///< absent: the input's if it has this anti-aliasing, else the mode's default
   std::optional<ColourSpace> colour_space;
   std::optional<float> metres_per_unit;  ///< of the output
   std::optional<DepthMapping> depth_mapping;
 };
 
-/// What one input declares, in units of the output.
+/// The declarations of one input, in units of the output.
 struct InputDeclarations {
   std::string name;      ///< for messages
-  EncodeOptions stated;  ///< by keep_declarations(): absent depth: none is declared
+  EncodeOptions stated;  ///< from keep_declarations(); no depth: none declared
   bool is_rgs = false;
 };
-/// `scale`: units of the output in a unit of the input.
+/// `scale`: units of the output per unit of the input.
 InputDeclarations declared_by(const SplatFile& file, const std::string& name, double scale);
 InputDeclarations declared_by(const PlyFile& ply, const std::string& name, double scale = 1);
 InputDeclarations declared_by(const FileView& view, const std::string& name);
 
-/// What a conversion has to tell of declarations, see ConvertSummary.
+/// Losses and notes about declarations, for ConvertSummary.
 struct DeclaredLoss {
   std::vector<std::string> lost, notes;
 };
 
-/// Sets in `encode` what the output declares, but for axes, provenance and counts. What several inputs declare
-/// differently is the first one's, with a note; the depth range is then left to the extent of the scene.
-/// Errors: bad_argument (a low-pass is asked for where no anti-aliasing is declared).
+/// Sets the output's declarations in `encode`, except axes, provenance and counts. Where inputs differ, the first one's
+/// are taken, with a note, and the scene's extent gives the depth range.
+/// Errors: bad_argument (a low-pass is asked for but no anti-aliasing is declared).
 Status declare_scene(EncodeOptions& encode, std::span<const InputDeclarations> inputs, const AskedDeclarations& asked,
                      std::vector<std::string>& notes);
 
-/// `declared` with what `encode` says instead.
+/// `declared`, overridden by `encode`.
 Declarations stated_by(const EncodeOptions& encode, Declarations declared);
 
-/// Puts Gaussians of an .rgs that knows their positions into the order of its source.
+/// Sorts Gaussians of an .rgs that knows their positions into source order.
 void restore_order(SplatFile& file);
 
 }  // namespace rgs

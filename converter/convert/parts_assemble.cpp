@@ -1,4 +1,4 @@
-// parts_assemble.cpp - ranges to one file: the levels above their stretches are built, their pages are copied.
+// parts_assemble.cpp - joins ranges into one file: builds the levels above their stretches and copies their pages.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -19,7 +19,7 @@ namespace {
 Error not_as_written() {
   return {Errc::bad_value,
           Error::kNone,
-          "what this file holds does not fit the plan; remove it and run --lod-build again for its range",
+          "this file does not match the plan; remove it and run --lod-build again for its range",
           Error::kNone,
           Error::kNone,
           0};
@@ -43,7 +43,7 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
     std::optional<WorkFile>& file = *found;
     if (!file) {
       return failed(
-          path, {Errc::open_failed, Error::kNone, "missing, or of another plan; run --lod-build for this range first",
+          path, {Errc::open_failed, Error::kNone, "missing, or from another plan; run --lod-build for this range first",
                  Error::kNone, Error::kNone, 0});
     }
     auto built = range_of(*file);
@@ -56,7 +56,6 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
   return ranges;
 }
 
-// Bytes of a range, as they were written.
 Status read_hashed(WorkFile& file, const HashedBytes& part, std::vector<std::byte>& bytes) {
   if (part.bytes > file.end()) return tl::unexpected(not_as_written());
   bytes.resize(part.bytes);
@@ -96,9 +95,9 @@ class Assembler {
   Assembler(const PartsRun& run, const PartsJob& job, const PartsPlan& plan, std::vector<OpenRange>& ranges)
       : run_(run), plan_(plan), options_(run.stream_options(job.quality)), ranges_(ranges) {}
 
-  // Puts the pages of all stretches together, and builds those above them.
+  // Joins the pages of all stretches, and builds those above them.
   Outcome<void> build_tops() {
-    const std::size_t n_levels = ranges_of_any();
+    const std::size_t n_levels = levels_per_stretch();
     pages_.resize(n_levels);
     std::uint64_t n_tops = 0;
     for (OpenRange& range : ranges_) {
@@ -169,8 +168,8 @@ class Assembler {
   const std::vector<std::vector<lod::Page>>& pages() const { return pages_; }
 
  private:
-  // Levels of a stretch: of all the same number.
-  std::size_t ranges_of_any() const {
+  // The number of levels of a stretch, the same for all.
+  std::size_t levels_per_stretch() const {
     for (const OpenRange& range : ranges_) {
       if (!range.built.empty()) return range.built.front().levels.size();
     }
@@ -207,7 +206,6 @@ class Assembler {
     return {};
   }
 
-  // The pages that are not in any range, which are few.
   Status encode_tops(LevelsWriter& writer) {
     LevelsWriter::Encoder encoder(writer);
     std::uint32_t next = 0;
@@ -227,8 +225,8 @@ class Assembler {
   const PartsPlan& plan_;
   lod::StreamOptions options_;
   std::vector<OpenRange>& ranges_;
-  std::vector<std::vector<lod::Page>> pages_;  // of each level, leaves first
-  lod::StreamedLevels tops_;                   // from the last level of the stretches on
+  std::vector<std::vector<lod::Page>> pages_;  // per level, leaves first
+  lod::StreamedLevels tops_;                   // from the stretches' last level up
   std::size_t n_built_ = 0;                    // levels above it
   std::vector<std::uint32_t> positions_;
 };

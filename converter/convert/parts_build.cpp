@@ -1,4 +1,4 @@
-// parts_build.cpp - one range of stretches: leaves in order, levels, pages as they are stored.
+// parts_build.cpp - builds one range of stretches: sorted leaves, levels, pages as stored.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -32,7 +32,7 @@ std::vector<std::uint32_t> words_of(const StretchLevel& level) {
   return words;
 }
 
-// Pages that a tree can be made of; whether it is sound the writer looks.
+// Pages of a shape that can form a tree; the writer validates it.
 std::optional<StretchLevel> level_of(std::span<const std::uint32_t> words, std::uint32_t number) {
   StretchLevel level;
   if (words.empty() || words.size() % kPageWords != 0) return std::nullopt;
@@ -69,7 +69,7 @@ HashedBytes hashed_of(const nlohmann::json& list) {
 Error not_as_written() {
   return {Errc::bad_value,
           Error::kNone,
-          "a table of this file is not as it was written; remove the file and run --lod-build again for its range",
+          "a table of this file is damaged; remove the file and run --lod-build again for its range",
           Error::kNone,
           Error::kNone,
           0};
@@ -87,7 +87,7 @@ class RangeBuilder {
       : plan_(plan), options_(run.stream_options(job.quality)), leaves_(leaves), file_(file) {}
 
   Status prepare() {
-    EncodeOptions pages = plan_.encode;  // positions are no matter of a page
+    EncodeOptions pages = plan_.encode;  // pages do not hold positions
     pages.keep_permutation = false;
     pages.n_source = pages.n_repaired = 0;
     for (std::uint64_t i = 0; i < 8 * lod::most_at_once(options_, 8 * lod::kPageBytes); ++i) {
@@ -98,7 +98,7 @@ class RangeBuilder {
     return {};
   }
 
-  // Leaves first .. last - 1. `failure`: of a file that is read.
+  // Adds leaves first .. last - 1. `failure`: the error of a file that is read.
   Status add_stretch(std::uint64_t first, std::uint64_t last, BuiltStretch& out, std::optional<Failure>& failure) {
     lod::StreamedLevels levels;
     if (Status s = take_leaves(first, last, levels, failure); !s) return s;
@@ -128,7 +128,7 @@ class RangeBuilder {
     levels.on_disk = n * row_bytes > options_.memory_bytes / 4;
     auto scratch = lod::scratch_file(levels.on_disk, options_);
     if (!scratch) return tl::unexpected(scratch.error());
-    if (!levels.on_disk) {  // its memory at once, not as it grows
+    if (!levels.on_disk) {  // allocate at once, do not grow
       if (Status s = scratch->write(n * row_bytes - 1, std::array<std::byte, 1>{}); !s) return s;
     }
     rows.file() = std::move(*scratch);

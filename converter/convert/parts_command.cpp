@@ -1,4 +1,4 @@
-// parts_command.cpp - the steps in their order, for the inputs and ranges that this process takes.
+// parts_command.cpp - runs the steps in order, for the inputs and ranges of this process.
 // SPDX-License-Identifier: Apache-2.0
 #include "parts_command.hpp"
 
@@ -24,7 +24,7 @@ class Steps {
 
   int code() const { return code_; }
 
-  // Calls a step for each selected one of n; what failed stops no other.
+  // Calls a step for each selected one of n; a failure does not stop the others.
   template <class Step>
   void each(std::size_t n, const char* what, const char* of, const Step& step) {
     std::size_t n_done = 0, n_there = 0, n_failed = 0;
@@ -77,7 +77,7 @@ int partition(const PartsCommand& command, const PartsRun& run, const Selection&
       const Done planned = make_plan(run, *job);
       if (!planned) return report_failure(planned.error());
     } else {
-      steps.say(fmt::format("no plan yet: {} of {} inputs are to be scanned\n", n_missing, n));
+      steps.say(fmt::format("no plan yet: {} of {} inputs are not scanned\n", n_missing, n));
     }
   }
   const auto plan = find_plan(run, *job);
@@ -85,20 +85,19 @@ int partition(const PartsCommand& command, const PartsRun& run, const Selection&
   if (!*plan) {
     if (selection.is_part)
       steps.say(
-          "no plan yet: once all inputs are scanned, --lod-input none makes it, and this command then places these\n");
+          "no plan yet: once all inputs are scanned, run --lod-input none to plan, then this command to place these\n");
     return tool::kSuccess;
   }
   steps.each(n, "placed", "inputs", [&](std::size_t i) { return place_input(run, *job, **plan, i); });
   return steps.code();
 }
 
-// The plan, without which nothing is built.
 Outcome<PartsPlan> need_plan(const PartsRun& run, const PartsJob& job) {
   auto plan = find_plan(run, job);
   if (!plan) return tl::unexpected(plan.error());
   if (*plan) return std::move(**plan);
   return failed(run.plan_path(),
-                {Errc::open_failed, Error::kNone, "missing, or of other scans; run --lod-partition to its end first",
+                {Errc::open_failed, Error::kNone, "missing, or from other scans; complete --lod-partition first",
                  Error::kNone, Error::kNone, 0});
 }
 
@@ -168,7 +167,8 @@ int run_parts(const PartsCommand& command, const PartsRun& run, const std::funct
               const std::string& output_path, const AtomicFile::Options& output) {
   const auto selection = parse_selection(command.selected);
   if (!selection)
-    return tool::report_usage("--lod-input takes all, none, a number or two as in 4-7, not '" + command.selected + "'");
+    return tool::report_usage("--lod-input takes all, none, a number or a range such as 4-7, not '" + command.selected +
+                              "'");
   if (!command.partition.empty()) return partition(command, run, *selection, describe);
   if (!command.build.empty()) return build(command, run, *selection);
   if (!command.assemble.empty()) return assemble(command, run, output_path, output);

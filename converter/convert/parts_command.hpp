@@ -1,5 +1,5 @@
-// parts_command.hpp - rgs-convert --lod-partition, --lod-build, --lod-assemble and --lod-list: which steps are run, and what is
-// said of them.
+// parts_command.hpp - rgs-convert --lod-partition, --lod-build, --lod-assemble and --lod-list: runs and reports their
+// steps.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,25 +13,24 @@
 namespace rgs {
 
 struct PartsCommand {
-  std::string partition, build, assemble, list;  ///< folders; the one that is given says what is done
+  std::string partition, build, assemble, list;  ///< folders; exactly one is given and chooses the command
   std::string selected = "all";                  ///< inputs or ranges: all, none, K or K-M
   std::uint32_t n_ranges = 0;                    ///< 0: not given
   bool overwrite = false, json = false, quiet = false;
 
-  /// That of the folder; empty: another conversion.
+  /// The given folder; empty: another kind of conversion.
   const std::string& folder() const;
 };
 
-/// Numbers that a process takes. None if the text says no such thing.
+/// The inputs or ranges of this process. None if the text is not valid.
 struct Selection {
-  std::size_t first = 0,
-              last = ~std::size_t{0};  ///< of these `first` to `last`, the last one too; none if last < first
+  std::size_t first = 0, last = ~std::size_t{0};  ///< `first` to `last` inclusive; none if last < first
   bool is_part = false;
 };
 std::optional<Selection> parse_selection(const std::string& text);
 
-/// Runs the steps and reports what fails, each file by its name: those that are left go on. `describe` gives the job where inputs
-/// are named, and is empty where they are not. Returns the exit code, the worst of all.
+/// Runs the steps and reports each failure by its file; the others go on. `describe` returns the job if inputs are
+/// named, and is empty otherwise. Returns the worst exit code.
 int run_parts(const PartsCommand& command, const PartsRun& run, const std::function<Outcome<PartsJob>()>& describe,
               const std::string& output_path, const AtomicFile::Options& output);
 

@@ -1,4 +1,4 @@
-// parts_job.cpp - the job that processes share, the plan, and the state of their work.
+// parts_job.cpp - the shared job, the plan, and the state of the work.
 // SPDX-License-Identifier: Apache-2.0
 #include <sys/stat.h>
 
@@ -155,7 +155,7 @@ json input_json(const PartsInput& input) {
   return {{"path", text_json(input.path)},
           {"name", text_json(input.name)},
           {"bytes", input.bytes},
-          {"beginning_xxh3", input.beginning_xxh3},
+          {"prefix_xxh3", input.prefix_xxh3},
           {"format", enum_json(input.format)},
           {"axes", axes_json(input.axes)},
           {"placed", std::move(placed)},
@@ -171,7 +171,7 @@ PartsInput input_of(const json& j) {
   input.path = text_of(j.at("path"));
   input.name = text_of(j.at("name"));
   input.bytes = j.at("bytes");
-  input.beginning_xxh3 = j.at("beginning_xxh3");
+  input.prefix_xxh3 = j.at("prefix_xxh3");
   input.format = enum_of<SplatFormat>(j.at("format"));
   input.axes = axes_of(j.at("axes"));
   const json& placed = j.at("placed");
@@ -250,8 +250,8 @@ bool is_digits(std::string_view text) {
   return !text.empty() && text.find_first_not_of("0123456789") == std::string_view::npos;
 }
 
-// Whether a file of this name is one that the work makes, or that a killed process left of such a one (AtomicFile).
-bool is_of_work(std::string_view name) {
+// Whether the steps write a file of this name, or a killed process may have left it (AtomicFile).
+bool is_work_file(std::string_view name) {
   constexpr std::string_view kTemporary = ".tmp-";
   constexpr std::size_t kRandom = 6;
   if (name.size() > kTemporary.size() + kRandom &&
@@ -263,23 +263,23 @@ bool is_of_work(std::string_view name) {
   });
 }
 
-std::vector<fs::path> files_of_work(const std::string& folder) {
+std::vector<fs::path> list_work_files(const std::string& folder) {
   std::vector<fs::path> paths;
   std::error_code error;
   for (fs::directory_iterator it(folder, error), end; !error && it != end; it.increment(error)) {
-    if (is_of_work(it->path().filename().string())) paths.push_back(it->path());
+    if (is_work_file(it->path().filename().string())) paths.push_back(it->path());
   }
   return paths;
 }
 
-// A file of the work that is the user's: it would be removed, or written over. Empty if there is none.
-std::string input_of_work(const std::vector<fs::path>& of_work, const PartsJob& job) {
+// An input that has the name of a file of the work and would be removed or overwritten. Empty if there is none.
+std::string overwritten_input(const std::vector<fs::path>& work_files, const PartsJob& job) {
   tool::InputFiles inputs;
   for (const PartsInput& input : job.inputs) inputs.add_scene(input.path);
   inputs.add_cameras(job.cameras);
   std::vector<std::string> paths;
-  paths.reserve(of_work.size());
-  for (const fs::path& path : of_work) paths.push_back(path.string());
+  paths.reserve(work_files.size());
+  for (const fs::path& path : work_files) paths.push_back(path.string());
   if (inputs.clash(paths).empty()) return {};
   const auto taken = std::ranges::find_if(
       paths, [&inputs](const std::string& path) { return !inputs.clash(std::span(&path, 1)).empty(); });
@@ -307,26 +307,26 @@ std::uint64_t choose_bin_rows(const EncodeOptions& encode, int sh_degree, std::u
   const auto kind =
       encode.keep_permutation ? lod::LevelRows::Kind::leaves_with_positions : lod::LevelRows::Kind::leaves;
   const std::uint64_t row_bytes = lod::LevelRows({}, sh_degree, kind).row_bytes();
-  // A quarter of the memory, and three times as much as is planned.
+  // A quarter of the memory; bins may be three times as large as planned.
   return std::clamp<std::uint64_t>(memory_bytes / 4 / lod::sorting_bytes(row_bytes) / 3, 1024, 400'000);
 }
 
-std::uint64_t hash_of_beginning(std::span<const std::byte> input) {
+std::uint64_t hash_of_prefix(std::span<const std::byte> input) {
   return xxh3(input.first(std::min<std::size_t>(input.size(), std::size_t{64} << 10)));
 }
 
 Outcome<PartsJob> begin_parts(const PartsRun& run, const PartsJob& job, bool overwrite) {
   const std::string path = run.job_path();
   const json about = job_json(job);
-  const std::vector<fs::path> of_work = files_of_work(run.folder);
-  if (const std::string input = input_of_work(of_work, job); !input.empty()) {
-    return failed(input, {Errc::bad_argument, Error::kNone,
-                          "the input has the name of a file that the work makes; name another folder", Error::kNone,
-                          Error::kNone, 0});
+  const std::vector<fs::path> work_files = list_work_files(run.folder);
+  if (const std::string input = overwritten_input(work_files, job); !input.empty()) {
+    return failed(
+        input, {Errc::bad_argument, Error::kNone, "the input has the name of a file of the work; name another folder",
+                Error::kNone, Error::kNone, 0});
   }
   std::error_code error;
   if (overwrite) {
-    for (const fs::path& step : of_work) {
+    for (const fs::path& step : work_files) {
       if (step.filename() != "job" && fs::symlink_status(step, error).type() == fs::file_type::regular)
         fs::remove(step, error);
     }
@@ -334,14 +334,13 @@ Outcome<PartsJob> begin_parts(const PartsRun& run, const PartsJob& job, bool ove
     auto old = WorkFile::open(path, WorkKind::job);
     if (old && old->about() == about) return open_job(run);
     if (!old && old.error().code != Errc::bad_magic) return failed(path, old.error());
-    return failed(path,
-                  {Errc::output_exists, Error::kNone,
-                   "this work is of other inputs or options; name another folder, or begin again with --overwrite",
-                   Error::kNone, Error::kNone, 0});
+    return failed(path, {Errc::output_exists, Error::kNone,
+                         "this work has other inputs or options; name another folder, or begin again with --overwrite",
+                         Error::kNone, Error::kNone, 0});
   }
   fs::create_directories(run.folder, error);
   if (error) {
-    return failed(run.folder, {Errc::write_failed, Error::kNone, "the folder of the work cannot be made", Error::kNone,
+    return failed(run.folder, {Errc::write_failed, Error::kNone, "cannot create the folder of the work", Error::kNone,
                                Error::kNone, error.value()});
   }
   auto writer = WorkWriter::create(path, WorkKind::job, 0, run.sync);
@@ -355,7 +354,7 @@ Outcome<PartsJob> open_job(const PartsRun& run) {
   if (!file) {
     Error error = file.error();
     if (error.code == Errc::open_failed && error.system == ENOENT)
-      error.what = "no work has begun in this folder; rgs-convert --lod-partition FOLDER --ranges N INPUTS begins it";
+      error.what = "no work has begun in this folder; begin with rgs-convert --lod-partition FOLDER --ranges N INPUTS";
     return failed(run.job_path(), error);
   }
   auto job = read_about([&]() -> Result<PartsJob> { return job_of(file->about()); });
@@ -383,7 +382,7 @@ Outcome<std::optional<PartsPlan>> find_plan(const PartsRun& run, const PartsJob&
     plan.bins = std::move(*bins);
     if (plan.bins.empty() || plan.bins.front() != 0 || !std::ranges::is_sorted(plan.bins, std::less_equal<>())) {
       return make_error(Errc::bad_value, Error::kNone,
-                        "the bins of the plan are no ranges of the curve; remove the file");
+                        "the bins of the plan are not ranges of the curve; remove the file");
     }
     std::vector<std::byte> bytes(file->end() - kWorkHeadBytes);
     if (Status s = file->read(kWorkHeadBytes, bytes); !s) return s;

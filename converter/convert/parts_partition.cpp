@@ -1,4 +1,4 @@
-// parts_partition.cpp - inputs one by one: scanned, and, once the curve is cut into bins, placed.
+// parts_partition.cpp - scans inputs and, once the curve is cut into bins, places their Gaussians.
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/format.h>
 #include <sys/stat.h>
@@ -20,7 +20,7 @@
 namespace rgs {
 namespace {
 
-constexpr std::uint64_t kSampleOfBin = 128;  // means of a bin that say where it begins and ends: it is off by a tenth
+constexpr std::uint64_t kSampleOfBin = 128;  // means that locate a bin's ends: sizes are off by a tenth
 
 constexpr Error kInputChanged{.code = Errc::read_failed,
                               .what = "the input changed since the work began; begin again with --overwrite"};
@@ -31,13 +31,13 @@ std::string modified_of(const std::string& path) {
   return fmt::format("{}.{:09}", status.st_mtim.tv_sec, status.st_mtim.tv_nsec);
 }
 
-// One input, opened and placed as all inputs together place it.
+// One input, opened and transformed as in the whole scene.
 class OpenInput {
  public:
   Outcome<void> open(const PartsJob& job, const PartsInput& part) {
     if (const Status s = input_.open(part.path); !s) return failed(part.path, s.error());
     const auto bytes = input_.file().bytes();
-    if (bytes.size() != part.bytes || hash_of_beginning(bytes) != part.beginning_xxh3)
+    if (bytes.size() != part.bytes || hash_of_prefix(bytes) != part.prefix_xxh3)
       return failed(part.path, kInputChanged);
     auto tile = input_.tile(part.format, job.read);
     if (!tile) return failed(part.path, tile.error());
@@ -50,7 +50,6 @@ class OpenInput {
   }
   lod::SplatStream stream() const { return tiles_.stream(); }
   const SceneInput& input() const { return input_; }
-  /// Byte at which a Gaussian begins.
   std::uint64_t row_offset(std::uint64_t i) const {
     const auto& ply = tiles_.tiles().front().ply;
     return ply && i != Error::kNone ? ply->row_offset(i) : Error::kNone;
@@ -62,13 +61,13 @@ class OpenInput {
   TileStream tiles_;
 };
 
-// Whether the input is what was scanned.
+// Whether the input is the one that was scanned.
 Outcome<bool> is_unchanged(const PartsInput& part, const SceneInput& input, const ScannedInput& scanned) {
   if (input.file().bytes().size() != part.bytes) return false;
   return modified_of(part.path) == scanned.modified || input.hash() == scanned.xxh3;
 }
 
-// One in so many Gaussians, by its position alone.
+// Selects one in `stride` Gaussians by position alone.
 bool is_sampled(std::uint64_t position, std::uint64_t stride) {
   std::uint64_t x = position + 0x9E3779B97F4A7C15u;  // SplitMix64 (Steele, Lea, Flood 2014)
   x = (x ^ x >> 30) * 0xBF58476D1CE4E5B9u;
@@ -87,12 +86,11 @@ Status sample_rows(std::uint64_t first, std::span<const Splat> rows, std::uint64
 }
 
 Status unreadable() {
-  return make_error(
-      Errc::bad_value, Error::kNone,
-      "a table of this file is not as it was written; remove the file and run the step again that makes it");
+  return make_error(Errc::bad_value, Error::kNone,
+                    "a table of this file is damaged; remove the file and run its step again");
 }
 
-// Scan and sample of an input, which lie one after the other in its file.
+// Reads an input's scan and sample, which follow each other in its file.
 Outcome<SceneScan> read_scan(const PartsRun& run, std::size_t input, const ScannedInput& scanned,
                              std::vector<float>& means) {
   const std::string path = run.scan_path(input);
@@ -113,7 +111,7 @@ Outcome<SceneScan> read_scan(const PartsRun& run, std::size_t input, const Scann
   return std::move(*scan);
 }
 
-// All inputs one after the other; `failed_input` is the one that an error is about.
+// All inputs in order; `failed_input` is the one that an error is about.
 lod::SplatStream all_inputs(const PartsJob& job, std::string& failed_input) {
   return {job.n, job.sh_degree, [&job, &failed_input](const lod::SplatStream::Visit& visit) -> Status {
             for (const PartsInput& part : job.inputs) {
@@ -180,11 +178,11 @@ Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
   const std::string path = run.scan_path(input);
   OpenInput open;
   if (const auto opened = open.open(job, part); !opened) return tl::unexpected(opened.error());
-  // One that cannot be read is made again.
+  // An unreadable scan is made again.
   if (const auto old = find_scan(run, job, input); old && *old) {
     const auto same = is_unchanged(part, open.input(), **old);
     if (!same) return tl::unexpected(same.error());
-    if (!*same) return failed(part.path, kInputChanged);  // what begin found in it may have changed as well
+    if (!*same) return failed(part.path, kInputChanged);  // the job's facts about it may have changed as well
     return false;
   }
   ScannedInput scanned;
@@ -241,7 +239,7 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
     if (!*scanned) {
       return failed(run.scan_path(i),
                     {Errc::open_failed, Error::kNone,
-                     "missing, or of other work; run --lod-partition for this input first", Error::kNone, i, 0});
+                     "missing, or from other work; run --lod-partition for this input first", Error::kNone, i, 0});
     }
     const auto scan = read_scan(run, i, **scanned, means);
     if (!scan) return tl::unexpected(scan.error());
@@ -278,7 +276,7 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
   if (const Status s = find_depth_range(plan.encode, depth, plan.scan, even); !s)
     return failed(job.cameras.empty() ? first_path : job.cameras, s.error());
   plan.bins = cut_bins(job, plan.scan, means);
-  // Of the scans that were read: another may have taken the place of one meanwhile.
+  // Based on the scans that were read: another may have replaced one meanwhile.
   if (const Status s = write_plan(run, plan, basis_of_plan(job, scans)); !s) return failed(run.plan_path(), s.error());
   return true;
 }

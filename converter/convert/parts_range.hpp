@@ -1,5 +1,5 @@
-// parts_range.hpp - what range.R holds: of each stretch its pages, as records of PageEncoder, and the rows that pages above are
-// made of.
+// parts_range.hpp - the contents of range.R: each stretch's pages as records of PageEncoder, and the rows from which
+// pages above are built.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -15,9 +15,9 @@
 
 namespace rgs {
 
-/// Pages of one level of a stretch. Records lie one after the other.
+/// Pages of one level of a stretch; their records follow each other.
 struct StretchLevel {
-  std::vector<lod::Page> pages;  ///< first and first_child count within the level, and the level below, of the stretch
+  std::vector<lod::Page> pages;  ///< first and first_child count within the stretch's level, and the level below
   std::vector<std::uint32_t> record_bytes;
   std::uint64_t offset = 0;  ///< of the first record
 };
@@ -29,14 +29,14 @@ struct HashedBytes {
 
 struct BuiltStretch {
   std::vector<StretchLevel> levels;  ///< leaves first
-  HashedBytes tops;                  ///< rows of the last level, where it has several pages
-  HashedBytes positions;             ///< of the leaves in the source, where they are kept
+  HashedBytes tops;                  ///< rows of the last level, if it has several pages
+  HashedBytes positions;             ///< of the leaves in the source, if kept
 };
 
 using BuiltRange = std::vector<BuiltStretch>;
 
 nlohmann::json about_range(const BuiltRange& range);
-/// Errors: bad_value (a table is not as it was written).
+/// Errors: bad_value (a table is damaged).
 Result<BuiltRange> range_of(const WorkFile& file);
 
 }  // namespace rgs

@@ -1,4 +1,4 @@
-// parts_rows.cpp - blocks of rows, with a table of them at the end of the file.
+// parts_rows.cpp - blocks of rows, with a table of blocks at the end of the file.
 // SPDX-License-Identifier: Apache-2.0
 #include "parts_rows.hpp"
 
@@ -10,7 +10,7 @@
 namespace rgs {
 namespace {
 
-constexpr std::size_t kOfBlock = 4;  // numbers in the table
+constexpr std::size_t kOfBlock = 4;  // numbers per block in the table
 constexpr std::uint64_t kMostBlockBytes = std::uint64_t{1} << 20;
 
 Error not_as_written() {
@@ -49,7 +49,8 @@ Status RowsWriter::add(std::uint64_t first, std::span<const std::uint32_t> posit
     if (to.size() >= kMostBlockBytes) {
       if (Status s = flush(bin); !s) return s;
     } else if (n_waiting_ > most_waiting_) {
-      // A tile is in few bins, whose blocks are as long as they can be: all blocks are in a table that every builder reads.
+      // Flush the longest: a tile is in few bins, and every builder reads a table of all blocks, so blocks should be
+      // long.
       const auto longest = std::ranges::max_element(waiting_, {}, [](const auto& of_bin) { return of_bin.size(); });
       if (Status s = flush(static_cast<std::size_t>(longest - waiting_.begin())); !s) return s;
     }
@@ -63,7 +64,7 @@ Status RowsWriter::flush(std::size_t bin) {
   blocks_.insert(blocks_.end(), {bin, file_.end(), rows.size() / rows_.row_bytes(), xxh3(rows)});
   n_waiting_ -= rows.size();
   const Status written = file_.append(rows);
-  rows = std::vector<std::byte>();  // `= {}` would keep the memory, of as many bins as there are
+  rows = std::vector<std::byte>();  // `= {}` would keep the memory of all bins
   return written;
 }
 
@@ -91,7 +92,7 @@ Outcome<LeafReader> LeafReader::open(const PartsRun& run, const PartsJob& job, c
     std::optional<WorkFile>& file = *found;
     if (!file) {
       return failed(path, {Errc::open_failed, Error::kNone,
-                           "missing, or of another plan; run --lod-partition for this input first", Error::kNone,
+                           "missing, or from another plan; run --lod-partition for this input first", Error::kNone,
                            Error::kNone, 0});
     }
     const auto read = read_about([&]() -> Status {
@@ -138,11 +139,10 @@ void LeafReader::seek(std::uint64_t leaf) {
 Outcome<void> LeafReader::load(std::size_t bin) {
   const std::uint64_t n = first_[bin + 1] - first_[bin];
   if (n > most_rows_) {
-    return failed(folder_,
-                  {Errc::limit_exceeded, Error::kNone,
-                   "more Gaussians lie next to each other on the Morton curve than can be sorted in this memory; "
-                   "give more with --memory",
-                   most_rows_, n, 0});
+    return failed(folder_, {Errc::limit_exceeded, Error::kNone,
+                            "more Gaussians are adjacent on the Morton curve than can be sorted in this memory; "
+                            "raise --memory",
+                            most_rows_, n, 0});
   }
   rows_.resize(n * row_bytes_);
   std::uint64_t end = 0;

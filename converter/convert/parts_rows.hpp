@@ -1,4 +1,4 @@
-// parts_rows.hpp - Gaussians of inputs by bins of the Morton curve: how rows.K is written, and read in the order of the leaves.
+// parts_rows.hpp - Gaussians of inputs by bins of the Morton curve: writes rows.K, and reads it in leaf order.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -14,14 +14,14 @@
 
 namespace rgs {
 
-/// Rows of leaves as the plan asks for them; without a file.
+/// The format of leaf rows under this plan; without a file.
 lod::LevelRows leaf_rows(const PartsPlan& plan);
 
-/// Writes the rows of an input in blocks of one bin each, as memory fills. Within a bin rows keep the order of the input.
+/// Writes an input's rows in blocks of one bin each, as memory fills. Rows keep the input's order within a bin.
 class RowsWriter {
  public:
   RowsWriter(WorkWriter& file, const PartsPlan& plan, std::uint64_t memory_bytes);
-  /// Gaussians of the input at these positions, which begin at `first` among all inputs'.
+  /// Adds Gaussians of the input at these positions; `first` is the input's first position among all inputs.
   Status add(std::uint64_t first, std::span<const std::uint32_t> positions, std::span<const Splat> rows);
   Status finish();
 
@@ -36,13 +36,13 @@ class RowsWriter {
   std::vector<std::uint64_t> blocks_;            // bin, offset, rows, hash of each
 };
 
-/// The leaves of all inputs in their order, from some leaf on.
+/// The leaves of all inputs in order, from some leaf on.
 class LeafReader {
  public:
-  /// Opens rows.K of all inputs. Errors: open_failed (missing, or of another plan), WorkFile's, bad_value.
+  /// Opens rows.K of all inputs. Errors: open_failed (missing, or from another plan), WorkFile's, bad_value.
   static Outcome<LeafReader> open(const PartsRun& run, const PartsJob& job, const PartsPlan& plan);
   void seek(std::uint64_t leaf);
-  /// The next rows, at least one and at most `most`, which are there until the next call. Errors: limit_exceeded (a bin does not
+  /// The next rows, at least one and at most `most`, valid until the next call. Errors: limit_exceeded (a bin does not
   /// fit into memory), checksum_mismatch, WorkFile's.
   Outcome<std::span<const std::byte>> next(std::uint64_t most);
 
@@ -55,13 +55,13 @@ class LeafReader {
   Outcome<void> load(std::size_t bin);
   std::vector<std::string> paths_;
   std::vector<WorkFile> files_;
-  std::vector<std::vector<Block>> blocks_;  // of each bin, in the order of the inputs
-  std::vector<std::uint64_t> first_;        // leaf of each bin, and their number
+  std::vector<std::vector<Block>> blocks_;  // per bin, in the order of the inputs
+  std::vector<std::uint64_t> first_;        // first leaf of each bin; last, the number of leaves
   MortonKey key_;
   std::uint64_t row_bytes_ = 0, most_rows_ = 0;
-  std::size_t bin_ = ~std::size_t{0};  // whose rows are in memory, sorted
+  std::size_t bin_ = ~std::size_t{0};  // the bin in memory, sorted
   std::vector<std::byte> rows_;
-  std::uint64_t leaf_ = 0;  // the next
+  std::uint64_t leaf_ = 0;  // the next one
   std::string folder_;
 };
 

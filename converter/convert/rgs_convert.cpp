@@ -1,5 +1,5 @@
-// rgs_convert.cpp - rgs-convert: splat files of any format to any other. Arguments and exit codes; the work is in
-// src/convert_*.cpp and rgs::interchange.
+// rgs_convert.cpp - rgs-convert: splat files of any format to any other. Arguments and exit codes; convert.hpp,
+// batch.hpp and parts.hpp do the work.
 // SPDX-License-Identifier: Apache-2.0
 #include <sys/resource.h>
 #include <tbb/global_control.h>
@@ -48,7 +48,6 @@ using rgs::Failure;
 using rgs::Outcome;
 using rgs::SplatFormat;
 
-// Knobs of archive that were given.
 struct ArchiveChanges {
   std::optional<int> mean_cells, opacity_levels;
   std::optional<float> sh_step, dc_step, rotation_step, scale_step, slope;
@@ -59,12 +58,12 @@ struct Arguments {
   std::string list, report, shard;  // of many scenes
   unsigned jobs = 1;
   bool keep_going = true, stop = false;
-  std::string given;  // all options that show in an output, as text; of cameras their contents
+  std::string given;  // text of all options that affect an output, and the cameras' contents
   std::string cameras, axes = "3dgs", to_axes, crop, max_count;
   std::optional<std::uint32_t> level_of_detail;
   std::optional<rgs::lod::Quality> lod_quality;
   bool lod = false;
-  std::vector<std::string> translate, rotate, scale;  // one for all inputs, or one for each
+  std::vector<std::string> translate, rotate, scale;  // one for all inputs, or one each
   SplatFormat from = SplatFormat::unknown, to = SplatFormat::unknown;
   rgs::ConvertOptions convert;
   rgs::ArchiveOptions archive;  // of the preset
@@ -84,7 +83,7 @@ struct Arguments {
   std::size_t n_inputs() const { return files.size() - 1; }
 };
 
-// What shapes an .rgs file alone. With another output they are refused: leaving them without effect would mislead.
+// Options that affect .rgs files alone. Other outputs reject them: ignoring them would mislead.
 constexpr const char* kRgsOptions[] = {"--profile",
                                        "--level",
                                        "--keep-permutation",
@@ -117,13 +116,12 @@ rgs::StageObserver observe(tool::Progress& progress) {
   return observer;
 }
 
-// Failures that are the output's and not the input's.
 bool concerns_output(rgs::Errc code) {
   using rgs::Errc;
   return code == Errc::write_failed || code == Errc::output_exists || code == Errc::output_unusable;
 }
 
-// What an input no longer holds reads as zeros: that it changed explains whatever was found wrong in it.
+// Truncated parts of a mapped input read as zeros, so a change of the file explains any other error.
 Failure explained(Failure failure, const std::deque<Input>& inputs) {
   if (concerns_output(failure.error.code)) return failure;
   for (const Input& input : inputs) {
@@ -132,11 +130,11 @@ Failure explained(Failure failure, const std::deque<Input>& inputs) {
   return failure;
 }
 
-// Axes of what is written. Formats that prescribe theirs get them. An .rgs can declare any: it keeps those of its
-// source, unless the source had no choice either; scenes are then brought into the frame that cameras of 3DGS are in.
+// Axes of the output. Formats that prescribe axes get those. An .rgs keeps its source's axes, except those that the
+// source's format prescribes: such scenes are converted to the frame of 3DGS cameras.
 rgs::Axes target_axes(const Arguments& arguments, const rgs::Axes& axes, SplatFormat from, SplatFormat to) {
   const bool undeclared = axes[0] == rgs::Axis::undeclared && arguments.n_inputs() == 1;
-  if (undeclared && !arguments.to_axes_given) return axes;  // nothing turns it
+  if (undeclared && !arguments.to_axes_given) return axes;  // nothing to convert
   if (to == SplatFormat::spz || to == SplatFormat::glb) return rgs::format_axes(to);
   if (arguments.to_axes_given) return rgs::parse_axes(arguments.to_axes).value();
   const bool prescribed = from == SplatFormat::spz || from == SplatFormat::glb;
@@ -153,13 +151,12 @@ bool moves(const Arguments& arguments) {
          !arguments.scale.empty();
 }
 
-// Whether Gaussians do not go through unchanged, so that they cannot be streamed.
+// Whether Gaussians are changed or filtered, so that they cannot be streamed.
 bool edits(const Arguments& arguments) {
   return arguments.n_inputs() > 1 || !arguments.filter.keeps_all() || moves(arguments) || arguments.level_of_detail;
 }
 
-// What becomes of levels of detail: of one input, so many Gaussians are found among them first. Of several nobody knows whose
-// they shall be.
+// Applies max_count to the levels of a single input first; of several inputs it would be ambiguous.
 rgs::ReadOptions read_options(const Arguments& arguments) {
   rgs::ReadOptions options;
   options.limits = arguments.limits;
@@ -171,7 +168,7 @@ rgs::ReadOptions read_options(const Arguments& arguments) {
   return options;
 }
 
-// Brings an input into these axes and to its place, which is returned.
+// Converts an input to these axes and places it; returns the placement.
 rgs::Similarity place(const Arguments& arguments, std::size_t input, const rgs::Axes& axes, rgs::SplatFile& file) {
   rgs::convert_axes(file.cloud, file.axes, axes);
   rgs::convert_axes(file.origin, file.axes, axes);
@@ -183,7 +180,7 @@ rgs::Similarity place(const Arguments& arguments, std::size_t input, const rgs::
   return placed;
 }
 
-// How to read one of the inputs. Where Gaussians are left out for other reasons than their number, those do not count.
+// How to read an input. Gaussians that other filters drop do not count towards max_count.
 rgs::Result<rgs::ReadOptions> read_options(const Arguments& arguments, const Input& input, SplatFormat to) {
   rgs::ReadOptions options = read_options(arguments);
   rgs::SplatFilter others = arguments.filter;
@@ -199,7 +196,7 @@ rgs::Result<rgs::ReadOptions> read_options(const Arguments& arguments, const Inp
   return options;
 }
 
-// Reads, places and merges all inputs, then filters. Sets what the files declare and the options do not say.
+// Reads, places, merges and filters all inputs. Sets declarations of files that options do not override.
 Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& inputs, SplatFormat to,
                                      rgs::DeclaredLoss& loss) {
   rgs::LoadedScene scene;
@@ -237,8 +234,8 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
   const std::vector<std::uint64_t> kept = rgs::filter_splats(scene.cloud, arguments.filter, scene.origin);
   scene.xxh3 = rgs::hash_of_sources(hashes);
   if (!rgs::keep_source(encode, scene, only, kept, moves(arguments))) {
-    loss.notes.push_back("positions are those in " + inputs.front().name() +
-                         ", which keeps none in its own source (--keep-permutation when it was made)");
+    loss.notes.push_back("positions refer to " + inputs.front().name() +
+                         ", which does not hold positions in its own source (--keep-permutation)");
   }
   if (to == SplatFormat::rgs && !only.source_index.empty() && !encode.keep_permutation)
     loss.lost.emplace_back("positions in the source (--keep-permutation keeps them)");
@@ -249,21 +246,20 @@ SplatFormat format_of_input(const Arguments& arguments, const Input& input) {
   return arguments.from != SplatFormat::unknown ? arguments.from : rgs::detect_format(input.bytes());
 }
 
-// Whether levels are made of inputs that need not be in memory together: several, or one that is moved. What looks at all
-// Gaussians at once has them in memory, and so has an .rgs alone, which may name a source of its own.
+// Whether levels are built from tiles, so that inputs are not in memory together: several, or one PLY. Filters need all
+// Gaussians in memory, and so does a single .rgs, which may name a source of its own.
 bool streams_tiles(const Arguments& arguments, const std::deque<Input>& inputs, SplatFormat to) {
   return to == SplatFormat::rgs && arguments.lod && arguments.filter.keeps_all() && !arguments.level_of_detail &&
          (inputs.size() > 1 || format_of_input(arguments, inputs.front()) == SplatFormat::ply);
 }
 
-// The file, or folder of scratch files, that an error is about.
+// The file, or the folder of scratch files, that an error is about.
 std::string concerned(const Arguments& arguments, const Input& input, const rgs::Error& error) {
   if (!rgs::lod::concerns_scratch(error)) return concerns_output(error.code) ? arguments.output() : input.path();
   return arguments.convert.scratch.empty() ? "." : arguments.convert.scratch;
 }
 
-// An input as a part of the whole.
-struct LookedAt {
+struct InputTile {
   rgs::Tile tile;
   rgs::InputDeclarations declared;
   SplatFormat format = SplatFormat::unknown;
@@ -271,8 +267,8 @@ struct LookedAt {
   std::vector<std::string> unused;
 };
 
-Outcome<LookedAt> look_at(const Arguments& arguments, const Input& input, std::size_t i) {
-  LookedAt out;
+Outcome<InputTile> open_tile(const Arguments& arguments, const Input& input, std::size_t i) {
+  InputTile out;
   out.format = format_of_input(arguments, input);
   auto tile = input.tile(out.format, read_options(arguments));
   if (!tile) return failed(input.path(), tile.error());
@@ -297,7 +293,7 @@ Outcome<LookedAt> look_at(const Arguments& arguments, const Input& input, std::s
   return out;
 }
 
-// The same as load_scene() and then convert_scene(), tile by tile.
+// Equals load_scene() and convert_scene(), tile by tile.
 Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Input>& inputs, rgs::DeclaredLoss& loss,
                                            const rgs::StageObserver& observer) {
   rgs::EncodeOptions& encode = arguments.convert.encode;
@@ -307,14 +303,14 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
   std::uint64_t bytes = 0;
   SplatFormat first_format = SplatFormat::unknown;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    auto looked = look_at(arguments, inputs[i], i);
-    if (!looked) return tl::unexpected(looked.error());
-    if (i == 0) first_format = looked->format;
-    if (i == 0) encode.axes = target_axes(arguments, looked->tile.axes, looked->format, SplatFormat::rgs);
-    bytes += looked->bytes;
-    unused.insert(unused.end(), looked->unused.begin(), looked->unused.end());
-    declared.push_back(std::move(looked->declared));
-    tiles[i] = std::move(looked->tile);
+    auto opened = open_tile(arguments, inputs[i], i);
+    if (!opened) return tl::unexpected(opened.error());
+    if (i == 0) first_format = opened->format;
+    if (i == 0) encode.axes = target_axes(arguments, opened->tile.axes, opened->format, SplatFormat::rgs);
+    bytes += opened->bytes;
+    unused.insert(unused.end(), opened->unused.begin(), opened->unused.end());
+    declared.push_back(std::move(opened->declared));
+    tiles[i] = std::move(opened->tile);
   }
   std::size_t tile = 0;
   const auto scene = rgs::TileStream::open(std::move(tiles), encode.axes, tile);
@@ -390,24 +386,24 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
   return outcome(std::move(summary));
 }
 
-// Whether texts of options can be read and fit together; the message for the user if not.
+// Parses and checks options; returns the message for the user if something is wrong.
 std::optional<std::string> check_arguments(Arguments& a) {
   const auto text = [](const rgs::Error& error) { return std::string(error.what); };
   for (const std::string* axes : {&a.axes, &a.to_axes}) {
     if (axes->empty()) continue;
     if (const auto parsed = rgs::parse_axes(*axes); !parsed) return text(parsed.error());
   }
-  if (a.lod_quality && !a.lod) return "--lod-quality is of --lod";
-  if (!a.lod && a.convert.memory_bytes != rgs::lod::kDefaultMemory) return "--memory is of --lod";
-  if (!a.lod && !a.convert.scratch.empty()) return "--scratch is of --lod";
-  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 128MiB";
+  if (a.lod_quality && !a.lod) return "--lod-quality requires --lod";
+  if (!a.lod && a.convert.memory_bytes != rgs::lod::kDefaultMemory) return "--memory requires --lod";
+  if (!a.lod && !a.convert.scratch.empty()) return "--scratch requires --lod";
+  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory must be at least 128MiB";
   if (a.lod) a.convert.levels = a.lod_quality.value_or(rgs::lod::Quality::fast);
   if (a.convert.scratch.empty() && a.output() != "-")
     a.convert.scratch = std::filesystem::path(a.output()).parent_path().string();
-  if (a.n_inputs() > 1 && !a.merge) return "several inputs make one output only with --merge";
+  if (a.n_inputs() > 1 && !a.merge) return "several inputs require --merge";
   for (const auto* texts : {&a.translate, &a.rotate, &a.scale}) {
     if (texts->size() > 1 && texts->size() != a.n_inputs()) {
-      return "--translate, --rotate and --scale are given once for all inputs or once for each";
+      return "give --translate, --rotate and --scale once for all inputs or once for each";
     }
   }
   for (std::size_t i = 0; i < a.n_inputs(); ++i) {
@@ -425,38 +421,40 @@ std::optional<std::string> check_arguments(Arguments& a) {
     a.filter.max_n = *count;
   }
   if (a.asked.aa_mode == rgs::AaMode::undeclared && a.asked.low_pass_px2)
-    return "a low-pass belongs to an anti-aliasing: --low-pass goes with --aa classic or mip-splatting";
+    return "--low-pass requires --aa classic or mip-splatting";
   if (a.json && a.output() == "-") return "--json and output - both need standard output";
   if (std::count(a.files.begin(), a.files.end() - 1, "-") > 1) return "only one input can be standard input";
   return std::nullopt;
 }
 
-// Where rgs-audit writes its report: "scene.rgs" gives "scene.audit.html".
+// Path of rgs-audit's report: "scene.audit.html" for "scene.rgs".
 std::string report_path(const std::string& output) {
   return std::filesystem::path(output).replace_extension(".audit.html").string();
 }
 
-// The audit pairs the Gaussians of two files, and needs its program before an hour of work rather than after it.
+// Checks before an hour of work that the audit can run: it pairs the Gaussians of two files, and is a program of its
+// own.
 int check_audit(const Arguments& arguments, const Input& input, std::string& program) {
   if (!arguments.audit) return tool::kSuccess;
   if (input.path() == "-" || arguments.output() == "-")
-    return tool::report_usage("--audit compares two files; name input and output instead of -");
+    return tool::report_usage("--audit compares two files; name files instead of -");
   if (arguments.n_inputs() > 1 || arguments.level_of_detail)
-    return tool::report_usage("--audit compares an .rgs with all Gaussians of the one file that it was made from");
+    return tool::report_usage("--audit compares an .rgs with all Gaussians of one source file");
   if (moves(arguments))
-    return tool::report_usage("--audit finds Gaussians where the source has them: drop what moves them");
+    return tool::report_usage(
+        "--audit requires Gaussians to stay where the source has them; drop the options that move them");
   const auto found = tool::sibling_program("rgs-audit");
   if (!found) return tool::report("rgs-audit", found.error());
   program = *found;
   std::error_code ignored;
   const std::string report = report_path(arguments.output());
   if (!arguments.convert.output.overwrite && std::filesystem::exists(report, ignored))
-    return tool::report(report, {rgs::Errc::output_exists, rgs::Error::kNone,
-                                 "the report exists already; pass --overwrite to replace it"});
+    return tool::report(
+        report, {rgs::Errc::output_exists, rgs::Error::kNone, "the report exists; pass --overwrite to replace it"});
   return tool::kSuccess;
 }
 
-// Another program, because pictures need libraries that a converter should not.
+// A separate program, because pictures need libraries that a converter should not depend on.
 int run_audit(const Arguments& arguments, const std::string& program) {
   std::vector<std::string> options{arguments.files.front(), arguments.output(), "--report",
                                    report_path(arguments.output())};
@@ -481,7 +479,6 @@ rgs::ArchiveOptions archive_options(const Arguments& a) {
   return o;
 }
 
-// That no output is what is read.
 int check_outputs(const Arguments& a) {
   tool::InputFiles inputs;
   for (std::size_t i = 0; i < a.n_inputs(); ++i) inputs.add_scene(a.files[i]);
@@ -491,17 +488,17 @@ int check_outputs(const Arguments& a) {
   return inputs.check_outputs(outputs);
 }
 
-// Every input is open until the output has its name. Shells give fewer descriptors than they may be asked for.
+// Raises the limit on open files: inputs stay open until the output is renamed.
 void allow_open_files(std::size_t n) {
-  constexpr std::size_t kOthers = 64;  // output, scratch files, what lies beside an input
+  constexpr std::size_t kOthers = 64;  // output, scratch files, files beside an input
   rlimit limit{};
   if (::getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur >= n + kOthers) return;
   limit.rlim_cur = std::min<rlim_t>(limit.rlim_max, n + kOthers);
-  (void)::setrlimit(RLIMIT_NOFILE, &limit);  // where it may not, the file that cannot be opened is named
+  (void)::setrlimit(RLIMIT_NOFILE, &limit);  // on failure, opening reports the file
 }
 
-// Opens the inputs, and into `beside` the files that lie beside them and are read too: none may change before the output
-// has its name.
+// Opens the inputs, and into `beside` files beside them that are read too: none may change before the output is
+// renamed.
 Outcome<void> open_inputs(Arguments& a, std::deque<Input>& inputs, std::deque<rgs::MappedFile>& beside) {
   tool::InputFiles scenes;
   allow_open_files(a.n_inputs());
@@ -519,7 +516,6 @@ Outcome<void> open_inputs(Arguments& a, std::deque<Input>& inputs, std::deque<rg
   return {};
 }
 
-// Values of options that are made of others.
 void settle_options(Arguments& arguments) {
   rgs::EncodeOptions& encode = arguments.convert.encode;
   encode.axes = rgs::parse_axes(arguments.axes).value();
@@ -532,9 +528,9 @@ void settle_options(Arguments& arguments) {
   arguments.convert.output.sync = !arguments.no_sync;
 }
 
-// Whether the options go with an output of that format; the message for the user if not.
+// Checks options against the output's format; returns the message for the user if they do not fit.
 std::optional<std::string> check_format(const Arguments& arguments, SplatFormat to) {
-  if (to == SplatFormat::unknown) return "cannot tell the output's format from its name: pass --to rgs, ply, spz, ...";
+  if (to == SplatFormat::unknown) return "cannot tell the output's format from its name; pass --to rgs, ply, spz, ...";
   if (to != SplatFormat::rgs && !rgs::is_writable(to))
     return std::string("the format ") + rgs::format_name(to) + " is read only";
   if (to != SplatFormat::rgs && arguments.rgs_option != nullptr)
@@ -554,7 +550,6 @@ unsigned n_threads(const Arguments& arguments) {
                                : std::max(1u, std::thread::hardware_concurrency());
 }
 
-// The conversion itself, once everything is checked and open.
 Outcome<rgs::ConvertSummary> convert_open(Arguments& arguments, std::deque<Input>& inputs,
                                           const rgs::StageObserver& observer) {
   std::uint64_t source_bytes = 0;
@@ -604,13 +599,13 @@ int convert_main(Arguments& arguments) {
     (arguments.output() == "-" ? tool::print_error : tool::print)(rgs::summary_text(*summary));
   }
   if (!arguments.audit) return tool::kSuccess;
-  tool::flush();  // before what the other program prints
+  tool::flush();  // before the other program prints
   return run_audit(arguments, auditor);
 }
 
-// ---- one scene of many processes
+// ---- one scene in many processes
 
-// The job that inputs and options are; a file is open only while it is looked at.
+// The job for these inputs and options; opens one file at a time.
 Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cameras_hash) {
   rgs::PartsJob job;
   rgs::EncodeOptions& encode = arguments.convert.encode;
@@ -620,32 +615,32 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
     rgs::PartsInput& part = job.inputs.emplace_back();
     Input input;
     if (const rgs::Status s = input.open(arguments.files[i]); !s) return failed(arguments.files[i], s.error());
-    auto looked = look_at(arguments, input, i);
-    if (!looked) return tl::unexpected(looked.error());
-    if (i == 0) encode.axes = target_axes(arguments, looked->tile.axes, looked->format, SplatFormat::rgs);
-    const auto facts = rgs::look_at_tile(looked->tile, encode.axes);
+    auto opened = open_tile(arguments, input, i);
+    if (!opened) return tl::unexpected(opened.error());
+    if (i == 0) encode.axes = target_axes(arguments, opened->tile.axes, opened->format, SplatFormat::rgs);
+    const auto facts = rgs::tile_facts(opened->tile, encode.axes);
     if (!facts) return failed(input.path(), facts.error());
     std::error_code ignored;
     part = {fs::absolute(input.path(), ignored).string(),
             input.name(),
             input.bytes().size(),
-            rgs::hash_of_beginning(input.bytes()),
-            looked->format,
-            looked->tile.axes,
-            looked->tile.placed,
+            rgs::hash_of_prefix(input.bytes()),
+            opened->format,
+            opened->tile.axes,
+            opened->tile.placed,
             *facts,
             job.n};
     job.n += facts->n;
     job.sh_degree = std::max(job.sh_degree, facts->sh_degree);
     if (encode.origin == rgs::kNoOrigin) encode.origin = facts->origin;
     file_bytes += input.bytes().size();
-    job.unused.insert(job.unused.end(), looked->unused.begin(), looked->unused.end());
-    declared.push_back(std::move(looked->declared));
+    job.unused.insert(job.unused.end(), opened->unused.begin(), opened->unused.end());
+    declared.push_back(std::move(opened->declared));
   }
   const std::string& first = arguments.files.front();
   if (job.inputs.size() == 1 && job.inputs.front().format == SplatFormat::rgs) {
     return failed(first, {rgs::Errc::bad_argument, rgs::Error::kNone,
-                          "one .rgs alone is converted by one process: rgs-convert --lod", rgs::Error::kNone,
+                          "a single .rgs is converted in one process; run rgs-convert --lod", rgs::Error::kNone,
                           rgs::Error::kNone, 0});
   }
   if (const rgs::Status s = rgs::check_count(job.n); !s) return failed(first, s.error());
@@ -670,39 +665,39 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
   return job;
 }
 
-// What many scenes have beyond one. None of these shows in an output.
+// Options for many scenes. None affects an output.
 constexpr std::string_view kBatchOptions[] = {"--list",       "--jobs",          "--shard",
                                               "--keep-going", "--no-keep-going", "--report"};
 
-// What parts cannot do; the message for the user.
+// Rejects what parts cannot do; returns the message for the user.
 std::optional<std::string> check_parts(const Arguments& a) {
   if (!a.parts.partition.empty() && a.n_inputs() > 0) {
     if (a.parts.n_ranges == 0)
-      return "--lod-partition takes inputs together with --ranges N, how many processes may build";
+      return "--lod-partition with inputs requires --ranges N, the number of processes that may build";
     if (a.convert.encode.profile == rgs::Profile::archive)
-      return "--profile archive looks at all Gaussians at once: convert in one process with --lod, or choose packed";
-    if (a.keep_order) return "parts are ranges of the Morton curve: --keep-order is for one process with --lod";
+      return "--profile archive needs all Gaussians at once; convert in one process with --lod, or choose packed";
+    if (a.keep_order) return "parts are ranges of the Morton curve; --keep-order requires one process with --lod";
     if (!a.filter.keeps_all() || !a.crop.empty() || !a.max_count.empty() || a.level_of_detail)
-      return "--crop, --min-opacity, --max-count and --level-of-detail take all Gaussians into memory: apply them "
+      return "--crop, --min-opacity, --max-count and --level-of-detail need all Gaussians in memory; apply them "
              "before";
-    if (a.audit) return "--audit compares one file with another: run rgs-audit afterwards";
+    if (a.audit) return "--audit compares two files; run rgs-audit afterwards";
     if (std::find(a.files.begin(), a.files.end() - 1, "-") != a.files.end() - 1)
-      return "several processes read the inputs: name files instead of -";
+      return "several processes read the inputs; name files instead of -";
     return std::nullopt;
   }
   if (!a.given.empty() || !a.cameras.empty() || a.parts.n_ranges != 0)
-    return "the options are those that the work began with: they are given to --lod-partition, together with the "
+    return "the work keeps the options that it began with; give them to --lod-partition together with the "
            "inputs";
   if (!a.parts.assemble.empty() && a.files.size() != 1) return "--lod-assemble FOLDER takes one output";
   if (a.parts.assemble.empty() && !a.parts.partition.empty() && a.parts.overwrite)
-    return "--overwrite begins again: it goes with the inputs";
+    return "--overwrite begins again; it requires the inputs";
   if (a.parts.assemble.empty() && a.parts.partition.empty() && !a.files.empty())
-    return "the folder of the work says all: " + a.files.front() + " is one too many";
-  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 128MiB";
+    return "the folder of the work suffices; drop " + a.files.front();
+  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory must be at least 128MiB";
   return std::nullopt;
 }
 
-// An option that the step would leave without effect; the message for the user.
+// Rejects an option that the command would ignore; returns the message for the user.
 std::optional<std::string> check_parts_options(const CLI::App& app, const rgs::PartsCommand& parts) {
   const char* const command = !parts.partition.empty()  ? "--lod-partition"
                               : !parts.build.empty()    ? "--lod-build"
@@ -763,7 +758,6 @@ int convert_parts(Arguments& a) {
 
 // ---- many scenes
 
-// One of many, in a process of its own.
 tl::expected<rgs::ConvertSummary, rgs::BatchFailure> convert_one(const Arguments& all, const rgs::BatchScene& scene,
                                                                  const rgs::BatchShare& share) {
   Arguments arguments = all;
@@ -776,27 +770,29 @@ tl::expected<rgs::ConvertSummary, rgs::BatchFailure> convert_one(const Arguments
   std::deque<Input> inputs;
   std::deque<rgs::MappedFile> beside;
   const auto opened = open_inputs(arguments, inputs, beside);
-  auto summary = opened ? convert_open(arguments, inputs, {}) : Outcome<rgs::ConvertSummary>(failed("", {}));
+  tool::Progress progress(tool::Progress::Mode::quiet);
+  auto summary =
+      opened ? convert_open(arguments, inputs, observe(progress)) : Outcome<rgs::ConvertSummary>(failed("", {}));
   if (summary) return std::move(*summary);
   const Failure& failure = opened ? summary.error() : opened.error();
   return tl::unexpected(rgs::BatchFailure{failure.file, failure.error});
 }
 
-// The inputs of many scenes, and the folder of their outputs; a message for the user otherwise.
+// The inputs of many scenes and their output folder, or the exit code of a reported error.
 tl::expected<rgs::BatchPlan, int> plan(const Arguments& a) {
   const auto usage = [](const std::string& message) { return tl::unexpected(tool::report_usage(message)); };
-  if (a.merge) return usage("--merge makes one output of files; of a folder each scene has its own");
-  if (a.audit) return usage("--audit is of one scene: run rgs-audit on the two folders afterwards");
+  if (a.merge) return usage("--merge takes files; each scene of a folder has its own output");
+  if (a.audit) return usage("--audit takes one scene; run rgs-audit on the two folders afterwards");
   if (a.list.empty() && a.to == SplatFormat::unknown)
-    return usage(a.files.front() + " is a folder: pass --to rgs, ply, spz, ... to convert all scenes in it");
+    return usage(a.files.front() + " is a folder; pass --to rgs, ply, spz, ... to convert all scenes in it");
   if (a.list.empty() && a.files.size() < 2)
-    return usage(a.files.front() + " is a folder: name the folder of the outputs after it");
-  if (a.files.size() > 2) return usage("many scenes are given as one folder, or by --list");
+    return usage(a.files.front() + " is a folder; name the output folder after it");
+  if (a.files.size() > 2) return usage("give many scenes as one folder, or by --list");
   std::error_code ignored;
   if (a.files.size() == 2 && !fs::is_directory(a.files.front(), ignored))
-    return usage("with --list goes the folder of the outputs, before it perhaps that of the inputs; " +
-                 a.files.front() + " is no folder");
-  if (a.files.back() == "-" || a.files.front() == "-") return usage("many scenes go from a folder to a folder, not -");
+    return usage("--list takes the output folder, optionally preceded by the input folder; " + a.files.front() +
+                 " is not a folder");
+  if (a.files.back() == "-" || a.files.front() == "-") return usage("many scenes need folders, not -");
   auto planned = rgs::plan_batch(a.list, a.files.size() == 2 ? a.files.front() : "", a.output(), a.to);
   if (planned) return std::move(*planned);
   if (!planned.error().usage.empty()) return usage(planned.error().usage);
@@ -825,7 +821,7 @@ int convert_many(Arguments& arguments) {
   auto planned = plan(arguments);
   if (!planned) return planned.error();
   {
-    Arguments one = arguments;  // what is checked of one input and one output
+    Arguments one = arguments;  // for checks of one input and one output
     one.files = {"input", "output"};
     if (const auto message = check_arguments(one)) return tool::report_usage(*message);
     arguments.convert.levels = one.convert.levels;
@@ -837,7 +833,7 @@ int convert_many(Arguments& arguments) {
     if (const auto message = check_format(arguments, to))
       return tool::report_usage(arguments.to != SplatFormat::unknown ? *message : scene.output + ": " + *message);
   }
-  // The same of all, so that what one machine refuses no other converts.
+  // Checks all shards' scenes, so that all machines agree.
   if (const std::string clash = rgs::outputs_that_clash(*planned, arguments.output()); !clash.empty())
     return tool::report_usage(clash);
   std::vector<std::string> outputs{arguments.report};
@@ -858,7 +854,7 @@ int convert_many(Arguments& arguments) {
   options.threads = n_threads(arguments);
   const std::uint64_t memory = arguments.convert.memory_bytes / options.jobs;
   if (memory < rgs::lod::kLeastMemory && arguments.memory_given)
-    return tool::report_usage("--memory is divided among --jobs: each takes at least 128MiB");
+    return tool::report_usage("--memory is divided among --jobs; each needs at least 128MiB");
   arguments.convert.memory_bytes = std::max(memory, rgs::lod::kLeastMemory);
   options.out = arguments.output();
   options.report = arguments.report == "-" ? "" : arguments.report;
@@ -876,8 +872,7 @@ int convert_many(Arguments& arguments) {
   options.n_others = planned->n_others;
   if (!arguments.quiet) {
     for (const std::string& link : planned->refused)
-      tool::print_error("rgs-convert: " + tool::printable(link) +
-                        ": a link to a folder that it lies in, passed over\n");
+      tool::print_error("rgs-convert: " + tool::printable(link) + ": a link to a folder that contains it, ignored\n");
   }
   const auto hash = rgs::options_hash(arguments.given, arguments.cameras);
   if (!hash) return tool::report(arguments.cameras, hash.error());
@@ -894,12 +889,11 @@ void choose_profile(const std::string& name, Arguments& a) {
   a.archive = name == "archive:small" ? rgs::archive_small() : rgs::archive_high();
 }
 
-// Steps of one's own, on top of a preset: kept apart from it until all options are read.
+// The user's steps override a preset's, once all options are read.
 void add_archive_options(CLI::App& app, Arguments& a) {
   auto& c = a.archive_changes;
-  app.add_option(
-      "--archive-mean-cells", c.mean_cells,
-      "archive: 2^N cells between the middle and the side of the scene's robust box, 4 to 20 [15; small 13]");
+  app.add_option("--archive-mean-cells", c.mean_cells,
+                 "archive: 2^N cells from the middle to a side of the scene's robust box, 4 to 20 [15; small 13]");
   app.add_option("--archive-sh-step", c.sh_step, "archive: step of SH above degree 0 [0.11; small 0.24]");
   app.add_option("--archive-dc-step", c.dc_step, "archive: step of SH degree 0 [0.14; small 0.3]");
   app.add_option("--archive-rotation-step", c.rotation_step,
@@ -912,57 +906,54 @@ void add_archive_options(CLI::App& app, Arguments& a) {
 
 void add_batch_options(CLI::App& app, Arguments& a) {
   const std::string group = "Many scenes (docs/user/BATCH.md)";
-  app.add_option(
-         "--list", a.list,
-         "Convert the inputs in this file, one a line, each perhaps with a tab and its output in the folder; - for "
-         "standard input. Of --lod-partition: the inputs, beside those that are named")
+  app.add_option("--list", a.list,
+                 "Convert the inputs in this file, one a line, optionally followed by a tab and its output; - for "
+                 "standard input. With --lod-partition: more inputs")
       ->option_text("FILE")
       ->group(group);
-  app.add_option("--jobs,-j", a.jobs, "Scenes side by side [1]; threads and --memory are divided among them")
+  app.add_option("--jobs,-j", a.jobs, "Scenes converted in parallel [1]; threads and --memory are divided among them")
       ->check(CLI::Range(1, 1024))
       ->group(group);
   app.add_option("--shard", a.shard, "Convert part I of N, for N machines that share a folder")
       ->option_text("I/N")
       ->group(group);
-  app.add_flag("--keep-going", a.keep_going, "Go on after a scene that fails; so it is without this option, too")
-      ->group(group);
-  app.add_flag("--no-keep-going", a.stop, "Begin no other scene after one that fails")
+  app.add_flag("--keep-going", a.keep_going, "Go on after a scene that fails (default)")->group(group);
+  app.add_flag("--no-keep-going", a.stop, "Start no further scene after one fails")
       ->excludes("--keep-going")
       ->group(group);
-  app.add_option("--report", a.report, "Write the line of JSON about each scene to this file, not to standard output")
+  app.add_option("--report", a.report, "Write each scene's line of JSON to this file instead of standard output")
       ->option_text("FILE")
       ->group(group);
 }
 
 void add_parts_options(CLI::App& app, Arguments& a) {
-  const std::string group = "One scene of many processes (docs/user/CLUSTER.md)";
+  const std::string group = "One scene in many processes (docs/user/CLUSTER.md)";
   auto* partition =
       app.add_option("--lod-partition", a.parts.partition,
-                     "Begin in this folder to convert the inputs as --lod does, or go on: scan them, plan, "
-                     "place their Gaussians by ranges")
+                     "Begin or continue in this folder to convert the inputs as --lod does: scan them, plan, "
+                     "place their Gaussians by range")
           ->option_text("FOLDER")
           ->group(group);
-  auto* build = app.add_option("--lod-build", a.parts.build, "Then build the levels of the ranges")
+  auto* build = app.add_option("--lod-build", a.parts.build, "Then build the levels of ranges")
                     ->option_text("FOLDER")
                     ->group(group)
                     ->excludes(partition);
-  auto* assemble = app.add_option("--lod-assemble", a.parts.assemble, "Then make one .rgs of them, the output")
+  auto* assemble = app.add_option("--lod-assemble", a.parts.assemble, "Then assemble them into one .rgs, the output")
                        ->option_text("FOLDER")
                        ->group(group)
                        ->excludes(partition)
                        ->excludes(build);
-  app.add_option("--lod-list", a.parts.list, "Print as JSON which inputs and ranges there are, and what is done")
+  app.add_option("--lod-list", a.parts.list, "Print as JSON the inputs and ranges, and what is done")
       ->option_text("FOLDER")
       ->group(group)
       ->excludes(partition)
       ->excludes(build)
       ->excludes(assemble);
-  app.add_option("--ranges", a.parts.n_ranges, "How many ranges there shall be; the output does not depend on it")
+  app.add_option("--ranges", a.parts.n_ranges, "Number of ranges; the output does not depend on it")
       ->check(CLI::Range(1, 65536))
       ->group(group);
-  app.add_option(
-         "--lod-input", a.parts.selected,
-         "Which inputs, or ranges, this process takes, from 0 on: K, K-M, all, none [all]; all and none also plan")
+  app.add_option("--lod-input", a.parts.selected,
+                 "Inputs or ranges of this process, from 0: K, K-M, all, none [all]; all and none also plan")
       ->option_text("K|K-M|all|none")
       ->group(group);
 }
@@ -986,17 +977,16 @@ void add_options(CLI::App& app, Arguments& a) {
   const std::map<std::string, rgs::ColourSpace> colour_spaces{{"undeclared", rgs::ColourSpace::undeclared},
                                                               {"srgb", rgs::ColourSpace::srgb_display},
                                                               {"linear", rgs::ColourSpace::linear_display}};
-  app.add_option(
-         "files", a.files,
-         "Inputs, " RGS_SCENE_FORMATS
-         " (with --merge more than one), then the output; - for a standard stream. Or a folder of scenes, then the "
-         "folder of the outputs")
+  app.add_option("files", a.files,
+                 "Inputs, " RGS_SCENE_FORMATS
+                 " (several with --merge), then the output; - for a standard stream. Or a folder of scenes, then the "
+                 "output folder")
       ->expected(0, -1)
       ->option_text("input... output");
-  app.add_option("--from", a.from, "Format of the inputs; default: by their content")
+  app.add_option("--from", a.from, "Format of the inputs; default: detected from their content")
       ->transform(tool::one_of(readable))
       ->option_text("rgs|ply|compressed.ply|spz|splat|ksplat|sog|glb");
-  app.add_option("--to", a.to, "Format of the output; default: by its name")
+  app.add_option("--to", a.to, "Format of the output; default: from its name")
       ->transform(tool::one_of(writable))
       ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
   app.add_option("--spz-version", a.convert.spz_version,
@@ -1006,29 +996,29 @@ void add_options(CLI::App& app, Arguments& a) {
       ->option_text("2|3|4")
       ->each([&a](const std::string&) { a.spz_version_given = true; });
   app.add_flag("--skip-unknown-extensions", a.skip_unknown_extensions,
-               "Read an SPZ past extensions of unknown type, though they may change what its Gaussians mean");
-  app.add_flag("--merge", a.merge, "Put the Gaussians of several inputs into one output");
+               "Skip an SPZ's extensions of unknown type, though they may change what its Gaussians mean");
+  app.add_flag("--merge", a.merge, "Merge several inputs into one output");
   e.profile = rgs::Profile::packed;
   app.add_option_function<std::string>(
          "--profile", [&a](const std::string& name) { choose_profile(name, a); },
          "packed (the default), or direct: as the GPU reads it; same Gaussians. archive:high or archive:small: lossy "
-         "within stated bounds, a fifth of packed's size and less (docs/user/PROFILES.md)")
+         "within stated bounds, a fifth of packed's size or less (docs/user/PROFILES.md)")
       ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small"}))
       ->option_text("packed|direct|archive:high|archive:small")
       ->trigger_on_parse();
   add_archive_options(app, a);
-  app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: above 1 slower to write and a little smaller")
+  app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: higher is slower to write and a little smaller")
       ->check(CLI::Range(1, rgs::kMaxLevel));
   app.add_flag("--keep-order", a.keep_order, "Keep the order of the input instead of a Morton curve");
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
   app.add_option("--chunk-size", e.chunk_size, "Gaussians per chunk, a multiple of 32 from 32 to 65536 [256]");
   app.add_flag("--file-scales", a.file_scales, "One set of SH scales for the file instead of one per chunk");
-  app.add_flag("--lod", a.lod, "Levels of detail beside the Gaussians (docs/develop/LEVELS.md)");
-  app.add_option("--lod-quality", a.lod_quality, "How long levels are fitted [fast]")
+  app.add_flag("--lod", a.lod, "Add levels of detail (docs/develop/LEVELS.md)");
+  app.add_option("--lod-quality", a.lod_quality, "Effort of fitting levels [fast]")
       ->transform(tool::one_of(std::map<std::string, rgs::lod::Quality>{{"fast", rgs::lod::Quality::fast},
                                                                         {"best", rgs::lod::Quality::best}}));
   app.add_option("--memory", a.convert.memory_bytes,
-                 "Memory that --lod may take for inputs in PLY, 128MiB and more [2GiB]")
+                 "Memory that --lod may take for inputs in PLY, at least 128MiB [2GiB]")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES");
   app.add_option("--scratch", a.convert.scratch,
@@ -1041,20 +1031,17 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--strict", a.convert.strict,
                "Write nothing (exit code 4) if Gaussians are damaged or beyond the range of the output's format")
       ->excludes("--on-bad");
-  app.add_option("--cameras", a.cameras,
-                 "Depth range of the sort key as these cameras see the scene (docs/user/CAMERAS.md)");
+  app.add_option("--cameras", a.cameras, "Set the sort key's depth range for these cameras (docs/user/CAMERAS.md)");
   app.add_option("--near", a.convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);
   app.add_option("--far", a.convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
-  app.add_option("--depth-map", a.asked.depth_mapping,
-                 "Mapping of depth to the sort key [what an .rgs states, else log]")
+  app.add_option("--depth-map", a.asked.depth_mapping, "Mapping of depth to the sort key [an .rgs's, else log]")
       ->transform(tool::one_of(mappings))
       ->option_text("linear|log");
   app.add_option("--axes", a.axes,
-                 "Where the input's +x,+y,+z point, if not where its format says: 3dgs (right,down,forward), opengl "
+                 "Directions of the input's +x,+y,+z, if not its format's: 3dgs (right,down,forward), opengl "
                  "(right,up,backward), gltf (left,up,forward), undeclared, or three directions")
       ->each([&a](const std::string&) { a.axes_given = true; });
-  app.add_option("--to-axes", a.to_axes,
-                 "Turn the scene so that its axes point there; default: docs/user/INTERCHANGE.md")
+  app.add_option("--to-axes", a.to_axes, "Turn the scene to these axes; default: docs/user/INTERCHANGE.md")
       ->each([&a](const std::string&) { a.to_axes_given = true; });
   app.add_option("--translate", a.translate,
                  "Move each input, or the first, the second, ...: x,y,z in the output's axes")
@@ -1066,17 +1053,17 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--min-opacity", a.filter.min_opacity, "Keep Gaussians of at least this opacity")
       ->check(CLI::Range(0.0, 1.0));
   app.add_option("--max-count", a.max_count,
-                 "Keep so many (200k, 1.5M) of those that --crop and --min-opacity keep: of a file with levels of "
-                 "detail the finest cut through them that has no more, of others those with the largest opacity times "
+                 "Keep at most this many (200k, 1.5M) after --crop and --min-opacity: of a file with levels of "
+                 "detail the finest cut with no more, of others those with the largest opacity times "
                  "area");
   app.add_option("--level-of-detail", a.level_of_detail,
-                 "Of .rgs files with levels of detail: this level, 0 (the default) being the scene's own Gaussians");
+                 "Level to read of .rgs files with levels of detail; 0, the default: the scene's own Gaussians");
   app.add_option("--aa,--aa-mode", a.asked.aa_mode,
-                 "Anti-aliasing that the scene was trained with [what the input states, else classic]")
+                 "Anti-aliasing that the scene was trained with [the input's, else classic]")
       ->transform(tool::one_of(aa_modes))
       ->option_text("classic|mip|mip-splatting|undeclared");
   app.add_option("--low-pass", a.asked.low_pass_px2,
-                 "px^2 added to projected covariances in training [what the input states, else 0.3, mip 0.1]")
+                 "px^2 added to projected covariances in training [the input's, else 0.3, mip 0.1]")
       ->check(CLI::NonNegativeNumber);
   app.add_option("--colour-space", a.asked.colour_space, "Colours that SH evaluates to")
       ->transform(tool::one_of(colour_spaces))
@@ -1084,9 +1071,9 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--metres-per-unit", a.asked.metres_per_unit, "Size of a unit of the output, if known")
       ->check(CLI::NonNegativeNumber);
   tool::add_max_expansion(app, a.limits);
-  app.add_flag("--audit", a.audit, "Then run rgs-audit on it and write OUTPUT.audit.html; its exit code is passed on");
+  app.add_flag("--audit", a.audit, "Then run rgs-audit, write OUTPUT.audit.html and return its exit code");
   app.add_flag("--overwrite", a.convert.output.overwrite,
-               "Replace an existing output; of many scenes, convert all again");
+               "Replace an existing output; with many scenes, convert all again");
   app.add_flag("--no-sync", a.no_sync, "Do not wait until the output is on disk");
   app.add_option("--threads", a.threads, "Threads; default: all")->check(CLI::Range(1, 1024));
   app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/user/CONVERT_JSON.md)");
@@ -1094,16 +1081,14 @@ void add_options(CLI::App& app, Arguments& a) {
   add_batch_options(app, a);
   add_parts_options(app, a);
   app.footer(
-      "Written are .rgs, .ply, .compressed.ply, .spz, .splat and .glb.\n"
-      "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 the end of a file with levels "
-      "of "
-      "detail is missing, and with it what was asked for; with --audit also those of rgs-audit. Of many scenes the "
-      "worst, in "
+      "Writes .rgs, .ply, .compressed.ply, .spz, .splat and .glb.\n"
+      "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 a file with levels of detail "
+      "is cut off and lacks what was asked for; with --audit also those of rgs-audit. Many scenes return the worst, in "
       "this order: 1, 3, 2, 4, 6.");
   for (const char* name : kRgsOptions) app.get_option(name)->group("Options for .rgs output");
 }
 
-// The options that show in an output, in one order however they were given.
+// The options that affect an output, sorted so that their order does not matter.
 std::string given_options(const CLI::App& app) {
   constexpr std::string_view kUnseen[] = {
       "files",      "--threads",    "--memory",        "--scratch",       "--overwrite", "--json",
@@ -1122,7 +1107,7 @@ std::string given_options(const CLI::App& app) {
 }
 
 int parse_and_convert(int argc, char** argv) {
-  CLI::App app("Converts trained 3D Gaussian splat scenes between .rgs and the formats of others.", "rgs-convert");
+  CLI::App app("Converts trained 3D Gaussian splat scenes between .rgs and other formats.", "rgs-convert");
   app.set_version_flag("--version", "rgs-convert " RGS_VERSION);
   Arguments arguments;
   add_options(app, arguments);
@@ -1138,15 +1123,15 @@ int parse_and_convert(int argc, char** argv) {
   }
   for (const char* name : {"--lod-input", "--ranges"}) {
     if (app.get_option(name)->count() != 0)
-      return tool::report_usage(std::string(name) + " is of --lod-partition and --lod-build");
+      return tool::report_usage(std::string(name) + " requires --lod-partition or --lod-build");
   }
-  if (arguments.files.empty()) return tool::report_usage("files is required: rgs-convert INPUT OUTPUT");
+  if (arguments.files.empty()) return tool::report_usage("files are required: rgs-convert INPUT OUTPUT");
   std::error_code ignored;
   if (!arguments.list.empty() || fs::is_directory(arguments.files.front(), ignored)) return convert_many(arguments);
   if (arguments.files.size() < 2) return tool::report_usage("an input needs an output: rgs-convert INPUT OUTPUT");
   for (const std::string_view name : kBatchOptions)
     if (app.get_option(std::string(name))->count() != 0)
-      return tool::report_usage(std::string(name) + " is for a folder of scenes, or --list");
+      return tool::report_usage(std::string(name) + " requires a folder of scenes or --list");
   return convert_main(arguments);
 }
 

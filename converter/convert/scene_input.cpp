@@ -1,4 +1,4 @@
-// scene_input.cpp - inputs by path, or from standard input by way of a spool file.
+// scene_input.cpp - opens inputs by path, or spools standard input.
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_input.hpp"
 
@@ -61,7 +61,7 @@ std::uint64_t SceneInput::hash() const {
 
 Result<SplatFile> SceneInput::read(ReadOptions options) const {
   options.keep_axes = true;
-  // The bytes that are hashed, unless others lie beside them: a SOG may be a folder.
+  // Read the hashed bytes, not the path, unless files beside it belong to it: a SOG may be a folder.
   const bool folder = path_ != "-" && detect_format(bytes_) == SplatFormat::sog;
   return folder ? read_splats(path_, options) : read_splats(bytes_, options);
 }
@@ -80,7 +80,7 @@ Result<std::vector<std::uint32_t>> SceneInput::count_in_pages(const DecodeLimits
     std::iota(some.begin(), some.end(), first);
     auto cloud = read_pages(*paged, some, {.validate = false});
     if (!cloud) return tl::unexpected(cloud.error());
-    strip_sh(*cloud, 0);  // nobody counts by colour
+    strip_sh(*cloud, 0);  // colours do not matter for counting
     SplatFile file;
     file.axes = paged->head().declarations().axes;
     file.origin = paged->head().declarations().origin;

@@ -17,7 +17,7 @@
 
 namespace rgs {
 
-/// A mapped file, or standard input ("-") spooled. What is made of it must not outlive it.
+/// A mapped file, or standard input ("-") spooled. Results must not outlive it.
 class SceneInput {
  public:
   /// Errors: MappedFile::open()'s, SpoolFile's.
@@ -25,18 +25,18 @@ class SceneInput {
   const std::string& path() const { return path_; }
   std::span<const std::byte> bytes() const { return bytes_; }
   const MappedFile& file() const { return file_; }
-  /// Without folders, as provenance keeps it.
+  /// The file name without folders, for provenance.
   std::string name() const;
-  /// XXH3-64 of the bytes, which leave memory meanwhile.
+  /// XXH3-64 of the bytes; drops their pages from memory as it reads.
   std::uint64_t hash() const;
   /// The whole scene, in the axes of the file.
   Result<SplatFile> read(ReadOptions options) const;
-  /// Of an .rgs with levels: how many Gaussians of each page `passing` lets pass; all of those that are missing at the end.
-  /// Of other files nothing. `passing` gets some pages at a time, in the axes of the file and with its origin alone, and
-  /// gives the positions that pass in ascending order. Errors: PagedFile's, read_pages()'s.
+  /// For an .rgs with levels: how many Gaussians of each page `passing` keeps; of pages missing at the end, all. Empty
+  /// for other files. `passing` gets some pages at a time, in the axes of the file and with only its origin, and
+  /// returns the positions that it keeps, ascending. Errors: PagedFile's, read_pages()'s.
   using Passing = std::function<std::vector<std::uint64_t>(SplatFile some)>;
   Result<std::vector<std::uint32_t>> count_in_pages(const DecodeLimits& limits, const Passing& passing) const;
-  /// A PLY file in place, or what read() gives; `axes` and `placed` are the caller's to set. Errors: PlyFile::open()'s.
+  /// A PLY file read in place, or the result of read(); the caller sets `axes` and `placed`. Errors: PlyFile::open()'s.
   Result<Tile> tile(SplatFormat format, const ReadOptions& options) const;
 
  private:
@@ -46,8 +46,8 @@ class SceneInput {
   std::span<const std::byte> bytes_;
 };
 
-/// The hash that provenance has of sources with these hashes: of one its own, of several that of their hashes (u64 each), so
-/// that nobody has to read them one after the other.
+/// The hash of provenance for sources with these hashes: a single one itself, else the hash of the hashes (u64 each),
+/// so that sources can be hashed in parallel.
 std::uint64_t hash_of_sources(std::span<const std::uint64_t> hashes);
 
 }  // namespace rgs

@@ -1,4 +1,4 @@
-// splat_source.hpp - where convert_to_rgs() takes Gaussians from: the rows of a PLY file, or a cloud in memory.
+// splat_source.hpp - the source of convert_to_rgs(): the rows of a PLY file, or a cloud in memory.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,24 +13,24 @@
 
 namespace rgs {
 
-/// A view: what it is made of must outlive it. Reading is thread-safe.
+/// A view: the PLY or cloud must outlive it. Reading is thread-safe.
 class SplatSource {
  public:
   SplatSource(const PlyFile& ply) : ply_(&ply) {}  // NOLINT: a PLY file is a source
-  /// `bytes` and `source_xxh3` of the file or files that the cloud came from, `origin` that its means are relative to.
+  /// `bytes` and `source_xxh3` describe the cloud's file or files, `origin` is that of its means.
   SplatSource(const SplatView& cloud, std::uint64_t bytes, std::uint64_t source_xxh3, const Origin& origin = kNoOrigin)
       : cloud_(cloud), bytes_(bytes), xxh3_(source_xxh3), origin_(origin) {}
 
   std::uint64_t size() const { return ply_ != nullptr ? ply_->size() : cloud_.n; }
   int sh_degree() const { return ply_ != nullptr ? ply_->sh_degree() : cloud_.sh_degree; }
-  /// That the means read are relative to.
+  /// The origin of the means.
   const Origin& origin() const { return ply_ != nullptr ? ply_->origin() : origin_; }
   std::uint64_t bytes() const { return ply_ != nullptr ? ply_->bytes() : bytes_; }
   /// XXH3-64 of the source's bytes; reads a PLY file to its end.
   std::uint64_t hash() const { return ply_ != nullptr ? xxh3(ply_->source()) : xxh3_; }
-  /// The bytes of a PLY file; none of a cloud.
+  /// The bytes of a PLY file; empty for a cloud.
   std::span<const std::byte> source() const { return ply_ != nullptr ? ply_->source() : std::span<const std::byte>(); }
-  /// Byte at which Gaussian i starts in the source; Error::kNone if it cannot be told.
+  /// Byte at which Gaussian i starts in the source; Error::kNone if unknown.
   std::uint64_t row_offset(std::uint64_t i) const { return ply_ != nullptr ? ply_->row_offset(i) : Error::kNone; }
 
   /// Gaussians first .. first + out.size() - 1.

@@ -1,4 +1,4 @@
-// stage_clock.hpp - times the stages of a conversion and tells the observer about them.
+// stage_clock.hpp - times the stages of a conversion and notifies the observer.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -1,4 +1,4 @@
-// tile_stream.cpp - tiles block by block, moved as merging in memory would move them.
+// tile_stream.cpp - streams tiles block by block, transformed as by merging in memory.
 // SPDX-License-Identifier: Apache-2.0
 #include "tile_stream.hpp"
 
@@ -35,7 +35,7 @@ Status read_tile(const Tile& tile, const std::function<Status(SplatCloud& block)
 
 }  // namespace
 
-Result<TileFacts> look_at_tile(const Tile& tile, const Axes& axes) {
+Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
   TileFacts facts;
   FarMove move(tile.placed);
   if (tile.ply) {
@@ -79,7 +79,7 @@ Result<TileStream> TileStream::open(std::vector<Tile> tiles, const Axes& axes, s
   out.axes_ = axes;
   for (std::size_t i = 0; i < out.tiles_.size(); ++i) {
     failed = i;
-    const auto facts = look_at_tile(out.tiles_[i], axes);
+    const auto facts = tile_facts(out.tiles_[i], axes);
     if (!facts) return tl::unexpected(facts.error());
     out.facts_.push_back(*facts);
     out.n_ += facts->n;

@@ -1,4 +1,4 @@
-// work_file.cpp - a head of eight numbers, bytes, and CBOR that says what they are.
+// work_file.cpp - a header of eight numbers, bytes, and CBOR that describes them.
 // SPDX-License-Identifier: Apache-2.0
 #include "work_file.hpp"
 
@@ -19,7 +19,8 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little, "numbers are stored as they are in memory");
 
-// The head: kMagic, kind, hash of the version, basis, then offset, size and hash of what is said, and the hash of these seven.
+// The header: kMagic, kind, hash of the version, basis, then offset, size and hash of the CBOR, and the hash of these
+// seven.
 using Head = std::array<std::uint64_t, kWorkHeadBytes / 8>;
 constexpr std::uint64_t kMagic = 0x316B726F77736772;  // "rgswork1"
 
@@ -32,8 +33,7 @@ std::uint64_t hash_of(const Head& head) {
 }
 
 Error damaged(Errc code) {
-  return {code,         Error::kNone, "not as it was written; remove the file and run the step again that makes it",
-          Error::kNone, Error::kNone, 0};
+  return {code, Error::kNone, "damaged; remove the file and run its step again", Error::kNone, Error::kNone, 0};
 }
 
 }  // namespace
@@ -99,14 +99,14 @@ Status WorkFile::read(std::uint64_t offset, std::span<std::byte> bytes) {
   if (fd_ < 0) {
     fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC);
     if (fd_ < 0) {
-      return make_error(Errc::open_failed, Error::kNone, "cannot be opened", Error::kNone, Error::kNone, errno);
+      return make_error(Errc::open_failed, Error::kNone, "cannot open the file", Error::kNone, Error::kNone, errno);
     }
   }
   while (!bytes.empty()) {
     const ssize_t n = ::pread(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
     if (n < 0 && errno == EINTR) continue;
     if (n < 0) {
-      return make_error(Errc::read_failed, offset, "cannot be read", Error::kNone, Error::kNone, errno);
+      return make_error(Errc::read_failed, offset, "cannot read the file", Error::kNone, Error::kNone, errno);
     }
     if (n == 0) return tl::unexpected(damaged(Errc::truncated));
     bytes = bytes.subspan(static_cast<std::size_t>(n));
@@ -122,14 +122,14 @@ Result<WorkFile> WorkFile::open(const std::string& path, WorkKind kind) {
     file.end_ = kWorkHeadBytes;
     Head head;
     if (Status s = file.read(0, std::as_writable_bytes(std::span(head))); !s) return tl::unexpected(s.error());
-    if (head[0] != kMagic) return make_error(Errc::bad_magic, 0, "not a file of a folder of work");
+    if (head[0] != kMagic) return make_error(Errc::bad_magic, 0, "not a work file");
     if (head[7] != hash_of(head)) return tl::unexpected(damaged(Errc::checksum_mismatch));
     if (head[2] != version_hash()) {
       return make_error(Errc::unsupported_version, 16,
-                        "made by another version of RoofGS; take the one that began, or begin again with --overwrite");
+                        "made by another version of RoofGS; use that version, or begin again with --overwrite");
     }
     if (head[1] != static_cast<std::uint64_t>(kind)) {
-      return make_error(Errc::bad_value, 8, "another kind of file than its name says", static_cast<std::uint64_t>(kind),
+      return make_error(Errc::bad_value, 8, "not the kind of file that its name says", static_cast<std::uint64_t>(kind),
                         head[1]);
     }
     constexpr std::uint64_t kMost = std::uint64_t{1} << 40;

@@ -1,8 +1,8 @@
-// work_file.hpp - the files by which processes that convert one scene together hand on their work.
+// work_file.hpp - files through which processes that convert one scene pass on their work.
 // SPDX-License-Identifier: Apache-2.0
 //
-// A file appears complete or not at all (AtomicFile), and says what it was made from. Whoever opens it knows that all it says
-// of itself is as it was written; its bytes, which may be many, are checked as they are read.
+// A file appears complete or not at all (AtomicFile), and states what it was made from. Opening checks its description;
+// its bytes, which may be many, are checked as they are read.
 #pragma once
 
 #include <algorithm>
@@ -21,14 +21,14 @@ namespace rgs {
 
 enum class WorkKind : std::uint64_t { job = 1, scan, plan, rows, range };
 
-/// Writes a file: bytes one after the other, then what there is to say of them.
+/// Writes a file: bytes in order, then their description.
 class WorkWriter {
  public:
-  /// `basis`: identity of what it is made from; another file of this name is replaced. Errors: AtomicFile's.
+  /// `basis`: identity of its sources. Replaces an existing file. Errors: AtomicFile's.
   static Result<WorkWriter> create(const std::string& path, WorkKind kind, std::uint64_t basis, bool sync);
-  std::uint64_t end() const { return end_; }  ///< where the next bytes go
+  std::uint64_t end() const { return end_; }  ///< offset of the next bytes
   Status append(std::span<const std::byte> bytes);
-  /// Gives the file its name.
+  /// Writes the description and renames the file into place.
   Status finish(const nlohmann::json& about);
 
  private:
@@ -39,25 +39,25 @@ class WorkWriter {
 
 class WorkFile {
  public:
-  /// Errors: open_failed; truncated, bad_magic, unsupported_version (of another version of RoofGS), bad_header,
-  /// checksum_mismatch (of what it says of itself), bad_value (another kind).
+  /// Errors: open_failed; truncated, bad_magic, unsupported_version (another version of RoofGS), bad_header,
+  /// checksum_mismatch (of the description), bad_value (another kind).
   static Result<WorkFile> open(const std::string& path, WorkKind kind);
-  /// The same, or none: missing, of another version of RoofGS, or made from something else.
+  /// The same, or none: missing, from another version of RoofGS, or from other sources.
   static Result<std::optional<WorkFile>> find(const std::string& path, WorkKind kind, std::uint64_t basis);
   WorkFile(WorkFile&& other) noexcept;
   WorkFile& operator=(WorkFile&& other) noexcept;
   ~WorkFile();
 
   const nlohmann::json& about() const { return about_; }
-  /// Lets it go, where thousands of files wait.
+  /// Frees the description, for when thousands of files wait.
   void forget_about() { about_ = {}; }
-  /// Another where any byte of about() is another, and so any of the hashes in it.
+  /// Changes with any byte of about(), and so with the hashes in it.
   std::uint64_t identity() const { return identity_; }
   std::uint64_t basis() const { return basis_; }
   std::uint64_t end() const { return end_; }  ///< of the bytes
-  /// Lets the file be closed until it is read again: of thousands that wait few need to be open.
+  /// Closes the file until the next read(): of thousands that wait, few need to be open.
   void rest();
-  /// Errors: truncated (not inside the bytes), read_failed, open_failed.
+  /// Errors: truncated (beyond the bytes), read_failed, open_failed.
   Status read(std::uint64_t offset, std::span<std::byte> bytes);
 
  private:
@@ -68,10 +68,10 @@ class WorkFile {
   std::uint64_t identity_ = 0, basis_ = 0, end_ = 0;
 };
 
-/// First byte of the bytes of a file.
+/// Offset of the bytes in the file.
 inline constexpr std::uint64_t kWorkHeadBytes = 64;
 
-/// Numbers as one value of about(), which a list of them would be many times as large. Errors: bad_value.
+/// Numbers packed into one value of about(); a JSON list would be many times as large. Errors: bad_value.
 template <class T>
 nlohmann::json pack_numbers(std::span<const T> numbers) {
   const auto* const bytes = reinterpret_cast<const std::uint8_t*>(numbers.data());
@@ -87,15 +87,14 @@ Result<std::vector<T>> unpack_numbers(const nlohmann::json& packed) {
   return numbers;
 }
 
-/// What `read` gives, or bad_value where what a file says has another shape than it should.
+/// The result of `read`, or bad_value if the description has an unexpected shape.
 template <class F>
 auto read_about(const F& read) -> decltype(read()) {
   try {
     return read();
   } catch (const nlohmann::json::exception&) {
-    return make_error(
-        Errc::bad_value, Error::kNone,
-        "a table of this file is not as it was written; remove the file and run the step again that makes it");
+    return make_error(Errc::bad_value, Error::kNone,
+                      "a table of this file is damaged; remove the file and run its step again");
   }
 }
 

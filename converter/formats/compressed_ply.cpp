@@ -31,10 +31,9 @@ constexpr std::array<const char*, 18> kChunkNames{
     "max_scale_x", "max_scale_y", "max_scale_z", "min_r", "min_g", "min_b", "max_r",       "max_g",       "max_b"};
 constexpr std::array<const char*, 4> kVertexNames{"packed_position", "packed_rotation", "packed_scale", "packed_color"};
 
-// Rows of one element: where they start and where each wanted property lies in a row.
 struct Table {
   std::uint64_t offset = 0, row_bytes = 0, count = 0;
-  std::vector<std::uint64_t> at;  // as many as were wanted, or none if the element lacks one of them
+  std::vector<std::uint64_t> at;  // one per wanted property; empty if the element lacks any of them
 };
 
 const PlyElement* find_element(const PlyHeader& header, std::string_view name) {
@@ -65,7 +64,6 @@ struct Tables {
   StatedScene stated;
 };
 
-// Start of the element's rows; checks that they lie in the file.
 Result<Table> locate(const PlyHeader& header, const PlyElement& wanted, std::uint64_t file_bytes) {
   Table table;
   table.offset = header.bytes;
@@ -83,10 +81,10 @@ Result<Table> locate(const PlyHeader& header, const PlyElement& wanted, std::uin
     }
     table.offset += row * element.count;
   }
-  return make_error(Errc::internal, Error::kNone, "an element is not in its header");
+  return make_error(Errc::internal, Error::kNone, "an element is missing from its header");
 }
 
-// The file must end where its header says, with all elements that it announces.
+// The file must end after the last element that its header announces.
 Status check_end(const PlyHeader& header, std::uint64_t file_bytes) {
   const auto last = locate(header, header.elements.back(), file_bytes);
   if (!last) return tl::unexpected(last.error());
@@ -165,7 +163,7 @@ Result<Tables> locate_tables(std::span<const std::byte> bytes) {
   return tables;
 }
 
-// Bounds of a chunk in the order of kChunkNames; colours are 0..1 where the file does not say.
+// Bounds of a chunk in the order of kChunkNames; colours default to 0..1.
 using Bounds = std::array<float, 18>;
 
 Bounds load_bounds(std::span<const std::byte> bytes, const Table& table, std::uint64_t chunk) {
@@ -267,7 +265,6 @@ void encode_vertex(const Splat& s, const Bounds& bounds, std::span<std::byte> ro
   store(row, 12, colour << 8 | unit_code(static_cast<double>(opacity_from_logit(s.opacity_logit)), 255));
 }
 
-// The step that the value lies in.
 std::uint8_t encode_sh(float value) {
   return static_cast<std::uint8_t>(std::clamp(std::floor(static_cast<double>(value) * 32 + 128), 0.0, 255.0));
 }
@@ -287,7 +284,7 @@ std::string make_header(std::uint64_t n, int sh_degree, const StatedScene& state
   return text + "end_header\n";
 }
 
-// The longest side of the box of some Gaussians' means.
+// The longest side of the bounding box of some means.
 struct Side {
   std::size_t axis = 0;
   float low = 0, high = 0;
@@ -306,17 +303,17 @@ Side longest_side(std::span<const std::uint32_t> indices, std::span<const float>
   return longest;
 }
 
-// The middle of a side. In floats where they suffice: a coordinate may be as large as a float gets.
+// The middle of a side, in floats where possible; near FLT_MAX the sum needs doubles.
 float middle_of(const Side& side) {
   const float width = side.high - side.low;
   return std::isfinite(width) ? side.low + width / 2 : side.low / 2 + side.high / 2;
 }
 
-// Cuts the Gaussians half way along the longest side of their box, at the nearest multiple of a chunk, until chunks are
-// left. Half way in space, not in number: a chunk of near Gaussians and a few distant ones would be coarse for all.
-// South at its test views: 48.1 dB; cut by number 36.9 dB; along a Morton curve 45.8 dB.
-// Half way in space can take one chunk off at a time: after `cuts` of them it is half way in number, which bounds the time
-// by n (kCuts + log n). South needs 36. Gaussians in one place stay as they come.
+// Splits the Gaussians at half the length of their box's longest side, rounded to whole chunks, until only chunks are
+// left. Splitting in space, not by count, keeps a few distant Gaussians from making a chunk of near ones coarse:
+// South's test views have 48.1 dB, 36.9 dB split by count, 45.8 dB along a Morton curve.
+// Splitting in space may take off one chunk at a time, so after `cuts` splits it goes by count, which bounds the time
+// by n (kCuts + log n). South needs 36. Coincident Gaussians keep their order.
 constexpr int kCuts = 128;
 
 void gather_chunks(std::span<std::uint32_t> indices, std::span<const float> mean, int cuts) {
@@ -329,13 +326,13 @@ void gather_chunks(std::span<std::uint32_t> indices, std::span<const float> mean
         cuts > 0
             ? static_cast<std::uint64_t>(std::ranges::count_if(indices, [&](std::uint32_t i) { return at(i) < cut; }))
             : indices.size() / 2;
-    const std::uint64_t last = (indices.size() - 1) / kChunk;  // chunks before the last one
+    const std::uint64_t last = (indices.size() - 1) / kChunk;  // chunks before the last
     const std::uint64_t middle = std::clamp<std::uint64_t>((n_below + kChunk / 2) / kChunk, 1, last) * kChunk;
     std::ranges::nth_element(indices, indices.begin() + static_cast<std::ptrdiff_t>(middle),
-                             [&](std::uint32_t a, std::uint32_t b) {  // a total order: the same cut everywhere
+                             [&](std::uint32_t a, std::uint32_t b) {  // a total order: deterministic
                                return at(a) != at(b) ? at(a) < at(b) : a < b;
                              });
-    // The smaller part by recursion: its depth stays logarithmic.
+    // Recurse into the smaller part: the depth stays logarithmic.
     const auto below = indices.first(middle), above = indices.subspan(middle);
     gather_chunks(below.size() < above.size() ? below : above, mean, cuts - 1);
     indices = below.size() < above.size() ? above : below;

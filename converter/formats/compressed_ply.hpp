@@ -11,16 +11,16 @@
 
 namespace rgs::detail {
 
-/// Log-scales are written within +- this: readers take a bound beyond that for damage.
+/// Log-scales are clamped to +- this; readers treat larger bounds as damage.
 inline constexpr double kMaxCompressedLogScale = 20;
 
 /// Whether a PLY header declares packed_position.
 bool is_compressed_ply(std::span<const std::byte> bytes);
 
-/// With chunk colours (18 properties) or without (12), with or without SH, as PlayCanvas's tools and gsplat write it.
+/// With 18 (chunk colours) or 12 chunk properties, with or without SH, as PlayCanvas's tools and gsplat write it.
 Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
-/// `stated` in comments. Chunks of 256 Gaussians that lie together, or as they come if `keep_order`.
+/// `stated` goes into comments. Chunks hold 256 Gaussians that are close in space, or consecutive ones if `keep_order`.
 /// Errors: limit_exceeded (2^32 Gaussians to sort).
 Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, const StatedScene& stated,
                                                      bool keep_order);

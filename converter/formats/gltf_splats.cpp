@@ -1,6 +1,6 @@
 // gltf_splats.cpp - binary glTF 2.0 with KHR_gaussian_splatting (github.com/KhronosGroup/glTF): a POINTS primitive with
 // the attributes POSITION and, each after "KHR_gaussian_splatting:", ROTATION (x, y, z, w), SCALE (activated), OPACITY
-// (activated) and SH_DEGREE_l_COEF_m. Scale as linear and not as logarithm is the ratified reading, and the files'.
+// (activated) and SH_DEGREE_l_COEF_m. Scales are linear, not logarithms, as ratified and as files have them.
 // SPDX-License-Identifier: Apache-2.0
 #include "gltf_splats.hpp"
 
@@ -33,7 +33,7 @@ constexpr std::uint64_t kGlbHeaderBytes = 12, kChunkHeaderBytes = 8;
 constexpr int kComponentFloat = 5126, kComponentU8 = 5121, kModePoints = 0;
 constexpr const char* kExtension = "KHR_gaussian_splatting";
 constexpr int kMaxNodeDepth = 64;
-// Nodes may show a mesh more than once, and arrays may be shared: Gaussians may take 64 times the file's size, plus 1 MiB.
+// Instances and shared arrays may expand to 64 times the file's size, plus 1 MiB.
 constexpr std::uint64_t kMaxUnfolding = 64, kUnfoldingAnyway = std::uint64_t{1} << 20;
 
 std::string attribute(const std::string& name) {
@@ -68,9 +68,9 @@ Result<Glb> parse_chunks(std::span<const std::byte> bytes) {
   }
   const std::uint64_t length = load<std::uint32_t>(bytes, 8);
   if (length > bytes.size())
-    return make_error(Errc::truncated, 8, "the file is shorter than it says", length, bytes.size());
+    return make_error(Errc::truncated, 8, "the file is shorter than its header says", length, bytes.size());
   if (length < bytes.size())
-    return make_error(Errc::trailing_bytes, length, "bytes after the end that the file states");
+    return make_error(Errc::trailing_bytes, length, "bytes after the end that the header states");
   Glb glb;
   bool first = true;
   for (std::uint64_t at = kGlbHeaderBytes; at < length;) {
@@ -79,7 +79,8 @@ Result<Glb> parse_chunks(std::span<const std::byte> bytes) {
     const std::uint64_t size = load<std::uint32_t>(bytes, at);
     const auto type = load<std::uint32_t>(bytes, at + 4);
     if (size > length - at - kChunkHeaderBytes) {
-      return make_error(Errc::truncated, at, "a chunk ends behind the file", size, length - at - kChunkHeaderBytes);
+      return make_error(Errc::truncated, at, "a chunk ends past the end of the file", size,
+                        length - at - kChunkHeaderBytes);
     }
     const auto data = bytes.subspan(at + kChunkHeaderBytes, size);
     if (first) {
@@ -97,7 +98,7 @@ Result<Glb> parse_chunks(std::span<const std::byte> bytes) {
   return glb;
 }
 
-// Element `index` of the root's array `name`; nothing if either is absent or of another type.
+// Element `index` of the root's array `name`; null if either is absent or of another type.
 const json* element(const json& root, const char* name, const json* index) {
   const json* array = json_member(root, name);
   if (array == nullptr || !array->is_array() || index == nullptr || !index->is_number_unsigned()) return nullptr;
@@ -105,7 +106,7 @@ const json* element(const json& root, const char* name, const json* index) {
   return i < array->size() ? &(*array)[i] : nullptr;
 }
 
-// A member that is a count or an offset; `otherwise` if absent, nothing if it is something else or above 2^32.
+// A member that is a count or an offset; `otherwise` if absent, nullopt if it is anything else or above 2^32.
 std::optional<std::uint64_t> whole(const json& object, const char* name, std::optional<std::uint64_t> otherwise) {
   const json* value = json_member(object, name);
   if (value == nullptr) return otherwise;
@@ -140,21 +141,21 @@ Result<Accessor> find_accessor(const Glb& glb, const json& attributes, const std
              view_offset = whole(*view, "byteOffset", 0), view_bytes = whole(*view, "byteLength", std::nullopt),
              stride = whole(*view, "byteStride", 4 * components);
   if (!count || !offset || !view_offset || !view_bytes || !stride || *stride < 4 * components) {
-    return bad_gltf("an accessor's or buffer view's numbers are missing or out of range");
+    return bad_gltf("a number of an accessor or buffer view is missing or out of range");
   }
   if (*view_offset > glb.bin.size() || *view_bytes > glb.bin.size() - *view_offset) {
-    return make_error(Errc::truncated, glb.bin_offset, "a buffer view ends behind the binary chunk",
+    return make_error(Errc::truncated, glb.bin_offset, "a buffer view ends past the end of the binary chunk",
                       *view_offset + *view_bytes, glb.bin.size());
   }
   const std::uint64_t needed = *count == 0 ? 0 : (*count - 1) * *stride + 4 * components;  // below 2^64: 32-bit factors
   if (*offset > *view_bytes || needed > *view_bytes - *offset) {
-    return make_error(Errc::truncated, glb.bin_offset + *view_offset, "an accessor ends behind its buffer view",
-                      *offset + needed, *view_bytes);
+    return make_error(Errc::truncated, glb.bin_offset + *view_offset,
+                      "an accessor ends past the end of its buffer view", *offset + needed, *view_bytes);
   }
   return Accessor{glb.bin.subspan(*view_offset + *offset, needed), *count, *stride};
 }
 
-// By the harmonics that are there, all of them: one that were left out would be lost silently.
+// From the coefficients present. A missing one is an error: readers would lose the others silently.
 Result<int> degree_of(const json& attributes) {
   int degree = 0;
   while (degree < kMaxShDegree && json_member(attributes, sh_attribute(sh_coefficients(degree)).c_str()) != nullptr)
@@ -164,12 +165,12 @@ Result<int> degree_of(const json& attributes) {
   for (const auto& [name, index] : attributes.items()) n += name.starts_with(prefix) ? 1 : 0;
   if (n > sh_coefficients(degree)) {
     return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "harmonics of a splat primitive are above degree 3, or those below them are missing");
+                      "a splat primitive has harmonics above degree 3, or lacks some below its highest");
   }
   return degree;
 }
 
-// Arrays of one splat primitive, all of the same count.
+// Arrays of one splat primitive, all with the same count.
 struct SplatPrimitive {
   std::uint64_t n = 0;
   int sh_degree = 0;
@@ -193,7 +194,7 @@ struct SplatPrimitive {
 Result<SplatPrimitive> find_primitive(const Glb& glb, const json& primitive) {
   const json* attributes = json_member(primitive, "attributes");
   if (attributes == nullptr || whole(primitive, "mode", 4) != std::uint64_t{kModePoints}) {
-    return bad_gltf("a splat primitive has no attributes or is not of mode POINTS");
+    return bad_gltf("a splat primitive has no attributes or its mode is not POINTS");
   }
   const auto degree = degree_of(*attributes);
   if (!degree) return tl::unexpected(degree.error());
@@ -235,11 +236,11 @@ bool read_numbers(const json& object, const char* name, std::span<double> out) {
   return true;
 }
 
-// As turn, uniform scale and shift; nothing if it is anything else.
+// As rotation, uniform scale and translation; nullopt if it is anything else.
 std::optional<Similarity> similarity_of(const glm::dmat4& m) {
   double length[3];
   for (int k = 0; k < 3; ++k) length[k] = std::hypot(m[k].x, m[k].y, m[k].z);
-  constexpr double kTolerance = 1e-4;  // matrices come as rounded decimals
+  constexpr double kTolerance = 1e-4;  // files store rounded decimals
   if (!(length[0] > 0) || std::abs(length[1] / length[0] - 1) > kTolerance ||
       std::abs(length[2] / length[0] - 1) > kTolerance) {
     return std::nullopt;
@@ -250,7 +251,7 @@ std::optional<Similarity> similarity_of(const glm::dmat4& m) {
 }
 
 Result<Similarity> node_transform(const json& node) {
-  glm::dmat4 matrix(1.0);  // glTF's are column-major too
+  glm::dmat4 matrix(1.0);  // column-major, as in glTF
   glm::dvec3 translation{0, 0, 0}, scale{1, 1, 1};
   glm::dvec4 xyzw{0, 0, 0, 1};
   if (!read_numbers(node, "matrix", {glm::value_ptr(matrix), 16}) ||
@@ -265,18 +266,17 @@ Result<Similarity> node_transform(const json& node) {
                       "a node shears, mirrors or scales unevenly, which Gaussians do not survive");
   }
   const glm::dquat q(xyzw.w, xyzw.x, xyzw.y, xyzw.z);
-  // A node has the one or the others.
   return compose(*from_matrix, {rotation_from_quaternion(q), scale.x, translation});
 }
 
-// What a node shows: the splat primitives of a mesh, in its place.
+// A mesh's splat primitives at one node.
 struct Instance {
   std::size_t mesh = 0;
   Similarity similarity;
 };
 
-// Goes through the nodes of a scene first and reads Gaussians when all of them are counted: each mesh is looked up once
-// and each Gaussian written once, however often and in however many pieces the scene shows them.
+// Walks the scene's nodes and counts Gaussians before reading any. Each mesh is parsed once and each Gaussian written
+// once, however often the scene shows it.
 class SceneWalk {
  public:
   SceneWalk(const Glb& glb, std::uint64_t max_n, std::uint64_t file_bytes)
@@ -285,14 +285,14 @@ class SceneWalk {
     meshes_.resize(size_of("meshes"));
   }
 
-  /// All nodes of a list of indices, and below.
+  /// Visits the nodes of an index list and their descendants.
   Status visit(const json* indices, const Similarity& outer, int depth) {
     if (indices == nullptr) return {};
-    if (!indices->is_array()) return bad_gltf("the scene's nodes or a node's children are no array");
+    if (!indices->is_array()) return bad_gltf("the scene's nodes or a node's children are not an array");
     for (const json& index : *indices) {
       const json* node = element(glb_.root, "nodes", &index);
       if (node == nullptr || depth > kMaxNodeDepth || visited_[index.get<std::size_t>()]) {
-        return bad_gltf("the nodes are no tree of at most 64 levels");
+        return bad_gltf("the nodes are not a tree of at most 64 levels");
       }
       visited_[index.get<std::size_t>()] = true;
       const auto own = node_transform(*node);
@@ -308,7 +308,7 @@ class SceneWalk {
   bool found() const { return !instances_.empty(); }
   const StatedScene& stated() const { return stated_; }
 
-  /// Gaussians of all instances, one after the other, and what their means are relative to.
+  /// Gaussians of all instances in order, and the origin of their means.
   SplatCloud read(Origin& origin) const {
     SplatCloud cloud;
     cloud.resize(0, sh_degree_);
@@ -339,7 +339,7 @@ class SceneWalk {
 
   Status add_mesh(const json& index, const Similarity& similarity) {
     const json* stated = element(glb_.root, "meshes", &index);
-    if (stated == nullptr) return bad_gltf("a node shows a mesh that is not there");
+    if (stated == nullptr) return bad_gltf("a node refers to a mesh that does not exist");
     const auto number = index.get<std::size_t>();
     Mesh& mesh = meshes_[number];
     if (!mesh.known) {
@@ -352,8 +352,8 @@ class SceneWalk {
     }
     if (mesh.bytes > max_bytes_ - bytes_) {
       return make_error(Errc::limit_exceeded, kGlbHeaderBytes + kChunkHeaderBytes,
-                        "the nodes show meshes so often that Gaussians take more than 64 times the file's bytes",
-                        max_bytes_, bytes_ + mesh.bytes);
+                        "instances of meshes expand to more than 64 times the file's bytes", max_bytes_,
+                        bytes_ + mesh.bytes);
     }
     n_ += mesh.n;
     bytes_ += mesh.bytes;
@@ -364,7 +364,7 @@ class SceneWalk {
   Status find_primitives(const json& stated, const Similarity& similarity, Mesh& mesh) {
     mesh.known = true;
     const json* primitives = json_member(stated, "primitives");
-    if (primitives == nullptr || !primitives->is_array()) return bad_gltf("a mesh has no array of primitives");
+    if (primitives == nullptr || !primitives->is_array()) return bad_gltf("a mesh has no primitives array");
     for (const json& primitive : *primitives) {
       const json* extensions = json_member(primitive, "extensions");
       const json* splats = extensions != nullptr ? json_member(*extensions, kExtension) : nullptr;
@@ -376,7 +376,7 @@ class SceneWalk {
       }
       sh_degree_ = std::max(sh_degree_, found->sh_degree);
       mesh.n += found->n;
-      // An empty one counts as well: going through it takes time.
+      // Empty ones count too: visiting them takes time.
       mesh.bytes += 4 * std::max<std::uint64_t>(found->n, 1) *
                     static_cast<std::uint64_t>(11 + 3 * sh_coefficients(found->sh_degree));
       mesh.primitives.push_back(std::move(*found));
@@ -384,14 +384,14 @@ class SceneWalk {
     return {};
   }
 
-  // The first primitive speaks for all.
+  // The first primitive's statements hold for all.
   Status read_stated(const json& primitive, const json& splats, const Similarity& similarity) {
     has_stated_ = true;
     const json* space = json_member(splats, "colorSpace");
     if (space != nullptr && *space == "lin_rec709_display") stated_.colour_space = ColourSpace::linear_display;
     if (const json* extras = json_member(primitive, "extras"); extras != nullptr && !read_extras(*extras, stated_)) {
       return make_error(Errc::bad_value, kGlbHeaderBytes + kChunkHeaderBytes,
-                        "a primitive's extras.rgs states a value that it cannot have");
+                        "a primitive's extras.rgs has an invalid value");
     }
     stated_.metres_per_unit = static_cast<float>(static_cast<double>(stated_.metres_per_unit) / similarity.scale);
     return {};
@@ -422,12 +422,12 @@ class SceneWalk {
 
 // ---- writing --------------------------------------------------------------------------------------------------------
 
-// Collects arrays of the binary chunk with their views and accessors.
+// Collects the binary chunk's arrays with their views and accessors.
 class BufferBuilder {
  public:
   explicit BufferBuilder(std::uint64_t n) : n_(n) {}
 
-  /// Floats [n, components]; `value(i, k)`. Returns the accessor's index.
+  /// Floats [n, components] from `value(i, k)`. Returns the accessor's index.
   template <class Value>
   std::size_t add_floats(const char* type, std::uint64_t components, const Value& value) {
     const std::uint64_t start = begin_view(4 * components);
@@ -438,7 +438,6 @@ class BufferBuilder {
     }
     return add_accessor({{"componentType", kComponentFloat}, {"count", n_}, {"type", type}});
   }
-  /// Normalised bytes [n, 4].
   template <class Value>
   std::size_t add_colours(const Value& value) {
     const std::uint64_t start = begin_view(4);
@@ -456,7 +455,7 @@ class BufferBuilder {
  private:
   std::uint64_t begin_view(std::uint64_t bytes_each) {
     const std::uint64_t start = bin_.size();
-    bin_.resize(start + bytes_each * n_);  // every array is a multiple of four bytes: the next one is aligned
+    bin_.resize(start + bytes_each * n_);  // a multiple of four bytes: the next array is aligned
     views_.push_back({{"buffer", 0}, {"byteOffset", start}, {"byteLength", bytes_each * n_}});
     return start;
   }
@@ -470,7 +469,7 @@ class BufferBuilder {
   ordered_json views_ = ordered_json::array(), accessors_ = ordered_json::array();
 };
 
-// glTF requires the bounds of POSITION.
+// glTF requires POSITION's bounds.
 void add_bounds(ordered_json& accessor, std::span<const float> mean) {
   std::array<float, 3> low{0, 0, 0}, high{0, 0, 0};
   for (std::size_t i = 0; i < mean.size(); ++i) {
@@ -561,7 +560,7 @@ Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimit
 
 Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const StatedScene& stated) {
   const std::uint64_t each = 4 * (11 + 1 + 3 * static_cast<std::uint64_t>(sh_coefficients(splats.sh_degree)));
-  constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint32_t>::max() - 65536;  // room for the JSON
+  constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint32_t>::max() - 65536;  // leaves room for the JSON
   if (splats.n > kMostBytes / each) {
     return make_error(Errc::limit_exceeded, Error::kNone,
                       "a .glb holds at most 4 GiB; strip harmonics or split the scene", kMostBytes / each, splats.n);

@@ -1,4 +1,4 @@
-// interchange.cpp - tells the formats apart and calls their readers and writers.
+// interchange.cpp - detects the format and calls its reader or writer.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/interchange.hpp"
 
@@ -75,7 +75,7 @@ Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimit
   return file;
 }
 
-// The pages with so many Gaussians each as count, and how many count of all leaves.
+// Replaces the pages' counts by `counts`, if given; returns the sum over all leaves.
 std::uint64_t count_as(std::span<const std::uint32_t> counts, std::vector<lod::Page>& pages) {
   std::uint64_t of_leaves = 0;
   for (std::size_t i = 0; i < pages.size(); ++i) {
@@ -102,7 +102,7 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
     pages = lod::pages_of_level(paged->pages(), *options.level_of_detail);
   } else if (options.max_count) {
     if (!options.page_counts.empty() && options.page_counts.size() != paged->n_pages())
-      return make_error(Errc::bad_argument, Error::kNone, "page_counts has a count for each page", paged->n_pages(),
+      return make_error(Errc::bad_argument, Error::kNone, "page_counts must hold one count per page", paged->n_pages(),
                         options.page_counts.size());
     std::vector<lod::Page> counted = paged->pages();
     if (*options.max_count < count_as(options.page_counts, counted) || !paged->complete()) {
@@ -110,14 +110,14 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
       if (pages.empty()) {
         return make_error(Errc::bad_argument, Error::kNone,
                           options.page_counts.empty()
-                              ? "the coarsest level of the file has more Gaussians than that; write it "
-                                "(--level-of-detail) and leave some of them out"
-                              : "the coarsest level of the file has more Gaussians than that which are kept (--crop, "
-                                "--min-opacity); write it (--level-of-detail) and leave some of them out",
+                              ? "the coarsest level of the file has more Gaussians than that; convert it "
+                                "alone (--level-of-detail) and drop some of them"
+                              : "the filters keep more Gaussians than that even of the coarsest level (--crop, "
+                                "--min-opacity); convert it alone (--level-of-detail) and drop some of them",
                           *options.max_count, counted.front().count);
       }
     }
-    // Pages of which nothing counts cost a cut nothing: it has the finest of them, which may be more than fits into memory.
+    // Pages that count 0 are free, so a cut has the finest of them, which may not fit into memory.
     is_part = !options.page_counts.empty() && !(pages.empty() && paged->has_source_index());
     if (is_part && pages.empty()) pages = lod::pages_of_level(counted, 0);
     if (is_part) std::erase_if(pages, [&](std::uint32_t i) { return counted[i].count == 0; });
@@ -128,16 +128,16 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
           Errc::pages_missing, bytes.size(),
           paged->n_present() < paged->n_pages()
               ? "the end of the file is missing, and with it some of the scene's own Gaussians "
-                "(--max-count takes what is there)"
+                "(--max-count reads the levels that are present)"
               : "the end of the file is missing, and with it positions in the source, though all Gaussians "
-                "are there (--max-count takes them)",
+                "are present (--max-count reads them)",
           paged->head().header().file_bytes, bytes.size());
     }
-    // All that is checked of a file without levels is checked of the leaves.
+    // The leaves get all checks of a file without levels.
     const auto plain = leaves_as_file(*paged, {.validate = false});
     if (!plain) return tl::unexpected(plain.error());
     DecodeLimits limits = options.limits;
-    limits.max_file_bytes = plain->size();  // the file's own has been looked at
+    limits.max_file_bytes = plain->size();  // the file's own size was checked above
     auto file = decode_rgs(*plain, limits);
     if (file) file->n_levels = paged->n_levels();
     return file;
@@ -156,7 +156,7 @@ Result<SplatFile> decode_format(std::span<const std::byte> bytes, SplatFormat fo
   const DecodeLimits& limits = options.limits;
   const bool levels = format == SplatFormat::rgs && has_levels(bytes);
   if (options.level_of_detail && !levels) {
-    return make_error(Errc::bad_argument, Error::kNone, "the file has no levels of detail to take one of");
+    return make_error(Errc::bad_argument, Error::kNone, "the file has no levels of detail");
   }
   switch (format) {
     case SplatFormat::rgs: return levels ? decode_levels(bytes, options) : decode_rgs(bytes, limits);
@@ -169,7 +169,7 @@ Result<SplatFile> decode_format(std::span<const std::byte> bytes, SplatFormat fo
     case SplatFormat::glb: return detail::decode_glb(bytes, limits);
     case SplatFormat::unknown: break;
   }
-  return make_error(Errc::bad_magic, 0, "is none of .rgs, .ply, .spz, .splat, .ksplat, .sog and .glb");
+  return make_error(Errc::bad_magic, 0, "is not a .rgs, .ply, .spz, .splat, .ksplat, .sog or .glb file");
 }
 
 Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64_t bytes, const ReadOptions& options) {
@@ -194,12 +194,12 @@ std::vector<float> positions_of(const SplatView& splats, const Origin& origin) {
   return positions;
 }
 
-// Codes of fixed width cannot say "not a number".
+// Codes of fixed width cannot hold NaN.
 Status check_sound(const SplatView& splats) {
   for (std::uint64_t i = 0; i < splats.n; ++i) {
     if (find_defects(splats.splat(i), splats.sh_degree) != 0) {
       return make_error(Errc::bad_value, i,
-                        "the Gaussian of this index is damaged; drop or repair such before writing this format");
+                        "the Gaussian of this index is damaged; drop or repair damaged ones to write this format");
     }
   }
   return {};
@@ -296,7 +296,7 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     if (!file) return tl::unexpected(file.error());
     if (!detail::is_sog_meta(file->bytes())) {
       auto splats = read_splats(file->bytes(), options);
-      // That the file changed explains whatever was found wrong in it.
+      // A change of the file explains any other error.
       if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
       return splats;
     }
@@ -332,8 +332,8 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format, const WriteOptions& options,
                                              WriteReport* report) {
   return detail::guard_memory([&]() -> Result<std::vector<std::byte>> {
-    if (!is_writable(format)) return make_error(Errc::bad_argument, Error::kNone, "this format is not written");
-    if (!splats.consistent()) return make_error(Errc::bad_argument, Error::kNone, "the sizes of the view disagree");
+    if (!is_writable(format)) return make_error(Errc::bad_argument, Error::kNone, "this format cannot be written");
+    if (!splats.consistent()) return make_error(Errc::bad_argument, Error::kNone, "the view's array sizes disagree");
     if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
       return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                         std::numeric_limits<std::uint32_t>::max(), splats.n);
@@ -345,12 +345,12 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
     const detail::StatedScene stated = detail::stated_scene(options);
     if (format == SplatFormat::ply) return encode_ply(splats, stated);
     if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
-    std::vector<float> positions;  // FP32, where the format has no place for an origin
+    std::vector<float> positions;  // FP32, where the format holds no origin
     SplatView placed = splats;
     if (options.origin != kNoOrigin && !keeps_origin(format)) {
       if (options.strict) {
         return make_error(Errc::bad_value, Error::kNone,
-                          "the format has no place for the scene's origin: positions would be rounded to FP32; write "
+                          "the format holds no origin: positions would be rounded to FP32; write "
                           ".rgs, .ply or .glb, or drop --strict");
       }
       positions = positions_of(splats, options.origin);

@@ -30,7 +30,7 @@ constexpr std::uint32_t kDefaultCodeRange = 32767;
 constexpr float kDefaultShBound = 1.5F;
 
 struct Section {
-  // room: places for Gaussians; n: how many of them are loaded, then how many are read.
+  // room: capacity in Gaussians; n: how many are loaded, later how many are read.
   std::uint64_t n = 0, room = 0, bucket_size = 0, n_buckets = 0, bucket_bytes = 0, n_full = 0, n_partial = 0;
   double bucket_width = 0, code_range = 1;
   int sh_degree = 0;
@@ -59,7 +59,7 @@ std::uint64_t splat_bytes(int level, int sh_degree) {
          sh_number_bytes(level) * 3 * (static_cast<std::uint64_t>(sh_coefficients(sh_degree)) - 1);
 }
 
-// Reads a section's header at `at` and lays it out from `start`; the sizes must fit into the file.
+// Parses a section's header at `at`; its data begin at `start` and must fit into the file.
 Result<Section> parse_section(std::span<const std::byte> bytes, std::uint64_t at, std::uint64_t start, int level) {
   const auto u32 = [&](std::uint64_t offset) { return load<std::uint32_t>(bytes, at + offset); };
   Section s;
@@ -80,21 +80,21 @@ Result<Section> parse_section(std::span<const std::byte> bytes, std::uint64_t at
   }
   s.sh_degree = degree;
   if (s.n > s.room) {
-    return make_error(Errc::bad_header, at, "a section has more Gaussians than it has room for", s.room, s.n);
+    return make_error(Errc::bad_header, at, "a section has more Gaussians than its capacity", s.room, s.n);
   }
-  if (level == 0 || s.room == 0) {  // buckets, if there are any, take up space and say nothing
+  if (level == 0 || s.room == 0) {  // buckets, if any, take space but mean nothing
   } else if (s.bucket_bytes < 12 || !std::isfinite(s.bucket_width)) {
-    return make_error(Errc::bad_header, at + 16, "a section's buckets have no room for a centre, or no width");
+    return make_error(Errc::bad_header, at + 16, "a section's buckets are too short for a centre, or have no width");
   } else if (s.n_full > s.n_buckets || s.n_partial > s.n_buckets - s.n_full || (s.n_full != 0 && s.bucket_size == 0)) {
     return make_error(Errc::bad_header, at + 32, "a section's numbers of buckets contradict each other", s.n_buckets,
                       s.n_full + s.n_partial);
   }
   s.start = start;
-  s.centres = start + 4 * s.n_partial;  // all counts are below 2^32: no sum can wrap
+  s.centres = start + 4 * s.n_partial;  // all counts are below 2^32: no sum wraps
   s.data = s.centres + s.bucket_bytes * s.n_buckets;
   const std::uint64_t end = s.data + splat_bytes(level, s.sh_degree) * s.room;
   if (end > bytes.size())
-    return make_error(Errc::truncated, at + 4, "a section ends behind the file", end, bytes.size());
+    return make_error(Errc::truncated, at + 4, "a section ends past the end of the file", end, bytes.size());
   return s;
 }
 
@@ -116,7 +116,7 @@ Result<KsplatHeader> parse_header(std::span<const std::byte> bytes) {
   header.room = load<std::uint32_t>(bytes, 12);
   header.n = load<std::uint32_t>(bytes, 16);
   if (header.n_sections_loaded > n_sections) {
-    return make_error(Errc::bad_header, 8, "more sections than there is room for", n_sections,
+    return make_error(Errc::bad_header, 8, "more sections than the header has room for", n_sections,
                       header.n_sections_loaded);
   }
   if (n_sections > (bytes.size() - kHeaderSize) / kSectionHeaderBytes) {
@@ -136,10 +136,9 @@ Result<KsplatHeader> parse_header(std::span<const std::byte> bytes) {
   return header;
 }
 
-// What the header promises has to be in its sections: what is loaded of all of them, or of those that are loaded, or every
-// place, which is all that GaussianSplats3D looks at. It leaves the counts of what is loaded behind the truth when a page
-// streamed the scene: those of a section then name its first piece, or are 0 as the header's. Sets Section::n to
-// what is read.
+// The header's count must match the sections: their loaded counts, those of the loaded sections alone, or all their
+// capacity, which is all that GaussianSplats3D reads. Its loaded counts are stale when a page streamed the scene: a
+// section's are then those of its first piece, or 0 like the header's. Sets Section::n to what is read.
 Status choose_sections(KsplatHeader& header) {
   std::uint64_t n_all = 0, n_loaded = 0, n_room = 0;
   for (std::size_t i = 0; i < header.sections.size(); ++i) {
@@ -163,7 +162,7 @@ Status choose_sections(KsplatHeader& header) {
   return {};
 }
 
-// Buckets hold the section's Gaussians: those that are read, or all that it has places for.
+// Buckets must hold exactly the section's Gaussians: those read, or its capacity.
 Status check_buckets(std::span<const std::byte> bytes, const Section& section) {
   std::uint64_t n = section.n_full * section.bucket_size;  // 32-bit factors
   for (std::uint64_t i = 0; i < section.n_partial && n <= section.room; ++i) {
@@ -174,12 +173,12 @@ Status check_buckets(std::span<const std::byte> bytes, const Section& section) {
                     "a section's buckets hold another number of Gaussians than the section", section.room, n);
 }
 
-// Goes through a section's buckets as its Gaussians are read in order.
+// Walks a section's buckets as its Gaussians are read in order.
 class Buckets {
  public:
   Buckets(std::span<const std::byte> bytes, const Section& section) : bytes_(bytes), section_(section) {}
 
-  /// Centre of the bucket of the next Gaussian, of which check_buckets() has seen that it is there.
+  /// Centre of the next Gaussian's bucket, which check_buckets() has validated.
   const std::array<double, 3>& next() {
     while (left_ == 0) {
       left_ = bucket_ < section_.n_full ? section_.bucket_size

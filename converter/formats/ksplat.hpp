@@ -9,10 +9,10 @@
 
 namespace rgs::detail {
 
-/// The format has no signature: whether version, level and counts of the header agree with each other and the size.
+/// The format has no signature: checks that version, level and counts of the header agree with each other and the size.
 bool looks_like_ksplat(std::span<const std::byte> bytes);
 
-/// Compression levels 0 to 2, SH degrees 0 to 3 (the largest of the sections; smaller ones are filled up with zeros).
+/// Compression levels 0 to 2, SH degrees 0 to 3 (the sections' largest; smaller ones are padded with zeros).
 Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
 }  // namespace rgs::detail

@@ -12,7 +12,7 @@
 namespace rgs::detail {
 namespace {
 
-// The words of a header line; no valid line but a comment has more than five.
+// The words of a header line; only comments may have more than five.
 struct Words {
   std::array<std::string_view, 6> word;
   std::size_t n = 0;
@@ -101,8 +101,7 @@ Result<PlyHeader> parse_ply_header(std::span<const std::byte> bytes) {
     } else if (keyword == "comment") {
       const std::string_view whole = text.substr(line, end - line);
       if (!read_comment(whole.substr(whole.find(keyword) + keyword.size()), header.stated)) {
-        return make_error(Errc::bad_value, line,
-                          "a comment rgs_... states a value that it cannot have; mend the line or delete it");
+        return make_error(Errc::bad_value, line, "a comment rgs_... has an invalid value; correct or delete the line");
       }
     } else if (keyword == "obj_info") {
     } else if (keyword == "format") {
@@ -120,14 +119,14 @@ Result<PlyHeader> parse_ply_header(std::span<const std::byte> bytes) {
       if (!parse_decimal(words.word[2], element.count)) {
         return make_error(Errc::bad_syntax, line, "an element's count is not a number from 0 to 2^64 - 1");
       }
-      if (!elements.insert(element.name).second) return make_error(Errc::bad_syntax, line, "an element is there twice");
+      if (!elements.insert(element.name).second)
+        return make_error(Errc::bad_syntax, line, "two elements have the same name");
       properties.clear();
       header.elements.push_back(std::move(element));
     } else if (keyword == "property") {
       auto property = parse_property(words, line);
       if (!property) return tl::unexpected(property.error());
-      if (header.elements.empty())
-        return make_error(Errc::bad_syntax, line, "a property stands before the first element");
+      if (header.elements.empty()) return make_error(Errc::bad_syntax, line, "a property precedes the first element");
       if (!properties.insert(property->name).second) {
         return make_error(Errc::bad_syntax, line, "an element has two properties of the same name");
       }
@@ -140,7 +139,7 @@ Result<PlyHeader> parse_ply_header(std::span<const std::byte> bytes) {
       header.bytes = end + 1;
       return header;
     } else {
-      return make_error(Errc::bad_syntax, line, "a header line starts with none of the PLY keywords");
+      return make_error(Errc::bad_syntax, line, "a header line does not start with a PLY keyword");
     }
     line = end + 1;
   }
@@ -151,7 +150,7 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
     std::string_view name;
     const char* missing;
   };
-  // In the order in which absence is reported, so that a point cloud fails at f_dc_0 and 2DGS at scale_2.
+  // In the order in which absence is reported: a point cloud fails at f_dc_0, 2DGS at scale_2.
   static constexpr std::array<Required, 14> kRequired{{
       {"x", "the vertices have no property x"},
       {"y", "the vertices have no property y"},
@@ -193,7 +192,7 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
   if (const auto packed = index.find("packed_position"); packed != index.end()) {
     return make_error(
         Errc::unsupported_feature, vertex->properties[packed->second].line,
-        "a .compressed.ply with packed_position (PlayCanvas, SuperSplat), not a 3DGS PLY: rgs-convert makes one of it");
+        "a .compressed.ply with packed_position (PlayCanvas, SuperSplat), not a 3DGS PLY: convert it with rgs-convert");
   }
 
   for (std::size_t i = 0; i < kRequired.size(); ++i) {
@@ -222,7 +221,7 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
       return make_error(Errc::not_gaussian_splats, vertex->properties[f_rest[i].second].line,
                         "the f_rest properties are not numbered from 0 without gaps", i, f_rest[i].first);
     }
-    // The file is channel-major (all R, all G, all B) over the coefficients 1 .. n - 1; a Splat is coefficient-major.
+    // Channel-major (all R, all G, all B) over the coefficients 1 .. n - 1 in the file; coefficient-major in a Splat.
     const std::size_t per_channel = f_rest.size() / 3;
     result.splat_float[f_rest[i].second] = static_cast<std::int16_t>(11 + 3 * (i % per_channel + 1) + i / per_channel);
   }

@@ -1,4 +1,4 @@
-// ply_header.hpp - the text header of a PLY file, and where a vertex row keeps the parameters of a Gaussian.
+// ply_header.hpp - the text header of a PLY file, and the layout of a Gaussian in a vertex row.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -44,14 +44,15 @@ struct PlyElement {
 struct PlyHeader {
   PlyEncoding encoding = PlyEncoding::ascii;
   std::vector<PlyElement> elements;
-  std::uint64_t bytes = 0;  ///< of the header: the data start here
-  StatedScene stated;       ///< by comments
+  std::uint64_t bytes = 0;  ///< of the header: the data's offset
+  StatedScene stated;       ///< from comments
 };
 
 inline constexpr std::uint64_t kMaxPlyHeaderBytes = std::uint64_t{1} << 20;
 
-/// Lines may end in LF or CR LF. Errors carry the byte offset of the offending line: bad_magic, unsupported_version,
-/// bad_syntax, bad_value (a comment of ours, see read_comment()), limit_exceeded (header above 1 MiB), truncated (no end_header).
+/// Lines may end in LF or CR LF. Errors carry the offending line's byte offset: bad_magic, unsupported_version,
+/// bad_syntax, bad_value (a comment rgs_KEY, see read_comment()), limit_exceeded (header above 1 MiB), truncated (no
+/// end_header).
 Result<PlyHeader> parse_ply_header(std::span<const std::byte> bytes);
 
 /// A Splat seen as 59 floats: mean 0..2, log_scale 3..5, rotation 6..9, opacity_logit 10, sh 11..58.
@@ -60,7 +61,7 @@ static_assert(sizeof(Splat) == kSplatFloats * sizeof(float));
 static_assert(offsetof(Splat, log_scale) == 3 * sizeof(float) && offsetof(Splat, rotation) == 6 * sizeof(float));
 static_assert(offsetof(Splat, opacity_logit) == 10 * sizeof(float) && offsetof(Splat, sh) == 11 * sizeof(float));
 
-/// Floats of a Splat that a scene of this degree fills.
+/// Floats of a Splat that a scene of this degree uses.
 constexpr int splat_floats(int sh_degree) {
   return 11 + 3 * sh_coefficients(sh_degree);
 }
@@ -68,7 +69,7 @@ constexpr int splat_floats(int sh_degree) {
 struct SplatProperties {
   std::size_t element = 0;  ///< index of the vertex element
   int sh_degree = 0;
-  std::vector<std::int16_t> splat_float;  ///< per vertex property: which of the 59 floats it is, -1 if none
+  std::vector<std::int16_t> splat_float;  ///< per vertex property: its index among the 59 floats, or -1
 };
 
 /// Finds the 3DGS properties by name. Errors: not_gaussian_splats (no vertices, a property missing or a list, 2DGS:

@@ -37,7 +37,7 @@ static_assert(std::numeric_limits<float>::is_iec559 && std::numeric_limits<doubl
 
 constexpr std::uint32_t kFloat = sizeof(float);
 
-// Sizes above 2^64 - 2 are reported as that: Error::kNone itself means "not numeric".
+// Saturates at 2^64 - 2: Error::kNone itself means "not numeric".
 constexpr std::uint64_t saturating_product(std::uint64_t a, std::uint64_t b) {
   return b != 0 && a > (Error::kNone - 1) / b ? Error::kNone - 1 : a * b;
 }
@@ -77,7 +77,7 @@ void store_float(Splat& splat, std::size_t index, float value) {
   std::memcpy(reinterpret_cast<std::byte*>(&splat) + index * kFloat, &value, kFloat);
 }
 
-// A row in the original 3DGS code's order: x y z somewhere, then the other 11 + 3 kCoefficients floats in one run.
+// A row as the original 3DGS code writes it: x y z, and the other 11 + 3 kCoefficients floats in one run.
 template <int kCoefficients>
 void decode_standard(const std::byte* mean, const std::byte* rest, Splat& out) {
   constexpr std::size_t kPerChannel = kCoefficients - 1;
@@ -94,7 +94,7 @@ void decode_standard(const std::byte* mean, const std::byte* rest, Splat& out) {
   std::memcpy(out.rotation, rest + (7 + kRest) * kFloat, sizeof(out.rotation));
 }
 
-// Position in the data of a file while its variable-size parts are walked. Nothing is read past the end.
+// Position in a file's data while variable-size rows are parsed; never reads past the end.
 struct Cursor {
   std::span<const std::byte> bytes;
   std::uint64_t at = 0;
@@ -110,7 +110,7 @@ struct Cursor {
   }
 };
 
-// Passes one binary row; value(i, bytes) sees each property i that is no list.
+// Skips one binary row; calls value(i, bytes) for each property i that is not a list.
 template <class Value>
 Status walk_binary_row(Cursor& cursor, const PlyElement& element, bool swap, Value&& value) {
   for (std::size_t i = 0; i < element.properties.size(); ++i) {
@@ -134,7 +134,6 @@ bool is_blank(std::byte b) {
   return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f';
 }
 
-// One line of text values.
 class LineReader {
  public:
   explicit LineReader(std::span<const std::byte> line)
@@ -178,7 +177,7 @@ bool parse_number(std::string_view text, Number& value) {
   return true;
 }
 
-// Moves to the next line that is not empty and returns it without its end; empty at the end of the file.
+// Returns the next non-empty line without its end; empty at the end of the file.
 std::span<const std::byte> next_line(Cursor& cursor) {
   const auto bytes = cursor.bytes;
   while (cursor.at < bytes.size() && (is_blank(bytes[cursor.at]) || bytes[cursor.at] == std::byte('\n'))) ++cursor.at;
@@ -190,7 +189,6 @@ std::span<const std::byte> next_line(Cursor& cursor) {
   return {start, length};
 }
 
-// Vertex values on their way to a row of numbers.
 struct RowValues {
   bool wide = false;             // means in FP64
   std::array<double, 3> mean{};  // if so
@@ -251,10 +249,10 @@ struct PlyFile::Impl {
   Declarations stated;
   bool swap = false;
   Layout layout = Layout::mixed;
-  bool plain_rest = false;  // all but the means are floats in the machine's byte order
+  bool plain_rest = false;  // all but the means are native-endian floats
   const std::byte* rows = nullptr;
   std::uint32_t row_bytes = 0;
-  std::uint32_t used_first = 0;                // the first byte of a row that decoding touches
+  std::uint32_t used_first = 0;                // first byte of a row that decoding touches
   std::array<Column, kSplatFloats> columns{};  // [splat_floats(sh_degree)] used
 
   Status parse();
@@ -290,7 +288,7 @@ struct PlyFile::Impl {
     std::memset(reinterpret_cast<std::byte*>(&out) + count * kFloat, 0, (kSplatFloats - count) * kFloat);
   }
 
-  // Calls use(decode) with the row decoder of this file's layout, so that loops are compiled once for each.
+  // Calls use(decode) with this layout's row decoder, so that loops are compiled once for each layout.
   template <class Use>
   void with_decoder(Use&& use) const {
     const auto standard = [this, &use](auto coefficients) {
@@ -331,11 +329,11 @@ Status PlyFile::Impl::parse() {
   for (std::size_t i = 0; i < properties->element; ++i) {
     if (auto ok = skip_element(header->elements[i], header->encoding, cursor); !ok) return ok;
   }
-  // Counts are weighed against the file before anything is done n times. Text needs a digit and a separator a value.
+  // Check counts against the file before looping over them. A text value takes at least a digit and a separator.
   const bool ascii = header->encoding == PlyEncoding::ascii;
   const std::uint64_t least_row = ascii ? 2 * vertex.properties.size() : vertex.min_row_bytes;
   const std::uint64_t least = saturating_product(n, least_row);
-  const std::uint64_t last_line_end = ascii && n > 0 ? 1 : 0;  // may be missing
+  const std::uint64_t last_line_end = ascii && n > 0 ? 1 : 0;  // the last line's end may be missing
   if (least > cursor.remaining() + last_line_end) {
     return make_error(Errc::truncated, source.size(), "the file is too short for the vertex count in its header",
                       saturating_sum(cursor.at, least - last_line_end), source.size());
@@ -361,8 +359,8 @@ Status PlyFile::Impl::parse() {
   return check_rest(*header, properties->element + 1, cursor);
 }
 
-// What follows the vertices holds nothing for us, but must be what the header says: a file that is cut off there, or that
-// goes on, is not the file that was written.
+// Elements after the vertices are ignored, but must match the header: a file that ends early or goes on is not the file
+// that was written.
 Status PlyFile::Impl::check_rest(const PlyHeader& header, std::size_t first, Cursor& cursor) const {
   for (std::size_t i = first; i < header.elements.size(); ++i) {
     if (auto ok = skip_element(header.elements[i], header.encoding, cursor); !ok) return ok;
@@ -395,12 +393,12 @@ Status PlyFile::Impl::skip_element(const PlyElement& element, PlyEncoding encodi
   return {};
 }
 
-// Whether FP32 may not hold values of this type.
+// Whether FP32 may not hold values of this type exactly.
 constexpr bool is_wide(PlyType type) {
   return type == PlyType::float64 || type == PlyType::int32 || type == PlyType::uint32;
 }
 
-// Rows of variable size become rows of splat_floats() numbers in Splat order: floats, but means that are wide doubles.
+// Converts rows of variable size to rows of splat_floats() numbers in Splat order: floats, but wide means as doubles.
 Status PlyFile::Impl::convert(const PlyElement& element, PlyEncoding encoding, const SplatProperties& properties,
                               Cursor& cursor) {
   RowValues values;
@@ -471,7 +469,6 @@ void PlyFile::Impl::choose_layout() {
   }
 }
 
-// x, y, z of row i as they are stored.
 std::array<double, 3> PlyFile::Impl::position(std::uint64_t i) const {
   std::array<double, 3> x;
   for (std::size_t k = 0; k < 3; ++k) {
@@ -480,8 +477,8 @@ std::array<double, 3> PlyFile::Impl::position(std::uint64_t i) const {
   return x;
 }
 
-// See PlyFile::origin(). Percentiles, since the few Gaussians far outside that every trained scene has would stretch a full box
-// until the multiple of its size is nowhere near the scene.
+// See PlyFile::origin(). Percentiles, because the few far outliers of every trained scene would stretch a full box, and
+// with it the rounding, beyond the scene.
 void PlyFile::Impl::choose_origin() {
   const auto means = std::span(columns).first(3);
   if (std::ranges::none_of(means, is_wide, &Column::type)) return;
@@ -521,7 +518,7 @@ void PlyFile::Impl::choose_origin() {
   stated.origin = chosen;
 }
 
-// x y z in a row, and f_dc, f_rest, opacity, scale, rot in a row; normals may stand between or not.
+// x y z adjacent, and f_dc, f_rest, opacity, scale, rot adjacent; normals may stand between.
 bool PlyFile::Impl::is_standard() const {
   const auto per_channel = static_cast<std::uint32_t>(sh_coefficients(sh_degree) - 1);
   const std::uint32_t rest = columns[11].offset;
@@ -647,8 +644,7 @@ void PlyFile::read(std::uint64_t first, std::span<Splat> out) const {
 
 void PlyFile::gather(std::span<const std::uint32_t> indices, std::span<Splat> out) const {
   assert(indices.size() == out.size());
-  // One line a row. Measured with 778,812 random 248-byte rows on one core: 90 ms; prefetching all lines of a row,
-  // 206 ms; none, 204 ms. 6 and 12 ahead are alike.
+  // One cache line a row. 778,812 random 248-byte rows on one core: 90 ms; prefetching all lines of a row 206 ms; none
   constexpr std::size_t kAhead = 12;
   const Impl& impl = *impl_;
   const auto row = [&](std::size_t i) { return impl.rows + std::uint64_t{indices[i]} * impl.row_bytes; };

@@ -30,7 +30,7 @@ void encode_rows(std::span<const Splat> splats, std::byte* out, const Origin& or
   for (const Splat& splat : splats) {
     float row[kFloats];
     float* at = std::copy_n(splat.mean, 3, row);
-    at = std::fill_n(at, 3, 0.0F);  // normals: viewers expect the properties, nobody reads the values
+    at = std::fill_n(at, 3, 0.0F);  // normals: viewers expect the properties but ignore the values
     at = std::copy_n(splat.sh, 3, at);
     for (std::size_t c = 0; c < 3; ++c) {
       for (std::size_t k = 1; k <= kPerChannel; ++k) *at++ = splat.sh[3 * k + c];

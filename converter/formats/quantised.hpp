@@ -1,5 +1,5 @@
-// quantised.hpp - what the compact formats share: little-endian access, unsigned codes, colours, smallest-three
-// rotations, and the bound on what a compressed file may unfold to.
+// quantised.hpp - shared by the compact formats: little-endian access, unsigned codes, colours, smallest-three
+// rotations, and the limit on expansion.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -19,7 +19,7 @@ namespace rgs::detail {
 
 static_assert(std::endian::native == std::endian::little, "the formats are little-endian and read in place");
 
-/// The value at `offset`, which the caller has checked.
+/// The value at `offset`, which must be in range.
 template <class T>
 T load(std::span<const std::byte> bytes, std::uint64_t offset) {
   T value;
@@ -49,14 +49,14 @@ inline double colour_from_dc(float dc) {
   return 0.5 + kSh0 * static_cast<double>(dc);
 }
 
-/// A unit quaternion without its largest component, which is made positive: three components of at most sqrt(1/2).
+/// A unit quaternion without its largest component, which is positive: three components of at most sqrt(1/2).
 struct SmallestThree {
   std::uint32_t largest = 0;   ///< 0..3
-  double rest[3] = {0, 0, 0};  ///< the others, in order
+  double rest[3] = {0, 0, 0};  ///< the others in order
 };
 inline constexpr double kRootHalf = 0.70710678118654752;
 
-/// `q` (four numbers in the order in which the format counts them) need not be normalised; zero gives the first axis.
+/// `q`, in the format's component order, need not be normalised; zero gives the first axis.
 inline SmallestThree smallest_three(const float (&q)[4]) {
   SmallestThree s;
   double squared = 0;
@@ -81,14 +81,12 @@ inline void from_smallest_three(const SmallestThree& s, float (&q)[4]) {
   q[s.largest] = static_cast<float>(std::sqrt(std::max(0.0, 1 - squared)));
 }
 
-/// Whether a file of `stored` bytes may unfold to `decoded`. A header can promise more; memory is only allocated for what
-/// passes.
+/// Whether a file of `stored` bytes may expand to `decoded`. Check before allocating: a header can promise anything.
 inline Status check_expansion(std::uint64_t decoded, std::uint64_t stored, std::uint64_t offset,
                               const DecodeLimits& limits) {
   const std::uint64_t limit = limits.decoded_bytes(stored);
   if (decoded <= limit) return {};
-  return make_error(Errc::limit_exceeded, offset,
-                    "the file decodes to more than the caller allows for one of its size (max_expansion)", limit,
+  return make_error(Errc::limit_exceeded, offset, "the file expands more than the caller allows (max_expansion)", limit,
                     decoded);
 }
 

@@ -16,7 +16,7 @@
 namespace rgs::detail {
 namespace {
 
-// Entries of axis flips and permutations are exact: what rounding leaves of them must not pollute zeros.
+// Makes entries of axis flips and permutations exact: rounding must not pollute zeros.
 double snap(double entry) {
   const double nearest = std::round(entry);
   return std::abs(entry - nearest) < 1e-12 ? nearest : entry;

@@ -6,10 +6,10 @@
 
 namespace rgs::detail {
 
-/// Turns SH coefficients of degree 0..3 with the scene: colour(R d) after = colour(d) before.
+/// Rotates SH coefficients of degree 0..3 with the scene: colour(R d) after = colour(d) before.
 class ShRotation {
  public:
-  /// `rotation`: orthogonal, of either handedness.
+  /// `rotation`: orthogonal, proper or not.
   explicit ShRotation(const glm::dmat3& rotation);
   /// sh: [sh_coefficients(degree), 3], coefficient-major, in place.
   void apply(float* sh, int degree) const;

@@ -29,13 +29,13 @@ namespace {
 
 using nlohmann::json;
 using Bytes = std::vector<std::byte>;
-/// The bytes of a file of the scene by its name.
+/// Returns the bytes of one of the scene's files by its name.
 using FetchFile = std::function<Result<Bytes>(const std::string&)>;
 
 constexpr std::uint64_t kMaxMetaBytes = std::uint64_t{1} << 24;  // the codebooks take 15 kB
 constexpr std::uint64_t kEntriesPerRow = 64;
 constexpr std::uint64_t kMaxPalette = 65536;
-constexpr std::uint8_t kRotationTag = 252;  // plus which component is the largest
+constexpr std::uint8_t kRotationTag = 252;  // plus the index of the largest component
 
 // ---- meta.json ------------------------------------------------------------------------------------------------------
 
@@ -43,7 +43,6 @@ tl::unexpected<Error> bad_meta(const char* what) {
   return make_error(Errc::bad_syntax, 0, what);
 }
 
-// `count` finite numbers, or nothing.
 std::vector<float> numbers(const json* array, std::size_t count) {
   std::vector<float> out;
   if (array == nullptr || !array->is_array() || array->size() != count) return out;
@@ -59,7 +58,7 @@ std::optional<std::uint64_t> whole(const json* value) {
   return value != nullptr && value->is_number_unsigned() ? std::optional(value->get<std::uint64_t>()) : std::nullopt;
 }
 
-// Two bounds, or a codebook: what a byte of a channel stands for.
+// Maps a byte of a channel to its value: by two bounds or a codebook.
 class Lookup {
  public:
   static Lookup codebook(std::vector<float> values) { return Lookup(std::move(values)); }
@@ -90,7 +89,7 @@ struct Meta {
   std::vector<std::string> mean_files, quat_files, scale_files, sh0_files, shn_files;
 };
 
-// Names of `count` images; one that points out of the scene's folder is refused.
+// Names of `count` images; refuses one that leaves the scene's folder.
 std::vector<std::string> file_names(const json* object, std::size_t count) {
   std::vector<std::string> names;
   const json* files = object != nullptr ? json_member(*object, "files") : nullptr;
@@ -113,7 +112,7 @@ std::vector<Lookup> lookups(const json* object, std::size_t channels, int versio
     if (!codebook.empty()) out.assign(channels, Lookup::codebook(codebook));
     return out;
   }
-  // Bounds of one channel are numbers, of several arrays.
+  // One channel has its bounds as numbers, several as arrays.
   const auto bounds = [&](const char* name) {
     const json* stated = json_member(*object, name);
     const json one = stated != nullptr && stated->is_number() ? json::array({*stated}) : json();
@@ -162,7 +161,7 @@ Result<Meta> parse_meta(std::span<const std::byte> bytes) {
                      : whole(shape != nullptr && shape->is_array() && !shape->empty() ? &(*shape)[0] : nullptr);
   if (!n) return bad_meta("meta.json: no number of Gaussians (count, in version 1 means.shape)");
   meta.n = *n;
-  for (const char* name : {"scales", "quats", "sh0"}) {  // version 1 states the number with each
+  for (const char* name : {"scales", "quats", "sh0"}) {  // version 1 states the count with each
     const json* object = json_member(root, name);
     const json* stated = object != nullptr && version == 1 ? json_member(*object, "shape") : nullptr;
     const bool counts = stated != nullptr && stated->is_array() && !stated->empty();
@@ -191,7 +190,7 @@ Result<Meta> parse_meta(std::span<const std::byte> bytes) {
   if (const json* shn = json_member(root, "shN"); shn != nullptr && !shn->is_null()) {
     if (const Status s = parse_shn(*shn, version, meta); !s) return tl::unexpected(s.error());
   }
-  // Two spellings: "model" is splat-transform's, "antialias" is what other viewers look for.
+  // "model" is splat-transform's spelling, "antialias" that of other viewers.
   const json *model = json_member(root, "model"), *antialias = json_member(root, "antialias");
   const bool is_mip = model != nullptr ? *model == "antialiased" : antialias != nullptr && *antialias == true;
   if (is_mip) meta.aa_mode = AaMode::mip_splatting;
@@ -206,7 +205,7 @@ struct Image {
   const std::uint8_t* pixel(std::uint64_t i) const { return &rgba[4 * i]; }
 };
 
-/// A lossless WebP of between min_pixels and max_pixels: beyond that it is refused before memory is taken.
+/// Decodes a lossless WebP of min_pixels to max_pixels; refuses others before allocating.
 Result<Image> decode_image(const Bytes& file, std::uint64_t min_pixels, std::uint64_t max_pixels) {
   WebPBitstreamFeatures features;
   const auto* data = reinterpret_cast<const std::uint8_t*>(file.data());
@@ -216,7 +215,7 @@ Result<Image> decode_image(const Bytes& file, std::uint64_t min_pixels, std::uin
   constexpr int kLossless = 2;
   if (features.format != kLossless || features.has_animation != 0) {
     return make_error(Errc::unsupported_feature, 0,
-                      "an image of the SOG is not a lossless still WebP: its numbers are lost");
+                      "an image of the SOG is not a lossless still WebP: its values are lost");
   }
   Image image;
   image.width = static_cast<std::uint64_t>(features.width);
@@ -240,7 +239,7 @@ struct Images {
   Image mean_low, mean_high, quats, scales, sh0, labels, centroids;
 };
 
-// Version 1 states neither degree nor size of the palette.
+// Version 1 states neither the degree nor the palette's size.
 Status measure_palette(const Image& centroids, Meta& meta) {
   const std::uint64_t coefficients = centroids.width / kEntriesPerRow;
   if (meta.sh_degree == 0) {
@@ -250,7 +249,7 @@ Status measure_palette(const Image& centroids, Meta& meta) {
   const auto wanted = static_cast<std::uint64_t>(sh_coefficients(meta.sh_degree) - 1);
   if (coefficients != wanted || centroids.width % kEntriesPerRow != 0 ||
       kEntriesPerRow * centroids.height < meta.palette) {
-    return make_error(Errc::size_mismatch, 0, "the palette's image is not 64 entries wide or too low", wanted,
+    return make_error(Errc::size_mismatch, 0, "the palette's image is not 64 entries wide, or has too few rows", wanted,
                       coefficients);
   }
   return {};
@@ -262,7 +261,7 @@ Status fetch_images(const FetchFile& fetch, Meta& meta, const DecodeLimits& limi
     Image& image;
     std::uint64_t min_pixels, max_pixels;
   };
-  const std::uint64_t most = 2 * meta.n + 65536;  // writers fill up the last rows
+  const std::uint64_t most = 2 * meta.n + 65536;  // writers pad the last rows
   std::vector<Wanted> wanted{{meta.mean_files[0], images.mean_low, meta.n, most},
                              {meta.mean_files[1], images.mean_high, meta.n, most},
                              {meta.quat_files[0], images.quats, meta.n, most},
@@ -291,10 +290,10 @@ Status fetch_images(const FetchFile& fetch, Meta& meta, const DecodeLimits& limi
                         other.width * other.height);
     }
   }
-  // Pixels after the last Gaussian mean nothing, says the format; but a scene without any has no rotations.
+  // The format ignores pixels after the last Gaussian, but a scene without Gaussians has no rotations either.
   for (std::size_t i = 3; meta.n == 0 && i < images.quats.rgba.size(); i += 4) {
     if (images.quats.rgba[i] >= kRotationTag) {
-      return make_error(Errc::size_mismatch, 0, "meta.json counts no Gaussians, and the images hold some", 0,
+      return make_error(Errc::size_mismatch, 0, "meta.json counts no Gaussians, but the images hold some", 0,
                         images.quats.rgba.size() / 4);
     }
   }
@@ -395,7 +394,7 @@ Result<Bytes> read_entry(zip_t* archive, const std::string& name, std::uint64_t 
   Bytes bytes(info.size);
   const zip_int64_t got = entry == nullptr ? -1 : zip_fread(entry.get(), bytes.data(), bytes.size());
   std::byte extra{};
-  // One byte more: only at the end of the entry does libzip compare its checksum.
+  // One byte more: libzip compares its checksum only at the end of the entry.
   if (got < 0 || static_cast<std::uint64_t>(got) != info.size || zip_fread(entry.get(), &extra, 1) != 0) {
     return make_error(Errc::checksum_mismatch, Error::kNone, "a file in the SOG is damaged");
   }

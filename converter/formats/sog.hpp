@@ -10,11 +10,11 @@
 
 namespace rgs::detail {
 
-/// A zip archive whose first entry is stored under a name that SOG uses; meta.json by its first keys.
+/// A zip archive whose first entry is stored under a SOG name, or a meta.json, by its first keys.
 bool is_sog(std::span<const std::byte> bytes);
 bool is_sog_meta(std::span<const std::byte> bytes);
 
-/// A zipped SOG, versions 1 and 2. Error offsets are in the image or in meta.json.
+/// A zipped SOG, version 1 or 2. Error offsets are in the image or in meta.json.
 Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimits& limits);
 /// meta.json (`bytes`) with its images in `folder`.
 Result<SplatFile> decode_sog_folder(std::span<const std::byte> bytes, const std::string& folder,

@@ -1,4 +1,4 @@
-// splat_edit.cpp - moving, turning, merging, filtering and stripping Gaussians in memory.
+// splat_edit.cpp - transforms, merges, filters and strips Gaussians in memory.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/splat_edit.hpp"
 
@@ -22,7 +22,7 @@ namespace rgs {
 namespace {
 
 // Quaternion of a rotation matrix; the branch with the largest square keeps the division well-conditioned (Shepperd
-// 1978). Written out, as are the products below: GLM's add in other orders, and files keep their bytes.
+// 1978). Written out, like the products below, because GLM adds in another order and files must keep their bytes.
 glm::dquat quaternion_of(const glm::dmat3& m) {
   const double xx = m[0][0], yy = m[1][1], zz = m[2][2];
   const double squares[4] = {1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz};
@@ -51,7 +51,7 @@ void turn_harmonics(SplatCloud& cloud, const glm::dmat3& rotation) {
   for (std::uint64_t i = 0; i < cloud.size(); ++i) turn.apply(&cloud.sh[floats * i], cloud.sh_degree);
 }
 
-// Unit vector of a direction, in a basis of right, up and forward.
+// Unit vector of a direction, in the basis right, up, forward.
 glm::dvec3 direction(Axis axis) {
   switch (axis) {
     case Axis::undeclared: break;
@@ -65,7 +65,7 @@ glm::dvec3 direction(Axis axis) {
   return {0, 0, 0};
 }
 
-// Its columns are the directions of the axes.
+// Columns are the directions of the axes.
 glm::dmat3 frame(const Axes& axes) {
   return {direction(axes[0]), direction(axes[1]), direction(axes[2])};
 }
@@ -74,7 +74,7 @@ bool is_declared(const Axes& axes) {
   return std::ranges::find(axes, Axis::undeclared) == axes.end();
 }
 
-// Corners are decimals. Where coordinates are FP32 numbers so are they: a mean at 0.1 lies on the border 0.1.
+// Corners are decimals. Where coordinates are FP32 they are rounded too: a mean at 0.1 lies on the border 0.1.
 WorldBox comparable(WorldBox box, const Origin& origin) {
   for (auto* corner : {&box.min, &box.max}) {
     for (double& x : *corner) x = origin == kNoOrigin ? static_cast<double>(static_cast<float>(x)) : x;
@@ -95,7 +95,7 @@ double farthest(const glm::dvec3& translation) {
   return std::max({size.x, size.y, size.z});
 }
 
-// Logarithm of opacity times the two largest scales: about what a Gaussian covers.
+// Logarithm of opacity times the two largest scales: roughly a Gaussian's visible area.
 double weight(const SplatCloud& cloud, std::uint64_t i) {
   const float* s = &cloud.log_scale[3 * i];
   const float largest = std::max({s[0], s[1], s[2]});
@@ -130,14 +130,14 @@ glm::dmat3 rotation_from_quaternion(const glm::dquat& q) {
 }
 
 Similarity compose(const Similarity& outer, const Similarity& inner) {
-  // + 0.0: no negative zeros, which would reach the means.
+  // + 0.0 turns -0 into 0, which would reach the means.
   return {outer.rotation * inner.rotation + 0.0, outer.scale * inner.scale,
           outer.rotation * inner.translation * outer.scale + outer.translation};
 }
 
 void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
   const bool turns = similarity.rotation != glm::dmat3(1.0);
-  // Bits stay what they are: sums would lose the sign of -0, and the sound coordinates of a mean that is damaged in one.
+  // Keep the bits: sums would lose the sign of -0, and a damaged mean's sound coordinates.
   if (!turns && similarity.scale == 1 && similarity.translation == glm::dvec3(0)) return;
   const glm::dquat turn = quaternion_of(similarity.rotation);
   const auto log_factor = static_cast<float>(std::log(similarity.scale));
@@ -173,7 +173,7 @@ void FarMove::add(std::span<const float> means) {
   }
 }
 
-// Whether FP32 means would lose more than 6 bits to the translation: the median is among the small ones.
+// Whether FP32 means would lose more than 6 bits to the translation: its magnitude decides against the median.
 bool FarMove::is_far() const {
   const double limit = farthest(similarity_.translation);
   return limit > 0 && limit <= kMaxOrigin && n_small_ > n_ / 2;
@@ -212,8 +212,8 @@ void convert_axes(SplatCloud& cloud, const Axes& from, const Axes& to) {
   const auto hand = static_cast<float>(glm::determinant(change));
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
     const Splat old = cloud.view().splat(i);
-    // C R C^T turns the rotation; the local axes are exchanged alike, and their scales with them. Its quaternion's
-    // vector is an axial one: a mirror reverses it.
+    // C R C^T turns the rotation; the local axes are permuted alike, and their scales with them. The quaternion's
+    // vector is axial: a mirror reverses it.
     for (std::size_t k = 0; k < 3; ++k) {
       cloud.mean[3 * i + k] = sign[k] * old.mean[source[k]];
       cloud.log_scale[3 * i + k] = old.log_scale[source[k]];
@@ -244,8 +244,8 @@ void append_splats(SplatCloud& cloud, const SplatCloud& other) {
     cloud.sh_degree = other.sh_degree;
   }
   const auto wide = static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree));
-  const std::uint64_t n_other = other.size();  // they may be the same cloud
-  // Grown in place: appending piece by piece is linear in all of them together.
+  const std::uint64_t n_other = other.size();  // may be the same cloud
+  // Resized in place: appending many pieces stays linear.
   cloud.sh.resize(wide * (n + n_other));
   for (std::uint64_t i = 0; i < n_other; ++i) std::copy_n(&other.sh[narrow * i], narrow, &cloud.sh[wide * (n + i)]);
   const auto add = [n_other](std::vector<float>& to, const std::vector<float>& from, std::uint64_t each) {
@@ -273,7 +273,7 @@ double append_splats(SplatCloud& cloud, Origin& origin, SplatCloud&& other, cons
 void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
   const auto pack = [&indices](std::vector<float>& values, std::uint64_t each) {
     for (std::uint64_t k = 0; k < indices.size(); ++k) {
-      // k <= indices[k]: never over what is to come.
+      // k <= indices[k]: never overwrites a value still to be moved.
       if (indices[k] != k) std::copy_n(&values[each * indices[k]], each, &values[each * k]);
     }
     values.resize(each * indices.size());
@@ -319,7 +319,7 @@ Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) 
       if (options.on_bad == BadPolicy::refuse && !keeps)
         return make_error(Errc::bad_value, i, "the Gaussian of this index is damaged");
       if (!keeps) continue;
-      if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // mended
+      if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // repaired
       kept.push_back(i);
     }
     if (const Status s = check_encodable(scan, options); !s) return tl::unexpected(s.error());

@@ -23,14 +23,14 @@ bool has_sound_numbers(std::span<const std::byte> record) {
   return true;
 }
 
-// Zeros, which many other files have plenty of, stand for a quaternion of length 2.
+// Zeros, which are common in other files, decode to a quaternion of length 2.
 bool has_unit_rotation(std::span<const std::byte> record) {
   int squared = 0;
   for (std::uint64_t i = 28; i < 32; ++i) squared += (load_u8(record, i) - 128) * (load_u8(record, i) - 128);
   return squared > 128 * 128 / 2 && squared < 128 * 128 * 2;
 }
 
-// A unit quaternion in codes, w >= 0 so that w = 1 is the only component that 255 has to stand for.
+// Encodes a unit quaternion with w >= 0, so that only w = 1 is clamped to 255.
 void encode_rotation(const float* q, std::span<std::byte> out) {
   double squared = 0;
   for (int i = 0; i < 4; ++i) squared += static_cast<double>(q[i]) * static_cast<double>(q[i]);
@@ -54,7 +54,7 @@ bool looks_like_splat_records(std::span<const std::byte> bytes) {
       n_unit += has_unit_rotation(record) ? 1u : 0u;
     }
   }
-  return n_unit >= sampled;  // half of those looked at: some scenes have Gaussians without a rotation
+  return n_unit >= sampled;  // half of the sample: some scenes have Gaussians without a rotation
 }
 
 Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const DecodeLimits& limits) {

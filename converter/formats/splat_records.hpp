@@ -10,8 +10,8 @@
 
 namespace rgs::detail {
 
-/// The format has no signature: whether the size is a positive multiple of 32 and the first and last records (up to
-/// 256 of each) hold finite means, finite scales that are not negative, and half of them rotations near unit length.
+/// The format has no signature: checks that the size is a positive multiple of 32 and that the first and last records
+/// (up to 256 of each) hold finite means, finite scales >= 0, and half of them rotations near unit length.
 bool looks_like_splat_records(std::span<const std::byte> bytes);
 
 /// Errors: truncated (the size is no multiple of 32), limit_exceeded.

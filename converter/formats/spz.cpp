@@ -42,7 +42,6 @@ struct SpzHeader {
 
   std::uint64_t n_streams() const { return sh_degree == 0 ? kStreams - 1 : kStreams; }
   std::uint64_t rotation_bytes() const { return version == 2 ? 3 : 4; }
-  /// Decoded bytes of each stream.
   std::array<std::uint64_t, kStreams> sizes() const {
     const std::uint64_t count = n, rest = static_cast<std::uint64_t>(sh_coefficients(sh_degree)) - 1;
     return {9 * count, count, 3 * count, 3 * count, rotation_bytes() * count, 3 * rest * count};
@@ -55,15 +54,14 @@ struct SpzHeader {
 };
 using Streams = std::array<std::span<const std::byte>, kStreams>;
 
-// A file's parts, unpacked.
 struct SpzContent {
   SpzHeader header;
   std::vector<std::byte> body;        // the streams, one after the other
   std::vector<std::byte> extensions;  // records
-  std::uint64_t extensions_at = 0;    // their offset in the file, or in what its gzip stream unfolds to
+  std::uint64_t extensions_at = 0;    // their offset in the file, or in the decompressed gzip stream
 };
 
-// The 16 bytes that all versions share. Offsets are those of the unpacked header.
+// The 16 bytes common to all versions. Error offsets are those of the unpacked header.
 Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLimits& limits, std::uint64_t file_bytes) {
   if (load<std::uint32_t>(bytes, 0) != kMagicSpz) return make_error(Errc::bad_magic, 0, "is not an SPZ file");
   SpzHeader h;
@@ -95,7 +93,7 @@ Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLim
 constexpr std::uint32_t kSafeOrbitCamera = 0xADBE0002, kCoordinateSystem = 0xADBE0003, kGeoreference = 0x4E530001;
 constexpr std::uint64_t kSafeOrbitBytes = 12, kMaxExtensionBytes = std::uint64_t{16} << 20;
 
-// By the value of Adobe's extension. 0 is "unspecified", for which the reference library takes the format's own.
+// By the value of Adobe's extension. 0 is "unspecified", which the reference library reads as the format's own.
 using enum Axis;
 constexpr Axes kCoordinateSystems[] = {
     kAxesOpenGl,           {left, down, backward}, {right, down, backward}, {left, up, backward},
@@ -116,8 +114,8 @@ std::string unused_text(const char* name, std::uint32_t type, std::uint64_t byte
   return text;
 }
 
-// Types carry no mark of what a reader may skip, and the axes show that they can change what the streams mean. So only
-// those are read past that are known not to, unless the caller takes the risk.
+// A type does not say whether a reader may skip it, and the axes show that extensions can change what the streams mean.
+// So only known ones are skipped, unless the caller takes the risk.
 Result<Extensions> parse_extensions(const SpzContent& content, bool skip_unknown) {
   const std::span<const std::byte> block = content.extensions;
   Extensions out;
@@ -139,13 +137,12 @@ Result<Extensions> parse_extensions(const SpzContent& content, bool skip_unknown
                         Error::kNone, type);
     }
     if (bytes > rest - 8) {
-      return make_error(Errc::truncated, offset + 4, "an extension is longer than what is left for extensions",
+      return make_error(Errc::truncated, offset + 4, "an extension is longer than the bytes left for extensions",
                         rest - 8, bytes);
     }
     if (type == kCoordinateSystem) {
       if (bytes != 4) {
-        return make_error(Errc::bad_header, offset + 4, "the extension of the coordinate system is not 4 bytes", 4,
-                          bytes);
+        return make_error(Errc::bad_header, offset + 4, "the coordinate system extension is not 4 bytes", 4, bytes);
       }
       const auto value = load<std::uint32_t>(block, at + 8);
       if (value >= std::size(kCoordinateSystems)) {
@@ -155,8 +152,8 @@ Result<Extensions> parse_extensions(const SpzContent& content, bool skip_unknown
       if (out.axes) return make_error(Errc::bad_header, offset, "a second coordinate system");
       out.axes = kCoordinateSystems[value];
     } else if (type == kSafeOrbitCamera && bytes != kSafeOrbitBytes) {
-      return make_error(Errc::bad_header, offset + 4, "the extension of the safe orbit is not 12 bytes",
-                        kSafeOrbitBytes, bytes);
+      return make_error(Errc::bad_header, offset + 4, "the safe orbit extension is not 12 bytes", kSafeOrbitBytes,
+                        bytes);
     } else {
       out.unused.push_back(unused_text(type == kSafeOrbitCamera ? "safe orbit camera"
                                        : type == kGeoreference  ? "georeference"
@@ -196,7 +193,7 @@ class Inflater {
     }
     return {};
   }
-  /// What is left of the stream. Errors: those of read(); limit_exceeded beyond kMaxExtensionBytes.
+  /// The rest of the stream. Errors: those of read(); limit_exceeded beyond kMaxExtensionBytes.
   Result<std::vector<std::byte>> rest() {
     std::vector<std::byte> out;
     for (std::array<std::byte, 4096> piece{};;) {
@@ -210,7 +207,7 @@ class Inflater {
       out.insert(out.end(), piece.begin(), piece.begin() + static_cast<std::ptrdiff_t>(*got));
     }
   }
-  /// The stream's checksum has been seen and nothing follows.
+  /// Checks that the stream ends here, with its checksum.
   Status finish() {
     std::byte extra{};
     const auto got = some({&extra, 1});
@@ -224,7 +221,7 @@ class Inflater {
 
  private:
   Inflater() = default;
-  // Bytes written to `out`, which is not empty; 0 only at the end of the stream.
+  // Fills some of `out`, which is not empty; 0 only at the end of the stream.
   Result<std::size_t> some(std::span<std::byte> out) {
     constexpr std::size_t kPiece = std::size_t{1} << 30;  // zlib counts in 32 bits
     while (!ended_) {
@@ -323,7 +320,7 @@ Result<SpzContent> unpack_zstd(std::span<const std::byte> bytes, const DecodeLim
                         decoded);
     }
     if (stored > bytes.size() - at) {
-      return make_error(Errc::truncated, entry, "a stream ends behind the file", bytes.size() - at, stored);
+      return make_error(Errc::truncated, entry, "a stream ends past the end of the file", bytes.size() - at, stored);
     }
     const std::size_t got =
         decoded == 0 ? 0 : ZSTD_decompress(content.body.data() + to, decoded, bytes.data() + at, stored);
@@ -346,7 +343,7 @@ double fixed24(std::span<const std::byte> bytes, std::uint64_t offset) {
   return static_cast<double>(static_cast<std::int32_t>(code << 8) >> 8);  // sign-extended
 }
 
-// Quaternion codes count x, y, z, w; a Splat has w first.
+// Quaternion codes are in the order x, y, z, w; a Splat has w first.
 void put_xyzw(const float (&xyzw)[4], float (&rotation)[4]) {
   rotation[0] = xyzw[3];
   std::copy_n(xyzw, 3, rotation + 1);
@@ -361,7 +358,7 @@ void decode_rotation_v2(std::span<const std::byte> code, float (&rotation)[4]) {
   put_xyzw(xyzw, rotation);
 }
 
-// 2 bits: which is the largest; then, from the top, sign and 9 bits of magnitude of each of the others in order.
+// 2 bits: index of the largest; then, from the top, sign and 9 bits of magnitude of each of the others in order.
 constexpr std::uint32_t kMagnitudeMax = 511;
 
 void decode_rotation(std::uint32_t code, float (&rotation)[4]) {
@@ -387,9 +384,9 @@ std::uint32_t encode_rotation(const float (&rotation)[4]) {
   return code;
 }
 
-// Version 2 keeps x, y and z of a quaternion whose w is not negative. Where w is small it takes all of their errors, so
-// of the codes above and below each component those are taken that decode nearest to the rotation:
-// for random ones 0.016 rad (RMS) and 0.12 at worst, where rounding leaves 0.030 and 0.21.
+// Version 2 keeps x, y and z of a quaternion whose w is not negative. A small w takes all their errors, so this tries
+// the codes above and below each component and takes those that decode nearest to the rotation: for random ones 0.016
+// rad (RMS), 0.12 at worst, instead of 0.030 and 0.21 by rounding.
 void encode_rotation_v2(const float (&rotation)[4], std::span<std::byte> code) {
   double unit[4], squared = 0;
   for (const float value : rotation) squared += static_cast<double>(value) * static_cast<double>(value);
@@ -416,7 +413,6 @@ void encode_rotation_v2(const float (&rotation)[4], std::span<std::byte> code) {
   }
 }
 
-// Gaussians as a Morton curve meets them.
 std::vector<std::uint32_t> spatial_order(const SplatView& splats) {
   SceneScan scan(splats.sh_degree);
   for (std::uint64_t i = 0; i < splats.n; ++i) {
@@ -434,10 +430,10 @@ std::vector<std::uint32_t> spatial_order(const SplatView& splats) {
   return indices;
 }
 
-// SH codes are 128 + 128 * value, of which the encoder keeps the upper bits: that is what makes them compress. Steps are so
-// coarse that most codes are 0, and since a pixel blends neighbours, errors of one sign pile up in it. So each code takes
-// on a little of the error of those before it in space (error diffusion; Floyd and Steinberg 1976). An outdoor scene of
-// 778,812 Gaussians gains 1.2 dB for 0.7 bytes; a share of a half 2.4 dB for 2.3. Decoded values have no error to pass on.
+// SH codes are 128 + 128 * value, of which the encoder keeps the upper bits, so that they compress. Most codes are 0,
+// and since a pixel blends neighbours, errors of one sign would add up. So each code takes over some of the error of
+// those before it in space (error diffusion; Floyd and Steinberg 1976). An outdoor scene of 778,812 Gaussians gains 1.2
+// dB for 0.7 bytes; with a share of a half 2.4 dB for 2.3. Decoded SPZ values have no error to pass on.
 class ShDiffusion {
  public:
   explicit ShDiffusion(std::uint64_t floats) : carry_(floats) {}
@@ -521,8 +517,8 @@ CodedStreams encode_streams(const SplatView& splats, const SpzHeader& header) {
   return out;
 }
 
-// A frame that readers do not refuse for what it decodes to: a block takes at least four bytes, and there is one for every
-// 2048. For equal Gaussians.
+// A frame within readers' limits on expansion: a block takes at least four bytes, and there is one for every 2048. For
+// scenes of equal Gaussians.
 std::vector<std::byte> compress_in_blocks(const std::vector<std::byte>& stream) {
   const std::unique_ptr<ZSTD_CCtx, decltype(&ZSTD_freeCCtx)> context(ZSTD_createCCtx(), ZSTD_freeCCtx);
   if (context == nullptr) throw std::bad_alloc();
@@ -540,8 +536,8 @@ std::vector<std::byte> compress_in_blocks(const std::vector<std::byte>& stream) 
   return stored;
 }
 
-// One zstd frame. Optimal parsing with few tries: what there is to find are short matches, and entropy. An outdoor scene takes
-// 20.9 bytes a Gaussian and 11 s of CPU time; level 12, which parses lazily, 21.8 and 2.7 s.
+// One zstd frame. Optimal parsing with few tries suits short matches and entropy: an outdoor scene takes 20.9 bytes a
+// Gaussian and 11 s of CPU time; level 12, which parses lazily, 21.8 and 2.7 s.
 std::vector<std::byte> compress_zstd(const std::vector<std::byte>& stream, std::size_t index) {
   const std::unique_ptr<ZSTD_CCtx, decltype(&ZSTD_freeCCtx)> context(ZSTD_createCCtx(), ZSTD_freeCCtx);
   std::vector<std::byte> stored(ZSTD_compressBound(stream.size()));
@@ -552,15 +548,15 @@ std::vector<std::byte> compress_zstd(const std::vector<std::byte>& stream, std::
       {ZSTD_c_targetLength, 32}};
   for (const auto& [parameter, value] : parameters) ZSTD_CCtx_setParameter(context.get(), parameter, value);
   const std::size_t size = ZSTD_compress2(context.get(), stored.data(), stored.size(), stream.data(), stream.size());
-  if (ZSTD_isError(size) != 0) throw std::bad_alloc();  // the only way to fail with room for the bound
+  if (ZSTD_isError(size) != 0) throw std::bad_alloc();  // the only failure possible with a buffer of the bound
   stored.resize(size);
   if (stored.size() <= stream.size() / 1024) return compress_in_blocks(stream);
   return stored;
 }
 
-// One stream's share of a DEFLATE stream, ending at a byte. It does not refer to bytes before its own, so that streams are
-// compressed side by side. SH alone needs a long search: 6.45 bytes a Gaussian of the scene above in 9.5 s; zlib's level
-// 6 takes 6.9 and 2 s, level 9 6.3 and 28 s.
+// Compresses one stream as a byte-aligned part of a DEFLATE stream that refers to nothing before it, so that streams
+// are compressed in parallel. Only SH needs a long search: 6.45 bytes a Gaussian of the scene above in 9.5 s; zlib's
+// level 6 takes 6.9 and 2 s, level 9 6.3 and 28 s.
 std::vector<std::byte> compress_deflate(const std::vector<std::byte>& stream, std::size_t index) {
   constexpr int kRaw = -15, kMemory = 8;
   z_stream z{};
@@ -586,7 +582,6 @@ std::vector<std::byte> compress_deflate(const std::vector<std::byte>& stream, st
   return stored;
 }
 
-// Each stream by `compress`, side by side.
 template <class Compress>
 CodedStreams compress_all(const CodedStreams& streams, Compress compress) {
   std::array<std::future<std::vector<std::byte>>, kStreams> compressed;
@@ -622,7 +617,7 @@ std::vector<std::byte> pack_zstd(const SpzHeader& header, const CodedStreams& st
   return file;
 }
 
-// RFC 1952 without a name and a time, system unknown, so that the same scene gives the same bytes anywhere.
+// RFC 1952 without name and time, system unknown: the same bytes on any machine.
 std::vector<std::byte> pack_gzip(const SpzHeader& header, CodedStreams streams) {
   constexpr std::array<std::uint8_t, 10> kHead{0x1F, 0x8B, 8, 0, 0, 0, 0, 0, 2, 255};
   constexpr std::array<std::uint8_t, 2> kEmptyLastBlock{3, 0};
@@ -632,7 +627,7 @@ std::vector<std::byte> pack_gzip(const SpzHeader& header, CodedStreams streams) 
   uLong crc = crc32_z(0, nullptr, 0);
   std::uint64_t size = 0;
   for (const auto& stream : streams) {
-    if (stream.empty()) continue;  // zlib would start its sum anew
+    if (stream.empty()) continue;  // zlib would restart its checksum
     crc = crc32_z(crc, reinterpret_cast<const Bytef*>(stream.data()), stream.size());
     size += stream.size();
   }

@@ -1,4 +1,4 @@
-// stated_scene.cpp - the words for what a scene declares.
+// stated_scene.cpp - declarations as PLY comments and glTF extras.
 // SPDX-License-Identifier: Apache-2.0
 #include "stated_scene.hpp"
 
@@ -45,13 +45,13 @@ std::optional<float> number(std::string_view text) {
   return value;
 }
 
-// The shortest that reads back as the same float.
+// The shortest decimals that read back as the same float.
 std::string text_of(float value) {
   std::array<char, 32> digits;
   return {digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), value).ptr};
 }
 
-// The same decimals as a number of JSON, which is a double there.
+// The same decimals as a JSON number, a double.
 double decimal_of(float value) {
   const std::string text = text_of(value);
   double decimal = 0;
@@ -85,7 +85,6 @@ std::string text_of(const Axes& axes) {
   return text;
 }
 
-// One key of ours.
 bool read_value(std::string_view key, std::string_view value, StatedScene& scene) {
   if (key == "low_pass_px2") {
     scene.low_pass_px2 = number(value);
@@ -115,7 +114,7 @@ bool read_value(std::string_view key, std::string_view value, StatedScene& scene
                                                : AaMode::undeclared;
     return true;
   }
-  return true;  // of a later version
+  return true;  // a key of a later version
 }
 
 bool is_usual_low_pass(const StatedScene& s) {
@@ -156,7 +155,7 @@ bool read_comment(std::string_view text, StatedScene& scene) {
   const std::string comment = lower(trimmed(text));
   if (comment.starts_with(kRenderMode)) {
     std::string_view mode = trimmed(std::string_view(comment).substr(kRenderMode.size()));
-    if (mode.starts_with(':')) mode = trimmed(mode.substr(1));  // some readers know it without
+    if (mode.starts_with(':')) mode = trimmed(mode.substr(1));  // some writers omit the colon
     if (mode == "mip" || mode == "default") scene.aa_mode = mode == "mip" ? AaMode::mip_splatting : AaMode::classic;
   } else if (comment.starts_with(kPostshot)) {
     const std::string_view flag = trimmed(std::string_view(comment).substr(kPostshot.size()));

@@ -1,4 +1,4 @@
-// write_report.cpp - ranges of the formats that have one, and the Gaussians beyond them.
+// write_report.cpp - the value ranges of formats, and how many Gaussians exceed them.
 // SPDX-License-Identifier: Apache-2.0
 #include "write_report.hpp"
 
@@ -19,10 +19,10 @@ namespace {
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-// Values from `low` to `high` have codes; up to `rounding` beyond them the nearest code is as near as it is within.
+// Values from `low` to `high` have codes; up to `rounding` beyond them the nearest code is as near as within the range.
 struct Range {
   double low = -kInfinity, high = kInfinity, rounding = 0;
-  double infinite = 0;  // what infinities count as
+  double infinite = 0;  // infinities count as this
 
   bool is_open() const { return low == -kInfinity && high == kInfinity; }
   double excess(double value) const { return std::max(low - value, value - high); }
@@ -53,23 +53,22 @@ Ranges ranges_of(SplatFormat format) {
   return r;
 }
 
-// Part of a row of values with a range of its own.
 struct Segment {
   std::uint64_t first = 0, count = 0;
   Range range;
 };
 
-// Rows of `values` [n, each] that lie beyond the range of any segment.
+// Counts rows of `values` [n, each] that exceed the range of any segment.
 Clamped count_beyond(std::span<const float> values, std::uint64_t each, std::span<const Segment> segments) {
   Clamped clamped;
-  // Nearly all Gaussians are within: the largest magnitude tells, in a loop that vectorises.
+  // Nearly all Gaussians are within: comparing the largest magnitude first vectorises.
   std::array<std::int32_t, kMaxShDegree> within{};
   for (std::size_t s = 0; s < segments.size(); ++s) {
     const Range& range = segments[s].range;
     within[s] = magnitude_bits(static_cast<float>((std::min(-range.low, range.high) + range.rounding) * (1 - 1e-6)));
   }
   for (std::uint64_t row = 0; row < values.size(); row += each) {
-    double excess = 0;  // above what is rounding
+    double excess = 0;  // beyond rounding
     for (std::size_t s = 0; s < segments.size(); ++s) {
       const auto part = values.subspan(row + segments[s].first, segments[s].count);
       std::int32_t largest = 0;
@@ -116,7 +115,8 @@ Clamped count_beyond_sh(const SplatView& splats, const Ranges& ranges) {
                       std::span(segments).first(n));
 }
 
-// SPZ's fixed point has as many fractional bits as the farthest mean leaves. Fewer than usual move means by more than usual.
+// SPZ's fixed point has as many fractional bits as the farthest mean leaves; with fewer than the default, steps are
+// coarser.
 Clamped count_coarse_means(const SplatView& splats) {
   const auto bits = choose_fractional_bits(splats);
   Clamped clamped;
@@ -151,12 +151,11 @@ WriteReport measure_clamping(const SplatView& splats, SplatFormat format) {
 
 Status refuse_clamping(const WriteReport& report) {
   const std::pair<const Clamped&, const char*> kinds[] = {
-      {report.mean,
-       "the format holds means this far out in coarser steps only; move the scene, or go without --strict"},
-      {report.log_scale, "scales are beyond the format's range; without --strict they are clamped"},
-      {report.opacity_logit, "opacities are 0 or 1 in the format's numbers; without --strict they are rounded"},
-      {report.sh_dc, "colours (f_dc) are beyond the format's range; without --strict they are clamped"},
-      {report.sh, "harmonics (f_rest) are beyond the format's range; without --strict they are clamped or left out"}};
+      {report.mean, "the format stores means this far out in coarser steps; move the scene or drop --strict"},
+      {report.log_scale, "scales are beyond the format's range; drop --strict to clamp them"},
+      {report.opacity_logit, "opacities are 0 or 1 in the format's numbers; drop --strict to round them"},
+      {report.sh_dc, "colours (f_dc) are beyond the format's range; drop --strict to clamp them"},
+      {report.sh, "harmonics (f_rest) are beyond the format's range; drop --strict to clamp or drop them"}};
   for (const auto& [clamped, what] : kinds) {
     if (clamped.n != 0) return make_error(Errc::bad_value, Error::kNone, what, 0, clamped.n);
   }

@@ -1,4 +1,4 @@
-// write_report.hpp - what the ranges of a format do to a scene.
+// write_report.hpp - how a format's value ranges change a scene.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -6,10 +6,10 @@
 
 namespace rgs::detail {
 
-/// What writing `splats`, which are sound, as `format` clamps.
+/// Counts what writing sound `splats` as `format` clamps.
 WriteReport measure_clamping(const SplatView& splats, SplatFormat format);
 
-/// An error if anything was clamped. bad_value; found: how many Gaussians.
+/// An error if anything was clamped: bad_value, found: how many Gaussians.
 Status refuse_clamping(const WriteReport& report);
 
 }  // namespace rgs::detail

@@ -307,7 +307,7 @@ std::string info_json(const InfoReport& report) {
     if (!report.hashes.empty()) j["verified"] = report.verified;
   }
   if (report.error) j["error"] = json(*report.error);
-  // ASCII only, and bytes that are not UTF-8 become U+FFFD: texts of the file cannot act on a terminal.
+  // ASCII only, bytes that are not UTF-8 become U+FFFD: text of the file cannot control a terminal.
   return j.dump(2, ' ', true, Json::error_handler_t::replace) + "\n";
 }
 

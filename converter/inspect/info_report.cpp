@@ -49,7 +49,7 @@ Distribution distribution(std::vector<Sample> samples, bool logarithmic) {
   return d;
 }
 
-// There are few enough FP16 and INT8 codes to count each of them: every figure is exact, whatever the size of the file.
+// FP16 and INT8 codes are few enough to count each: figures are exact for any size of file.
 class CodeCounter {
  public:
   explicit CodeCounter(const FileView& view)
@@ -155,7 +155,7 @@ class CodeCounter {
   const FileView& view_;
   std::size_t floats_;
   std::vector<std::uint64_t> opacity_, scale_;
-  // Channels apart: increments of one counter one after the other would wait for each other.
+  // Separate counters per channel: consecutive increments of one counter would stall.
   std::array<std::array<std::array<std::uint64_t, 256>, 3>, 4> sh_{};
   std::array<std::array<float, 3>, 4> low_{}, high_{};
 };
@@ -163,7 +163,7 @@ class CodeCounter {
 Result<ValueStatistics> value_statistics(const FileView& view, std::uint64_t first_chunk, std::uint64_t end_chunk) {
   const Header& h = view.header();
   CodeCounter counter(view);
-  // A piece at a time: what is coded is never decoded as a whole.
+  // In pieces, so that coded sections are never decoded whole.
   const std::uint64_t piece = std::max(1u, (1u << 20) / h.chunk_size);
   for (std::uint64_t first = first_chunk; first < end_chunk; first += piece) {
     const std::uint64_t end = std::min(end_chunk, first + piece);
@@ -239,7 +239,7 @@ Result<ChunkReport> chunk_report(const FileView& view, std::uint64_t index) {
   return ChunkReport{index, index * h.chunk_size, *entry, *steps};
 }
 
-// Every section is hashed, so that the report names all that are damaged; values are checked only under good hashes.
+// Hashes every section, so that the report names all damaged ones; checks values only if the hashes are good.
 Status verify(InfoReport& report) {
   const FileView& view = *report.view;
   std::vector<std::uint64_t>& hashes = report.hashes;
@@ -249,7 +249,7 @@ Status verify(InfoReport& report) {
     hashes.push_back(present ? xxh3(view.stored(s)) : 0);
     if (damaged == nullptr && present && hashes.back() != s.xxh3) damaged = &s;
   }
-  // Which page is damaged is worth more than that one is.
+  // Name the damaged page, not just the section.
   const bool pages = damaged != nullptr && damaged->type == static_cast<std::uint32_t>(SectionType::pages);
   if (damaged == nullptr || pages) {
     const Status status = report.paged ? validate(*report.paged) : validate(view);
@@ -275,7 +275,7 @@ std::vector<LevelReport> level_reports(const PagedFile& file) {
   return levels;
 }
 
-// Opens a file with levels. Its leaves are read where their values are wanted.
+// Opens a file with levels; its leaves are read only if values are wanted.
 Status open_levels(std::span<const std::byte> bytes, const InfoOptions& options, bool leaves_wanted,
                    InfoReport& report) {
   auto paged = PagedFile::open(bytes, options.limits);
@@ -337,15 +337,15 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
     const bool all = n == report.paged->n_pages();
     failed(n == 0 ? Error{Errc::truncated, bytes.size(), "the file ends inside its first page"}
            : all  ? Error{Errc::pages_missing, bytes.size(),
-                         "the end of the file is missing, though all pages are there; positions in the source are lost"}
+                         "the end of the file is missing: all pages are present, positions in the source are lost"}
                   : Error{Errc::pages_missing, bytes.size(),
-                         "the end of the file is missing; the pages that are there are a whole scene in less detail",
+                         "the end of the file is missing; the pages present are the whole scene in less detail",
                          report.paged->n_pages(), n});
   }
   if (options.page) {
     if (!report.paged || *options.page >= report.paged->n_pages()) {
-      failed({Errc::bad_argument, Error::kNone, "the file has no such page of levels of detail; --page counts from 0",
-              Error::kNone, *options.page});
+      failed({Errc::bad_argument, Error::kNone, "the file has no such page; --page counts from 0", Error::kNone,
+              *options.page});
     }
     return report;
   }
@@ -387,7 +387,7 @@ double bytes_per_gaussian(std::uint64_t bytes, const Header& header) {
 
 std::optional<bool> right_handed(const std::array<Axis, 3>& axes) {
   if (axes[0] == Axis::undeclared) return std::nullopt;
-  // Right, up, backward are a right-handed frame; each axis is one of them or its negative.
+  // Right, up, backward form a right-handed frame; map each axis to one of them or its negative.
   std::array<int, 3> index{};
   bool even = true;
   for (std::size_t i = 0; i < 3; ++i) {

@@ -1,4 +1,4 @@
-// info_report.hpp - what rgs-info knows about a file, collected once and printed as text or JSON.
+// info_report.hpp - the report of rgs-info, collected once and printed as text or JSON.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -16,7 +16,7 @@ namespace rgs::tool {
 
 inline constexpr std::size_t kInfoBins = 32;
 
-/// Files up to this size have their values counted without being asked: well below a second when cached.
+/// Values of files up to this size are counted by default: well below a second when cached.
 inline constexpr std::uint64_t kStatisticsBytes = 1'000'000'000;
 
 struct InfoOptions {
@@ -27,13 +27,13 @@ struct InfoOptions {
   DecodeLimits limits;
 };
 
-/// Smallest, middle (the lower one of an even number) and largest of a set of numbers.
+/// Smallest, median (the lower one of an even number) and largest of some numbers.
 struct Spread {
   float min = 0, median = 0, max = 0;
 };
 
-/// A set of numbers, zero or positive. Bins are of equal width over [low, high], of the values or of their log10;
-/// zeros are in no logarithmic bin.
+/// Numbers >= 0. Bins are of equal width over [low, high], of the values or of their log10; logarithmic bins exclude
+/// zeros.
 struct Distribution {
   std::uint64_t n = 0, n_zero = 0;
   Spread spread;
@@ -44,16 +44,16 @@ struct Distribution {
 
 /// The INT8 codes of one SH degree, all channels together.
 struct ShCodes {
-  std::uint64_t n = 0, n_zero = 0, n_limit = 0;     ///< codes; those that are 0; those that are +-127
+  std::uint64_t n = 0, n_zero = 0, n_limit = 0;     ///< codes; codes of 0; codes of +-127
   double entropy_bits = 0;                          ///< order 0, per code
   std::array<std::uint64_t, kInfoBins> bins{};      ///< of |code|, four magnitudes a bin
   std::array<float, 3> min{0, 0, 0}, max{0, 0, 0};  ///< values per channel
 };
 
-/// What the stored values of a range of Gaussians are.
+/// Statistics of the stored values of a range of Gaussians.
 struct ValueStatistics {
-  std::uint64_t first = 0, n = 0;  ///< Gaussians looked at
-  std::uint64_t n_illegal = 0;     ///< stored numbers that the format does not allow; in none of the below
+  std::uint64_t first = 0, n = 0;  ///< the range
+  std::uint64_t n_illegal = 0;     ///< stored numbers that the format does not allow; excluded below
   Distribution opacity, scale;
   std::vector<ShCodes> sh;  ///< [sh_degree + 1]
 };
@@ -83,7 +83,7 @@ struct InfoReport {
   std::string path;
   std::uint64_t file_bytes = 0;
   std::optional<FileView> view;  ///< absent if the head of the file is damaged
-  /// Of a file with levels of detail, whose head `view` is: its pages, its levels from the finest on, and the finest as a file
+  /// Of a file with levels of detail, whose head is `view`: its pages; its levels, finest first; and level 0 as a file
   /// without levels, absent if values are not read or the end of the file is missing.
   std::optional<PagedFile> paged;
   std::vector<LevelReport> levels;
@@ -94,37 +94,36 @@ struct InfoReport {
   std::optional<ChunkStatistics> chunks;
   std::optional<ValueStatistics> values;
   std::optional<ChunkReport> chunk;
-  std::vector<std::uint64_t> hashes;  ///< with verify: of the stored bytes of each section that is there, else 0
-  bool verified = false;              ///< with verify: all of the file obeys the specification
-  std::optional<Error> error;         ///< the first failure; what could be read in spite of it is there
+  std::vector<std::uint64_t> hashes;  ///< with verify: of the stored bytes of each section present, else 0
+  bool verified = false;              ///< with verify: the whole file obeys the specification
+  std::optional<Error> error;         ///< the first failure; whatever could be read is filled in
 };
 
-/// Whether all of a section is in the file: not if the end of a file with levels is missing.
+/// Whether the file holds the whole section: not always if the end of a file with levels is missing.
 bool is_present(const InfoReport& report, const SectionEntry& section);
-/// Reads what `options` ask for; `bytes` must outlive the report. A chunk or page that does not exist is bad_argument. A file
-/// with levels whose end is missing gives pages_missing, after all else that may be wrong.
-/// Needs 16 bytes of memory a chunk; with verify what validate() needs.
+/// Reads what `options` ask for; `bytes` must outlive the report. A chunk or page that does not exist is bad_argument.
+/// A file with levels whose end is missing gives pages_missing, unless another error comes first.
+/// Memory: 16 bytes a chunk; with verify that of validate().
 InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, const InfoOptions& options);
 
-/// Bytes of the file that rows of a section take: their own, or the whole frame that holds them.
+/// The file's bytes that hold rows of a section: the rows themselves, or the whole frame around them.
 struct StoredRows {
   std::uint64_t offset = 0, bytes = 0;
   std::optional<std::uint64_t> frame;  ///< index; absent if the section is stored as is
 };
-/// Of `count` rows of one chunk, from row `first` on.
+/// `count` rows of one chunk, from `row` on.
 StoredRows stored_rows(const FileView& view, SectionType type, std::uint64_t first, std::uint64_t count,
                        std::uint64_t row_bytes);
 
 /// The page that holds row `row` of the leaves.
 std::uint32_t leaf_of_row(const PagedFile& file, std::uint64_t row);
 
-/// Size of the scene as rows of a 3DGS PLY of the same degree.
+/// Size of the scene as a 3DGS PLY of the same degree.
 std::uint64_t ply_bytes(const Header& header);
 double bytes_per_gaussian(std::uint64_t bytes, const Header& header);
-/// Of axes that span space; absent if they are not declared.
+/// Whether the axes are right-handed; absent if they are not declared.
 std::optional<bool> right_handed(const std::array<Axis, 3>& axes);
 
-/// An enumerator as JSON spells it and as people read it.
 struct Name {
   const char* id;
   const char* words;
@@ -138,16 +137,16 @@ Name name_of(SortMetric metric);
 Name name_of(DepthMapping mapping);
 Name name_of(DepthSource source);
 Name name_of(Order order);
-/// Profile::archive's name with that of the preset whose steps it has: "archive:high"; "archive" if they are others.
+/// Profile::archive with the preset whose steps it has: "archive:high"; "archive" if none.
 std::string archive_name(const ArchiveParameters& parameters);
 /// Step of a class's ln(scale), and of its SH degree 0.
 double scale_step(const ArchiveClass& c);
 double dc_step(const ArchiveClass& c);
-/// Content of a section; empty for types that are not known.
+/// Content of a section; empty for unknown types.
 const char* describe(SectionType type);
-/// The four characters of a section's type as they are in the file: untrusted.
+/// The four characters of a section's type as stored: untrusted.
 std::string four_characters(std::uint32_t type);
-/// "none"; "codec 7" for those that are not known, as all but 0 in sections of types that are not.
+/// "none", ...; "codec 7" for unknown ones, and for all but 0 in sections of unknown type.
 std::string codec_name(const SectionEntry& section);
 
 }  // namespace rgs::tool

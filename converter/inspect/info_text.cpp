@@ -176,7 +176,7 @@ class TextReport : private TextLines {
       const SectionEntry& s = view_.sections()[i];
       stored += s.stored_bytes;
       const char* content = describe(static_cast<SectionType>(s.type));
-      const bool known = *content != '\0';  // else nobody knows what it decodes to
+      const bool known = *content != '\0';  // else its decoded size is unknown
       decoded += known ? s.decoded_bytes : s.stored_bytes;
       const char* check = report_.hashes.empty()        ? ""
                           : !is_present(report_, s)     ? "  INCOMPLETE"
@@ -198,7 +198,7 @@ class TextReport : private TextLines {
         "  verified: {} and every value obeys the specification; errors grow from page to parent, and each parent's "
         "box "
         "holds its children",
-        report_.paged->complete() ? "every checksum" : "of what is there every checksum");
+        report_.paged->complete() ? "every checksum" : "every checksum of what is present");
   }
 
   void levels() {
@@ -316,7 +316,7 @@ class TextReport : private TextLines {
          d.logarithmic && d.n_zero != 0 ? fmt::format("and {} zero", format_count(d.n_zero)) : "");
   }
 
-  // Heights are in proportion to the fullest bin; a bin that holds anything shows.
+  // Heights are proportional to the fullest bin; any bin that is not empty shows.
   std::string sparkline(const std::array<std::uint64_t, kInfoBins>& bins) const {
     constexpr const char* kBlocks[9] = {" ", "▁", "▂", "▃", "▄", "▅", "▆", "▇", "█"};
     constexpr const char* kLetters[9] = {" ", ".", ":", "-", "=", "+", "*", "%", "#"};
@@ -338,7 +338,6 @@ class TextReport : private TextLines {
     bytes(SectionType::sh, c.first, c.entry.count, sh_bytes(header_.sh_degree));
   }
 
-  // A page is read as a whole.
   void page_of_chunk(const ChunkReport& c) {
     const std::uint32_t i = leaf_of_row(*report_.paged, c.first);
     const StoredPage& stored = report_.paged->stored(i);
@@ -354,7 +353,7 @@ class TextReport : private TextLines {
 
   const InfoReport& report_;
   const FileView& view_;
-  const FileView& scene_;  // the same without levels
+  const FileView& scene_;  // the same scene without levels
   const Header& header_;
   bool ascii_;
 };

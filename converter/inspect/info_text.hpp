@@ -8,8 +8,8 @@
 
 namespace rgs::tool {
 
-/// Aligned lines of at most about 125 columns. Text from the file is escaped. `ascii`: nothing but ASCII.
-/// The error is not part of the text: it belongs to standard error.
+/// Aligned lines of at most about 125 columns. Text from the file is escaped. `ascii`: only ASCII. Excludes the error,
+/// which belongs on standard error.
 std::string info_text(const InfoReport& report, bool ascii);
 
 }  // namespace rgs::tool

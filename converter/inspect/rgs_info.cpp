@@ -31,13 +31,14 @@ int info(const Arguments& arguments) {
   inputs.add(arguments.path);
   if (const int code = inputs.check_outputs(std::array<std::string, 1>{"-"}); code != kSuccess) return code;
   const auto file = MappedFile::open(arguments.path);
+  failpoint("read");
   if (file) {
     report = inspect(arguments.path, file->bytes(), arguments.options);
   } else {
     report.path = arguments.path;
     report.error = file.error();
   }
-  if (inputs.changed()) {  // what was found in a file that somebody writes to meanwhile is true of no file
+  if (inputs.changed()) {  // if the file changes meanwhile, an error found in it describes no file
     report = {};
     report.path = arguments.path;
     report.error = kFileChanged;
@@ -60,12 +61,12 @@ int body(int argc, char** argv) {
       ->type_name("N")
       ->excludes("--chunk");
   auto* stats_flag = app.add_flag("--stats", stats, "read all values for ranges and histograms (default up to 1 GB)");
-  app.add_flag("--no-stats", no_stats, "read head and tables only")->excludes(stats_flag);
+  app.add_flag("--no-stats", no_stats, "read header and tables only")->excludes(stats_flag);
   add_max_expansion(app, arguments.options.limits);
-  app.add_flag("--ascii", arguments.ascii, "no characters beyond ASCII in the text");
+  app.add_flag("--ascii", arguments.ascii, "print ASCII characters only");
   app.footer(
       "Exit codes: 0 fine, 1 internal, 2 usage, 3 input/output, 4 malformed or damaged file, 6 the end of a "
-      "file with levels of detail is missing (what is there is a whole scene, in less detail).");
+      "file with levels of detail is missing (the rest is the whole scene, in less detail).");
   if (const auto code = parse(app, argc, argv)) return *code;
   if (stats || no_stats) arguments.options.statistics = stats;
   const auto read_index = [](const char* option, const std::string& text, std::optional<std::uint64_t>& index) {

@@ -1,4 +1,5 @@
-// build_levels.cpp - the tree of pages: leaves cut from the order, groups of neighbours simplified, level by level.
+// build_levels.cpp - builds the tree of pages: cuts leaves in file order, then simplifies groups of neighbours, level
+// by level.
 // SPDX-License-Identifier: Apache-2.0
 #include "build_levels.hpp"
 
@@ -20,19 +21,18 @@
 namespace rgs::lod {
 namespace {
 
-// Stored scales and rotations are rounded to FP16 after this; bounds hold them too.
+// Stored scales and rotations are rounded to FP16 afterwards; bounds must hold the rounded ones.
 constexpr float kRoundingMargin = 1.004F;
 constexpr float kBoundSigmas = 3;
-// A page's error over the largest of its children.
-constexpr std::uint64_t kKeptOf1000 = 880;  // of a page, for each of its children
-constexpr float kErrorGrowth = 1.01F;
+constexpr std::uint64_t kKeptOf1000 = 880;  // of each child's share of a full page
+constexpr float kErrorGrowth = 1.01F;       // least ratio of a page's error to its children's largest
 constexpr float kMostError = 1e30F;
-// A run of boxes has a gap where the box around it is longer than this many of their lengths together.
+// A run of boxes has a gap where the box around it is longer than kGap times the sum of their lengths.
 constexpr float kGap = 2;
-// World units, and their logarithm. What is farther from its group, or larger, is left as it is: costs are fourth powers, and FP32
+// World units, and their logarithm. Farther or larger Gaussians are not simplified: costs are fourth powers, and FP32
 // ends at 3.4e38.
 constexpr float kFar = 1e9F, kLogFar = 20.723F;
-// A box of so many times the length of another is not in its company: floaters.
+// Boxes whose lengths differ by more than this factor do not share a run: floaters.
 constexpr float kUnlike = 12;
 
 Box empty_box() {
@@ -66,7 +66,7 @@ Box bounds_of(const SplatView& splats, std::uint64_t first, std::uint64_t n, flo
       for (std::size_t k = 0; k < 3; ++k) scale[k] = sigmas * kRoundingMargin * std::exp(splats.log_scale[3 * i + k]);
     }
     for (std::size_t k = 0; k < 3; ++k) {
-      double squared = 0;  // FP32 would lose the squares of the smallest
+      double squared = 0;  // the squares of the smallest underflow in FP32
       for (std::size_t l = 0; l < 3; ++l) {
         const double along = static_cast<double>(r[3 * k + l]) * static_cast<double>(scale[l]);
         squared += along * along;
@@ -79,7 +79,7 @@ Box bounds_of(const SplatView& splats, std::uint64_t first, std::uint64_t n, flo
   return box;
 }
 
-// Boxes one after the other, as long as they are neighbours of like size.
+// Consecutive boxes, as long as they are neighbours of similar size.
 class Run {
  public:
   bool takes(const Box& next) const {
@@ -141,7 +141,6 @@ bool is_far(const SplatView& splats, std::uint64_t i, const float centre[3]) {
   return false;
 }
 
-// The median of each coordinate of the means.
 void find_middle(const SplatView& splats, std::uint64_t from, std::uint64_t n, float middle[3]) {
   std::vector<float> values(n);
   for (std::size_t k = 0; k < 3; ++k) {
@@ -156,7 +155,7 @@ float longest_log_scale(const SplatView& splats, std::uint64_t i) {
   return std::max({splats.log_scale[3 * i], splats.log_scale[3 * i + 1], splats.log_scale[3 * i + 2]});
 }
 
-// Appends at most `wanted` Gaussians that stand for those from .. from + n - 1. Their error.
+// Appends at most `wanted` Gaussians that replace from .. from + n - 1. Returns their error.
 float replace(const SplatView& splats, std::uint64_t from, std::uint64_t n, std::uint64_t wanted, const float centre[3],
               const BuildOptions& options, SplatCloud& out) {
   const Gaussians group = activate(splats, from, n, centre);
@@ -169,7 +168,7 @@ float replace(const SplatView& splats, std::uint64_t from, std::uint64_t n, std:
   return simple.error;
 }
 
-// The same where some are far: the longest of these stay as they are, as many as their share is, the others are left out.
+// The same where some are far: keeps the longest of these, up to their share, and drops the others.
 float replace_without_far(const SplatView& splats, std::span<const std::uint64_t> near, std::vector<std::uint64_t> far,
                           std::uint64_t wanted, const float centre[3], const BuildOptions& options, SplatCloud& out) {
   constexpr float kNowhere[3] = {0, 0, 0};
@@ -184,7 +183,7 @@ float replace_without_far(const SplatView& splats, std::span<const std::uint64_t
     error = replace(some.view(), 0, near.size(), wanted - n_kept, centre, options, out);
   }
   for (std::uint64_t i = 0; i < n_kept; ++i) append(activate(splats, far[i], 1, kNowhere), kNowhere, out);
-  // Pixels of which all that is seen of the others is less than one.
+  // A dropped Gaussian must be smaller than a pixel.
   if (n_kept < far.size()) error = std::max(error, 2 * kBoundSigmas * std::exp(longest_log_scale(splats, far[n_kept])));
   return error;
 }
@@ -292,7 +291,7 @@ std::vector<std::uint32_t> group_pages(std::span<const Page> pages, const BuildO
     return begins;
   };
   std::vector<std::uint32_t> begins = group(true);
-  // The tree must become narrower: pages that are all unlike each other are grouped by order alone.
+  // The tree must narrow: if too few pages are alike, group them by order alone.
   if (begins.size() - 1 > std::max<std::size_t>(1, n / 2)) begins = group(false);
   return begins;
 }
@@ -339,12 +338,12 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
     for (std::uint64_t i = from; i < from + n; ++i) (is_far(splats, i, centre) ? far : near).push_back(i);
   };
   divide();
-  if (!far.empty()) {  // the first, perhaps, from all others
+  if (!far.empty()) {  // perhaps only the first is far from all others
     find_middle(splats, from, n, centre);
     divide();
   }
   const std::uint64_t most = static_cast<std::uint64_t>(options.chunk_size) * options.page_chunks;
-  // Less than all pages have room for: what a file with levels takes beyond one without is the sum of all powers of it.
+  // Fewer than pages have room for: the size that levels add to a file is the sum of all powers of this ratio.
   const std::uint64_t wanted = std::min(most, (n * kKeptOf1000 / options.children + 999) / 1000);
   const std::size_t before = out.size();
   float error = far.empty() ? replace(splats, from, n, wanted, centre, options, out)

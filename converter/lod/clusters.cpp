@@ -1,10 +1,10 @@
-// clusters.cpp - greedy merging of near Gaussians by what it does to a picture.
+// clusters.cpp - greedily merges close Gaussians, the pair that changes a picture least first.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Merging a pair keeps its moments, so that a picture whose pixels are larger than the pair hardly changes. What does change
-// is the integral of a squared difference of Gaussians, which has a closed form; pixel and low-pass are one more Gaussian.
-// It knows place, extent, colour and opacity at once: two Gaussians of different colours cost more the better they can be
-// told apart, a leaf and the wall behind it more than two bricks, and big ones more than small ones.
+// Merging a pair keeps its moments, so a picture whose pixels are larger than the pair hardly changes. The cost is the
+// integral of a squared difference of Gaussians, which has a closed form; pixel and low-pass are one more Gaussian. It
+// combines position, extent, colour and opacity: different colours cost more the better they can be told apart, a leaf
+// and the wall behind it more than two bricks, large Gaussians more than small ones.
 #include "clusters.hpp"
 
 #include <algorithm>
@@ -21,9 +21,9 @@
 namespace rgs::lod {
 namespace {
 
-constexpr float kPixelVariance = 0.3F;  // of a pixel's square and the low-pass, px^2
+constexpr float kPixelVariance = 0.3F;  // variance of a pixel's square and the low-pass, px^2
 constexpr std::size_t kLeastLeftOfRound[] = {
-    63, 100};  // a round leaves 63 of 100, three a quarter: costs are found anew often enough
+    63, 100};  // a round leaves 63 %, three a quarter: costs are updated often enough
 constexpr float kShConstant = 0.28209479F;
 
 }  // namespace
@@ -52,7 +52,7 @@ float mean_cross_section(const Covariance& covariance) {
   return total * (2.F / 3) * std::numbers::pi_v<float>;
 }
 
-// Jacobi's rotations in FP64; then the quaternion of the eigenvectors by its largest component.
+// Jacobi rotations in FP64; then the quaternion of the eigenvectors by its largest component.
 void principal_axes(const Covariance& covariance, float least, float scale[3], float rotation[4]) {
   const auto& c = covariance.of;
   double a[3][3] = {{c[0], c[1], c[2]}, {c[1], c[3], c[4]}, {c[2], c[4], c[5]}};
@@ -103,7 +103,7 @@ void principal_axes(const Covariance& covariance, float least, float scale[3], f
 Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> weight, std::span<const char> kept,
                           std::size_t n, float pixel) {
   const float blur = kPixelVariance * pixel * pixel;
-  const float least = 1e-9F * pixel * pixel;  // what does not show still has a place
+  const float least = 1e-9F * pixel * pixel;  // an invisible Gaussian still has a position
   Clusters out;
   out.next.resize(gaussians.size());
   std::vector<Cluster> current, alone;
@@ -132,13 +132,13 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> wei
     pairs.clear();
     for (std::uint32_t i = 0; i < current.size(); ++i) {
       for (const std::uint32_t j : nearest[i]) {
-        if (j == kNobody) break;
-        // Both may be neighbours of each other: the first of them has named the pair.
+        if (j == kNoNeighbour) break;
+        // If both are neighbours of each other, the first has added the pair.
         if (j < i && std::find(nearest[j].begin(), nearest[j].end(), i) != nearest[j].end()) continue;
         pairs.push_back({i, j});
       }
     }
-    if (pairs.empty()) {  // farther apart than FP32 has squares for
+    if (pairs.empty()) {  // squared distances overflow FP32
       for (std::uint32_t i = 1; i < current.size(); ++i) pairs.push_back({i - 1, i});
     }
     merge_costs(current, pairs, blur, costs);

@@ -1,4 +1,4 @@
-// clusters.hpp - which Gaussians of a group become one.
+// clusters.hpp - chooses which Gaussians of a group to merge.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -16,30 +16,31 @@ struct Covariance {
   float of[6];
 };
 Covariance covariance(const Gaussians& gaussians, std::size_t i);
-/// Of what a Gaussian covers, seen along the three axes, the mean: 2 pi times the root of the projected determinant.
+/// The cross-section that a Gaussian covers, averaged over the three axes: 2 pi times the root of the projected
+/// determinant.
 float mean_cross_section(const Covariance& covariance);
-/// Standard deviations and a unit quaternion w, x, y, z of a covariance; none below `least`.
+/// Standard deviations, at least `least`, and a unit quaternion w, x, y, z of a covariance.
 void principal_axes(const Covariance& covariance, float least, float scale[3], float rotation[4]);
 
-/// Axes that a picture along z, y, x shows, and where their variances lie in a covariance.
+/// The axes of a picture along z, y or x, and the indices of their variances in a covariance.
 struct Plane {
   int u, v, uu, uv, vv;
 };
 inline constexpr Plane kPlanes[3] = {{0, 1, 0, 1, 3}, {0, 2, 0, 2, 5}, {1, 2, 3, 4, 5}};
 
-/// Gaussians that become one, with their moments.
+/// Gaussians merged into one, with their moments.
 struct Cluster {
-  float weight = 0;  ///< what is seen of its members, world units squared
+  float weight = 0;  ///< visible area of its members, world units squared
   float mean[3];
   Covariance covariance;
   float color[4];             ///< r, g, b and 1: mean of the members by weight
-  float self = 0;             ///< what merge_cost() needs of the cluster alone
-  std::uint32_t first, last;  ///< members, as a list through Clusters::next
+  float self = 0;             ///< the part of merge_cost() that depends on this cluster alone
+  std::uint32_t first, last;  ///< members, a list through Clusters::next
 };
 
 struct Clusters {
   std::vector<Cluster> all;
-  std::vector<std::uint32_t> next;  ///< [Gaussians] member that follows; of the last, itself
+  std::vector<std::uint32_t> next;  ///< [Gaussians] next member; the last points to itself
 
   template <class F>
   void each_member(const Cluster& cluster, const F& f) const {
@@ -51,9 +52,9 @@ struct Clusters {
   bool is_single(const Cluster& cluster) const { return cluster.first == cluster.last; }
 };
 
-/// Merges neighbours, the pair that changes the picture least first, until `n` clusters are left. `weight` [gaussians]: what
-/// is seen of each; `kept` [gaussians]: not 0 for those that stay alone, fewer than n. `pixel`: side of a pixel of the
-/// picture that counts, world units. Deterministic.
+/// Merges neighbours, the pair that changes the picture least first, down to `n` clusters. `weight` [gaussians]:
+/// visible area; `kept` [gaussians]: not 0 for those that stay alone, fewer than n. `pixel`: side of a pixel of the
+/// picture by which the cost is measured, world units. Deterministic.
 Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> weight, std::span<const char> kept,
                           std::size_t n, float pixel);
 

@@ -19,13 +19,13 @@
 #ifndef RGS_LOD_POINT_TREE
 #define RGS_LOD_POINT_TREE
 namespace rgs::lod {
-// Points in the order of a tree of halves, whose leaves are eight after another; axes by the block in the middle of a range.
-// What is missing from the last leaf is so far away that its distance is infinite.
+// Points in the order of a tree of halves with eight points a leaf; the block in the middle of a range stores its axis.
+// Padding of the last leaf is infinitely far away.
 struct PointTree {
   std::vector<std::uint32_t> order;
   std::vector<float> at[3];
   std::vector<std::uint8_t> axis;
-  std::vector<float> cut;  // along the axis, where the second half begins
+  std::vector<float> cut;  // along the axis: where the second half begins
 };
 }  // namespace rgs::lod
 #endif
@@ -34,32 +34,29 @@ HWY_BEFORE_NAMESPACE();
 namespace rgs::lod {
 namespace HWY_NAMESPACE {
 
-// The search for the neighbours of one point.
 class Search {
  public:
   Search(const PointTree& tree, std::uint32_t at) : tree_(tree), self_(at) {
     for (int k = 0; k < 3; ++k) to_[k] = tree.at[k][at];
     for (float& d : distance_) d = std::numeric_limits<float>::infinity();
-    found_.fill(kNobody);
+    found_.fill(kNoNeighbour);
   }
-  // Blocks begin .. end - 1.
-  void look(std::size_t begin, std::size_t end) {
-    if (end - begin == 1) return look_at_leaf(begin * kLanes);
+  void descend(std::size_t begin, std::size_t end) {
+    if (end - begin == 1) return scan_leaf(begin * kLanes);
     const std::size_t middle = (begin + end) / 2;
     const int axis = tree_.axis[middle];
     const float d = to_[axis] - tree_.cut[middle];
-    d < 0 ? look(begin, middle) : look(middle, end);
-    if (d * d >= distance_[kNeighbours - 1]) return;  // equal ones too: many may lie in one place
-    d < 0 ? look(middle, end) : look(begin, middle);
+    d < 0 ? descend(begin, middle) : descend(middle, end);
+    if (d * d >= distance_[kNeighbours - 1]) return;  // stop at equality: many points may coincide
+    d < 0 ? descend(middle, end) : descend(begin, middle);
   }
-  // The block that the point is in, alone.
-  void look_around_itself() { look_at_leaf(self_ / kLanes * kLanes); }
-  // In one place with all its neighbours.
+  void scan_own_leaf() { scan_leaf(self_ / kLanes * kLanes); }
+  // Whether the point coincides with all its neighbours.
   bool is_crowded() const { return distance_[kNeighbours - 1] == 0; }
   const Neighbours& found() const { return found_; }
 
  private:
-  RGS_LOD_INLINE void look_at_leaf(std::size_t first) {
+  RGS_LOD_INLINE void scan_leaf(std::size_t first) {
     V squared = set(0);
     for (int k = 0; k < 3; ++k) {
       const V d = load(&tree_.at[k][first]) - set(to_[k]);
@@ -89,17 +86,16 @@ void search_all(const PointTree& tree, Neighbours* out) {
   const std::size_t n_blocks = tree.at[0].size() / kLanes;
   for (std::uint32_t i = 0; i < tree.order.size(); ++i) {
     Search search(tree, i);
-    search.look(0, n_blocks);
+    search.descend(0, n_blocks);
     out[tree.order[i]] = search.found();
     if (!search.is_crowded()) continue;
-    // Where many lie in one place, all of them have come to the same few, which can merge with one each.
+    // Coincident points all find the same few, each of which can merge only once.
     Search nearby(tree, i);
-    nearby.look_around_itself();
+    nearby.scan_own_leaf();
     if (nearby.is_crowded()) out[tree.order[i]] = nearby.found();
   }
 }
 
-// Eight clusters, a lane each.
 struct Clusters8 {
   V weight, mean[3];
   struct {
@@ -127,7 +123,7 @@ RGS_LOD_INLINE Clusters8 take(const Cluster* clusters, const std::uint32_t (&ite
   return out;
 }
 
-// Sum over the planes of the integral of the product of two Gaussians, whose variances add up; but for 1 / 2 pi.
+// Sum over the planes of the integral of the product of two Gaussians (variances add up), without the factor 1 / 2 pi.
 RGS_LOD_INLINE V products(const Clusters8& a, const Clusters8& b, V blur) {
   V total = set(0);
   for (const Plane& p : kPlanes) {
@@ -137,7 +133,7 @@ RGS_LOD_INLINE V products(const Clusters8& a, const Clusters8& b, V blur) {
             vv = a.covariance.of[p.vv] + b.covariance.of[p.vv] + blur;
     const V det = uu * vv - uv * uv;
     const V q = (vv * du * du - set(2) * uv * du * dv + uu * dv * dv) / det;
-    // Rounding may leave less than nothing of it, or no number, where both are one point.
+    // Rounding may make it negative or NaN where the two coincide.
     const V near = select(q > set(40), set(40), select(q > set(0), q, set(0)));
     total += select(q > set(40), set(0), exp2(set(-0.5F * math::kLog2E) * near) / root(det));
   }
@@ -161,7 +157,7 @@ void costs_of(const Cluster* clusters, const ClusterPair* pairs, std::size_t n, 
     const V cost = a.self + b.self + products(m, m, twice) +
                    set(2) * (products(a, b, twice) - products(a, m, twice) - products(b, m, twice));
     float lanes[kLanes];
-    store(lanes, select(cost < most, cost, most));  // not a number: the last of all
+    store(lanes, select(cost < most, cost, most));  // NaN sorts last
     std::copy_n(lanes, std::min<std::size_t>(kLanes, n - i), out + i);
   }
 }

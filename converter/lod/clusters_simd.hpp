@@ -1,4 +1,4 @@
-// clusters_simd.hpp - the two costly parts of merging clusters, eight at a time: neighbours, and what a merger costs.
+// clusters_simd.hpp - the two costly parts of merging clusters, eight at a time: nearest neighbours and merge costs.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,9 +12,9 @@
 
 namespace rgs::lod {
 
-inline constexpr std::size_t kNeighbours = 5;  // looked at for each cluster and round
+inline constexpr std::size_t kNeighbours = 5;  // candidates for each cluster and round
 
-/// Moments of two clusters together. Real: float, or a vector of what Clusters holds.
+/// Moments of two merged clusters. Real: float, or a vector of what Clusters holds.
 template <class Real, class Clusters>
 inline __attribute__((always_inline)) void merge_moments(const Clusters& a, const Clusters& b, Clusters& m) {
   m.weight = a.weight + b.weight;
@@ -32,20 +32,20 @@ inline __attribute__((always_inline)) void merge_moments(const Clusters& a, cons
   for (int k = 0; k < 4; ++k) m.color[k] = p * a.color[k] + q * b.color[k];
 }
 
-/// Neighbours of a cluster, nearest first; where there are fewer clusters, kNobody.
+/// Neighbours of a cluster, nearest first, padded with kNoNeighbour.
 using Neighbours = std::array<std::uint32_t, kNeighbours>;
-inline constexpr std::uint32_t kNobody = 0xffffffff;
+inline constexpr std::uint32_t kNoNeighbour = 0xffffffff;
 
-/// The nearest of each cluster by their means.
+/// The nearest neighbours of each cluster, by their means.
 void nearest_clusters(std::span<const Cluster> clusters, std::vector<Neighbours>& out);
 
 struct ClusterPair {
   std::uint32_t a, b;
 };
-/// Sets Cluster::self of all.
+/// Sets Cluster::self of all clusters.
 void set_selves(std::span<Cluster> clusters, float blur);
-/// Integral of the squared difference that merging a pair makes to pictures along three axes: see clusters.cpp. `blur`: the
-/// variance of pixel and low-pass. Beyond the range of FP32: its largest number.
+/// Integral of the squared difference that merging a pair makes in pictures along three axes: see clusters.cpp. `blur`:
+/// variance of pixel and low-pass. Saturates at FP32's largest number.
 void merge_costs(std::span<const Cluster> clusters, std::span<const ClusterPair> pairs, float blur,
                  std::vector<float>& out);
 

@@ -1,8 +1,8 @@
-// core_box.cpp - a box of means by what they cover.
+// core_box.cpp - the box of means that holds most of what is visible.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Floaters and Gaussians of the sky would make a page seem near that is not: what little of a page is nearer than its core is drawn
-// as coarse as the rest. docs/develop/LEVELS.md, "Error".
+// Floaters and Gaussians of the sky would make a page seem near. The little of it that is nearer than its core is drawn
+// as coarsely as the rest. docs/develop/LEVELS.md, "Error".
 #include "core_box.hpp"
 
 #include <algorithm>
@@ -28,7 +28,7 @@ Box core_of(const SplatView& splats, std::uint64_t first, std::uint64_t n) {
   for (std::size_t k = 0; k < 3; ++k) {
     for (std::uint64_t i = 0; i < n; ++i) along[i] = {splats.mean[3 * (first + i) + k], static_cast<std::uint32_t>(i)};
     std::sort(along.begin(), along.end());
-    // From one end inwards, as long as so little is left out.
+    // Moves inwards from one end, as long as little enough lies outside.
     const auto end_of_core = [&](auto from, auto last) {
       for (double outside = covered[from->second]; from != last && outside <= kOutsideCore * total; ++from) {
         outside += covered[std::next(from)->second];

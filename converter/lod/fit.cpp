@@ -1,8 +1,8 @@
-// fit.cpp - local splatting: gradients of small pictures (Kerbl et al. 2023), of one group at a time (V3DG, 2025).
+// fit.cpp - local splatting: gradients of small pictures (Kerbl et al. 2023), one group at a time (V3DG, 2025).
 // SPDX-License-Identifier: Apache-2.0
 //
-// The group alone is looked at, in front of every background at once: what it hides counts as much as what it shows. One
-// picture a step, all pictures equally often; means move in units of a pixel.
+// Each picture shows the group alone in front of every background at once: what it hides counts as much as what it
+// shows. One picture a step, all pictures equally often; means move in units of a pixel.
 #include "fit.hpp"
 
 #include <algorithm>
@@ -16,9 +16,9 @@
 namespace rgs::lod {
 namespace {
 
-constexpr int kMostPixels = 288;  // of a picture's side
+constexpr int kMostPixels = 288;  // sides of a picture
 
-// Steps of the first picture; they fall to a tenth until the last.
+// Step sizes of the first picture; they fall to a tenth until the last.
 constexpr float kMeanStep = 0.03F;  // pixels
 constexpr float kTurnStep = 0.03F;  // radians
 constexpr float kLogScaleStep = 0.03F;
@@ -27,11 +27,11 @@ constexpr float kDcStep = 0.03F;
 constexpr float kShStep = 0.008F;
 constexpr float kDecay1 = 0.9F, kDecay2 = 0.99F;
 constexpr float kLeastLogit = -9.2F, kMostLogit = 4.6F;  // opacities of 0.0001 and 0.99
-// Of fit_colors(). Steps as long as those of fit() would spoil the many Gaussians that are right as they are.
+// For fit_colors(). Steps as large as those of fit() would spoil the many Gaussians that are right already.
 constexpr int kColorDirections = 32;
 constexpr float kColorRate = 0.1F;
 
-// Squared difference over all backgrounds b: the mean of (dc + dt b)^2 for b in [0, 1] is dc^2 + dc dt + dt^2 / 3.
+// Squared difference, averaged over all backgrounds b in [0, 1]: the mean of (dc + dt b)^2 is dc^2 + dc dt + dt^2 / 3.
 void differentiate(const Picture& truth, const Picture& drawn, Picture& by) {
   by.reset(truth.width(), truth.height());
   const float* const transmitted[2] = {drawn.plane(3), truth.plane(3)};
@@ -50,7 +50,7 @@ void differentiate(const Picture& truth, const Picture& drawn, Picture& by) {
   }
 }
 
-// Moments of Adam (Kingma and Ba 2015) for each number of each Gaussian.
+// Adam's moments (Kingma and Ba 2015) of each parameter of each Gaussian.
 class Adam {
  public:
   Adam(std::size_t n_values, std::size_t n) : n_(n), mean_(n_values * n), square_(n_values * n) {}
@@ -59,7 +59,7 @@ class Adam {
     power2_ *= kDecay2;
     rate_ = rate;
   }
-  /// Calls move(i, by) for every Gaussian; its gradient is factor * gradient[i].
+  /// Calls move(i, by) for each Gaussian; its gradient is factor * gradient[i].
   template <class Move>
   void step(std::size_t value, const float* gradient, float factor, float size, const Move& move) {
     float* const mean = &mean_[value * n_];
@@ -91,7 +91,7 @@ void turn(Gaussians& gaussians, std::size_t i, const float by[3]) {
   for (int k = 0; k < 4; ++k) gaussians.of(kRotation + k)[i] = r[k] * factor;
 }
 
-// Steps over pictures in front of `frames`, `rate` of the sizes above; shapes move only if asked.
+// Descends over pictures in `frames`, with step sizes scaled by `rate`; shapes move only if asked.
 void descend(const Gaussians& group, Gaussians& out, float pixel, std::span<const Frame> frames, int n_steps,
              int supersampling, bool shapes, float rate) {
   const auto n_directions = static_cast<int>(frames.size());
@@ -110,7 +110,7 @@ void descend(const Gaussians& group, Gaussians& out, float pixel, std::span<cons
     const float opacity = std::clamp(out.of(kOpacity)[i], 1.02e-4F, 0.99F);
     logit[i] = std::log(opacity / (1 - opacity));
   }
-  // A stride through the directions that visits all of them, neighbours far apart in time.
+  // A stride that visits all directions, neighbours far apart in time.
   const int stride = n_directions % 29 == 0 ? 31 : 29;
   for (int step = 0; step < n_steps; ++step) {
     const auto view = static_cast<std::size_t>(step * stride % n_directions);

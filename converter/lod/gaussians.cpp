@@ -1,4 +1,4 @@
-// gaussians.cpp - between the parameters of training and activated arrays.
+// gaussians.cpp - converts between parameters of training and activated arrays.
 // SPDX-License-Identifier: Apache-2.0
 #include "gaussians.hpp"
 
@@ -67,7 +67,7 @@ void append(const Gaussians& gaussians, const float centre[3], SplatCloud& out) 
       out.log_scale[at] = std::log(std::max(gaussians.of(kScale + k)[i], 1e-30F));
     }
     for (int k = 0; k < 4; ++k) out.rotation[4 * j + static_cast<std::size_t>(k)] = gaussians.of(kRotation + k)[i];
-    // Finite logits and logarithms, as read() gives them of a file.
+    // Finite logits and logarithms, like those read from a file.
     const float opacity = std::clamp(gaussians.of(kOpacity)[i], 1e-7F, 1 - 1e-7F);
     out.opacity_logit[j] = std::log(opacity / (1 - opacity));
     for (std::size_t k = 0; k < n_sh; ++k) {

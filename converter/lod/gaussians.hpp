@@ -1,4 +1,4 @@
-// gaussians.hpp - some activated Gaussians, an array for each number, as the builder of levels computes with them.
+// gaussians.hpp - activated Gaussians, an array per parameter, for the builder of levels.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -11,11 +11,11 @@
 
 namespace rgs::lod {
 
-/// What an array is of. Harmonics follow from kSh, coefficients before channels.
+/// Indices of the arrays. Harmonics follow from kSh, coefficients before channels.
 enum Value : int { kMean = 0, kScale = 3, kRotation = 6, kOpacity = 10, kSh = 11 };
 
-/// n Gaussians: arrays [n] of 11 numbers and 3 (degree + 1)^2 harmonics. Scales and opacity are activated, rotations unit
-/// quaternions w, x, y, z. Each array is padded to a multiple of 8 with Gaussians that do not show.
+/// n Gaussians: arrays [n] of 11 parameters and 3 (degree + 1)^2 harmonics. Scales and opacity are activated, rotations
+/// unit quaternions w, x, y, z. Each array is padded to a multiple of 8 with invisible Gaussians.
 class Gaussians {
  public:
   Gaussians() = default;
@@ -29,7 +29,7 @@ class Gaussians {
   float* of(int value) { return &values_[static_cast<std::size_t>(value) * stride_]; }
   const float* of(int value) const { return &values_[static_cast<std::size_t>(value) * stride_]; }
 
-  /// Gaussian `from` of `other`, of the same degree, as Gaussian `to` of this.
+  /// Copies Gaussian `from` of `other`, of the same degree, to index `to`.
   void copy(std::size_t to, const Gaussians& other, std::size_t from);
 
  private:
@@ -38,8 +38,8 @@ class Gaussians {
   std::vector<float> values_;
 };
 
-/// Gaussians in the parameters of training, with `centre` taken from their means; back again, appended. Harmonics are then
-/// rounded to FP16: a file has 8 bits of them, and scratch files become smaller by a third.
+/// activate() converts parameters of training, with means relative to `centre`; append() converts back. It rounds
+/// harmonics to FP16: a file has 8 bits of them, and scratch files shrink by a third.
 Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3]);
 void append(const Gaussians& gaussians, const float centre[3], SplatCloud& out);
 

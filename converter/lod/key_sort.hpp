@@ -1,4 +1,4 @@
-// key_sort.hpp - sorting many small things by a float.
+// key_sort.hpp - sorts many small items by a float.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,7 +8,7 @@
 
 namespace rgs::lod {
 
-/// Sorts by the upper 32 bits; stable. `spare` is memory.
+/// Sorts by the upper 32 bits; stable. `spare` is scratch memory.
 inline void sort_by_key(std::vector<std::uint64_t>& keys, std::vector<std::uint64_t>& spare) {
   spare.resize(keys.size());
   std::uint32_t counts[3][2048] = {};
@@ -27,10 +27,10 @@ inline void sort_by_key(std::vector<std::uint64_t>& keys, std::vector<std::uint6
   }
 }
 
-/// Bits in the order of the numbers that they stand for; not of NaN.
+/// Bits that sort like the float; not for NaN.
 inline std::uint32_t ordered_bits(float value) {
   std::uint32_t bits;
-  value += 0.F;  // -0 is 0
+  value += 0.F;  // -0 becomes 0
   std::memcpy(&bits, &value, sizeof bits);
   return (bits >> 31) != 0 ? ~bits : bits | 0x80000000U;
 }

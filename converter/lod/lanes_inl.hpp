@@ -1,4 +1,4 @@
-// lanes_inl.hpp - eight floats at a time, compiled once for each instruction set by who includes it.
+// lanes_inl.hpp - eight floats at a time, compiled by its includer once for each instruction set.
 // SPDX-License-Identifier: Apache-2.0
 #if defined(RGS_LOD_LANES_INL) == defined(HWY_TARGET_TOGGLE)
 #ifdef RGS_LOD_LANES_INL
@@ -42,7 +42,7 @@ RGS_LOD_INLINE float sum(V v) {
   return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]));
 }
 
-// 2^p for p in [-126, 1]: as in the renderer's rows.
+// 2^p for p in [-126, 1], as in the renderer's rows.
 RGS_LOD_INLINE V exp2(V p) {
   const V magic = set(12582912.F);
   const V n = (p + magic) - magic;

@@ -1,9 +1,9 @@
-// pictures.hpp - small parallel-projection pictures of a group of Gaussians, what each gave to them, and their gradients.
+// pictures.hpp - small parallel-projection pictures of a group of Gaussians, each one's contribution, and gradients.
 // SPDX-License-Identifier: Apache-2.0
 //
-// The picture is the renderer's (docs/format/RENDERING.md): low-pass, with or without compensated opacity, depth order by the mean,
-// alpha between 1/255 and 0.99. There is no perspective, no end of a pixel before the last Gaussian, and no background:
-// pixels hold what is in front of it, and how much of it remains. Same bits on every machine: lanes are summed in one order.
+// Drawn as the renderer does (docs/format/RENDERING.md): low-pass, with or without compensated opacity, depth order by
+// the mean, alpha between 1/255 and 0.99. But without perspective, early termination and background: pixels hold
+// premultiplied colour and the remaining transmittance. Same bits on every machine: lanes are summed in one order.
 #pragma once
 
 #include <cstddef>
@@ -15,13 +15,13 @@
 
 namespace rgs::lod {
 
-/// Axes of a picture in the world, orthonormal: right, down, forward (away from the eye).
+/// Orthonormal axes of a picture in the world: right, down, forward (away from the eye).
 struct Axes3 {
   float right[3], down[3], forward[3];
 };
 
-/// Where a picture's pixels are: pixel (0, 0) begins at (`left`, `top`) along right and down, world units; `pixel` is a
-/// pixel's side.
+/// A picture's grid: pixel (0, 0) begins at (`left`, `top`) along right and down, world units; `pixel` is a pixel's
+/// side.
 struct Frame {
   Axes3 axes;
   float left = 0, top = 0, pixel = 1;
@@ -36,9 +36,9 @@ struct Filter {
 /// Premultiplied r, g, b and the transmittance, planes of [height][stride].
 class Picture {
  public:
-  /// All values 0.
+  /// All values become 0.
   void reset(int width, int height);
-  /// Values of whatever was there before: for who sets all of them.
+  /// Values are left undefined, for callers that set all of them.
   void resize(int width, int height);
   int width() const { return width_; }
   int height() const { return height_; }
@@ -53,7 +53,7 @@ class Picture {
   std::vector<float> values_;
 };
 
-/// A Gaussian on a picture; its rectangle of pixels is not empty.
+/// A projected Gaussian; its rectangle of pixels is not empty.
 struct Dot {
   float u, v;     // mean, pixels from the picture's corner
   float a, b, c;  // conic
@@ -64,40 +64,40 @@ struct Dot {
   std::int16_t x0, x1, y0, y1;
 };
 
-/// What the functions below need besides, kept from call to call.
+/// Scratch of the functions below, reused by later calls.
 struct Projection {
   std::vector<float> values;               // [9][padded]: see project_all()
   std::vector<float> placed;               // [8][padded]: see place_all()
   std::vector<std::uint64_t> keys, spare;  // front to back
-  float pixel = 1;                         // of the frame that `values` are of
+  float pixel = 1;                         // of the frame of `values`
   std::vector<Dot> dots;                   // front to back
 };
 
-/// Puts Gaussians on a picture, front to back. Dot::color is 0.5 where colours are not `wanted`.
+/// Projects Gaussians, front to back. Dot::color is 0.5 unless colours are `wanted`.
 enum class Colors : std::uint8_t { wanted, unwanted };
 void project(const Gaussians& gaussians, const Frame& frame, const Filter& filter, Projection& out,
              Colors colors = Colors::wanted);
-/// The same of a frame of other pixels but the same axes and corner as that of the last project() of these Gaussians, at a
-/// part of the cost; the same bits if pixels differ by a power of two.
+/// The same for a frame with the axes and corner of the last project() of these Gaussians but another pixel size, at a
+/// part of the cost; the same bits if the sizes differ by a power of two.
 void project_again(const Gaussians& gaussians, const Frame& frame, const Filter& filter, Projection& out);
 
-/// Sets all of a picture that has its size.
+/// Overwrites the whole picture, whose size is set.
 void draw(std::span<const Dot> dots, Picture& picture);
 
-/// Adds to `sums` [n] the weight with which each Gaussian went into the picture's pixels, in pixels. Draws transmittance only;
-/// the picture has its size.
+/// Adds to `sums` [n] each Gaussian's blending weight over the picture, in pixels. Draws transmittance only; the
+/// picture's size is set.
 void contributions(std::span<const Dot> dots, Picture& picture, std::span<float> sums);
 
-/// Gradients of a number that depends on a picture by what depends on each Gaussian: arrays [padded] each.
+/// Derivatives of a function of the picture by each Gaussian's parameters: arrays [padded] each.
 enum Gradient : int { kByMean = 0, kByTurn = 3, kByLogScale = 6, kByLogOpacity = 9, kByColor = 10, kGradients = 13 };
 
-/// `by_picture`: derivatives by r, g, b and by what is covered (1 - transmittance), in the planes of a picture; `drawn`:
-/// what draw() gave. Sets `gradients` [kGradients][padded], zero for Gaussians that are not in `dots`. Turns are by the
-/// vector of a rotation in the world that follows the Gaussian's own; colours by the colour before harmonics are clamped.
+/// `by_picture`: derivatives by r, g, b and by coverage (1 - transmittance), in a picture's planes; `drawn`: the result
+/// of draw(). Sets `gradients` [kGradients][padded], zero for Gaussians that are not in `dots`. Turns are by the vector
+/// of a rotation in the world applied after the Gaussian's own; colours by the colour before harmonics are clamped.
 void gradients(const Gaussians& gaussians, const Frame& frame, const Filter& filter, std::span<const Dot> dots,
                const Picture& by_picture, const Picture& drawn, Picture& scratch, std::vector<float>& out);
 
-/// Pixels of `fine` in squares of factor x factor, averaged; `fine` has factor times the sides.
+/// Averages squares of factor x factor pixels of `fine`, whose sides are `factor` times those of `out`.
 void box_filter(const Picture& fine, int factor, Picture& out);
 
 }  // namespace rgs::lod

@@ -1,12 +1,12 @@
 // pictures_simd.cpp - pictures of groups, compiled for each instruction set and chosen at run time.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Eight pixels of a row are one vector whatever the machine has (the compiler cuts it where registers are shorter), so that
+// Eight pixels of a row are one vector on every machine (the compiler splits it where registers are shorter), so that
 // sums have the same bits everywhere. Gaussians are the outer loop: most cover a few pixels, and a picture stays in the
 // second-level cache.
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "pictures_simd.cpp"  // NOLINT
-// x86 gets AVX-512, AVX2 and the portable fallback for machines from before 2013, others what they have.
+// x86 gets AVX-512, AVX2 and the portable fallback (machines before 2013), others their own.
 #define HWY_DISABLED_TARGETS (HWY_SSSE3 | HWY_SSE4)
 #include <hwy/foreach_target.h>
 //
@@ -26,7 +26,7 @@
 #ifndef RGS_LOD_DOT_SUMS
 #define RGS_LOD_DOT_SUMS
 namespace rgs::lod {
-// Of a dot, over pixels: the gradient by the logarithm of alpha, times powers of the pixel's distance from the mean.
+// Sums over a dot's pixels: the gradient by the logarithm of alpha, times powers of the distance from the mean.
 struct DotSums {
   float h, hx, hy, hxx, hxy, hyy, color[3];
 };
@@ -98,7 +98,7 @@ void contributions(std::span<const Dot> dots, Picture& picture, std::span<float>
   }
 }
 
-// Columns 0..: u, v, z, xx, xy, yy, r, g, b, the last three from `n_coefficients` harmonics.
+// Columns: u, v, z, xx, xy, yy, r, g, b, the last three from `n_coefficients` harmonics.
 void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16], int n_coefficients, float* out) {
   const std::size_t n = g.padded();
   const float s = 1 / frame.pixel;
@@ -142,8 +142,8 @@ void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16
   }
 }
 
-// What follows from the columns of project_all(), times `factor` to the frame's pixels. Columns 0..: opacity, the conic's a,
-// b, c, x0, x1, y0, y1; x0 = x1 where nothing is to be seen.
+// Derives columns from those of project_all(), times `factor` to the frame's pixels: opacity, the conic's a, b, c, x0,
+// x1, y0, y1; x0 = x1 if invisible.
 void place_all(const float* opacities, const float* in, std::size_t n, float factor, const Frame& frame,
                const Filter& filter, float* out) {
   const V by = set(factor), by_square = set(factor * factor), low_pass = set(filter.low_pass);
@@ -175,7 +175,7 @@ void place_all(const float* opacities, const float* in, std::size_t n, float fac
       x = select(x > zero, x, zero);
       return select(x < most, x, most);
     };
-    // Of numbers from 0 on: down is what conversion does.
+    // Values are >= 0: the conversion rounds down.
     const auto down = [](V x) __attribute__((always_inline)) {
       return __builtin_convertvector(__builtin_convertvector(x, I), V);
     };
@@ -198,7 +198,7 @@ void place_all(const float* opacities, const float* in, std::size_t n, float fac
 }
 
 void dot_gradients(std::span<const Dot> dots, const Picture& by, Picture& scratch, DotSums* out) {
-  // scratch: 0 what remains of sum g.c behind, 3 transmittance
+  // scratch: 0 remainder of sum g.c behind, 3 transmittance
   float* const rest = scratch.plane(0);
   float* const t = scratch.plane(3);
   const float* const gr = by.plane(0);

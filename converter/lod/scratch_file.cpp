@@ -15,9 +15,9 @@
 namespace rgs::lod {
 namespace {
 
-constexpr const char* kNotMade = "no scratch file can be made; name a folder that can be written with --scratch";
-constexpr const char* kNotWritten = "a scratch file cannot be written; name a folder with more room with --scratch";
-constexpr const char* kNotRead = "a scratch file cannot be read";
+constexpr const char* kNotMade = "cannot create a scratch file; name a writable folder with --scratch";
+constexpr const char* kNotWritten = "cannot write a scratch file; name a folder with more room with --scratch";
+constexpr const char* kNotRead = "cannot read a scratch file";
 
 }  // namespace
 

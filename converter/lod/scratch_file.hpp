@@ -1,4 +1,4 @@
-// scratch_file.hpp - bytes that are written and read again while levels are built.
+// scratch_file.hpp - scratch bytes, in memory or in a file, for building levels.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,8 +12,8 @@
 
 namespace rgs::lod {
 
-/// In memory, or in a file without a name that vanishes with the process, however that ends. Reading is thread-safe, and so is
-/// writing to a file.
+/// In memory, or in an unnamed file that vanishes with the process. Reading is thread-safe, and so is writing to a
+/// file.
 class ScratchFile {
  public:
   ScratchFile() = default;  ///< in memory
@@ -25,7 +25,7 @@ class ScratchFile {
 
   /// Errors: write_failed (the folder is full), host_out_of_memory.
   Status write(std::uint64_t offset, std::span<const std::byte> bytes);
-  /// Bytes that have been written. Errors: read_failed.
+  /// Reads bytes that were written. Errors: read_failed.
   Status read(std::uint64_t offset, std::span<std::byte> bytes) const;
 
  private:
@@ -33,7 +33,7 @@ class ScratchFile {
   std::vector<std::byte> memory_;
 };
 
-/// Whether it is an error of a scratch file, and so of the folder that it is in: not of an input or the output.
+/// Whether the error is a scratch file's, so that its folder is to blame and not an input or the output.
 bool concerns_scratch(const Error& error);
 
 }  // namespace rgs::lod

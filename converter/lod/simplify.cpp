@@ -1,4 +1,4 @@
-// simplify.cpp - the steps from a group to its replacement: what shows, clusters, moments, coverage, fit, error.
+// simplify.cpp - from a group to its replacement: visible areas, clusters, moments, coverage, fit, error.
 // SPDX-License-Identifier: Apache-2.0
 #include "simplify.hpp"
 
@@ -17,15 +17,15 @@
 namespace rgs::lod {
 namespace {
 
-constexpr int kViews = 5;            // that say what is seen of a Gaussian
-constexpr int kMostPixels = 512;     // of their sides
-constexpr float kPieceLength = 100;  // pixels: pictures of pieces stay in the cache
-constexpr float kCoarseness = 2;     // pixels a Gaussian: see footprint_of()
-constexpr float kLarge = 2.5F;       // pixels of the longest standard deviation from which on a Gaussian stays alone
-constexpr float kMostKept = 0.6F;    // of the result
+constexpr int kViews = 5;            // directions that measure visible areas
+constexpr int kMostPixels = 512;     // sides of their pictures
+constexpr float kPieceLength = 100;  // pixels: pictures of pieces fit into the cache
+constexpr float kCoarseness = 2;     // pixels per Gaussian: see footprint_of()
+constexpr float kLarge = 2.5F;       // pixels; a Gaussian with a longer standard deviation stays alone
+constexpr float kMostKept = 0.6F;    // share of the result that may stay alone
 constexpr int kCoverageRounds = 3;
 constexpr float kMostOpacity = 0.98F, kLeastOpacity = 1e-4F;
-constexpr float kMostOfFrame = 250;  // pixels of a group in those of fit_colors()
+constexpr float kMostOfFrame = 250;  // longest side of a group in fit_colors(), pixels
 constexpr int kFootprints = 3;       // at which the error is measured, each twice the one before
 constexpr int kClasses = 12;         // of size, each four times the one before
 
@@ -33,7 +33,6 @@ float longest(const Gaussians& gaussians, std::size_t i) {
   return std::max({gaussians.of(kScale)[i], gaussians.of(kScale + 1)[i], gaussians.of(kScale + 2)[i]});
 }
 
-// Of the means, along the longest axis.
 float extent(const Gaussians& gaussians) {
   float most = 0;
   for (int k = 0; k < 3; ++k) {
@@ -64,8 +63,8 @@ bool is_cut(const Dot& dot, const Frame& frame) {
   return dot.x0 == 0 || dot.y0 == 0 || dot.x1 == frame.width || dot.y1 == frame.height;
 }
 
-// What is seen of each Gaussian of the group alone, the mean over directions, world units squared. Pictures are as fine as
-// the Gaussians are small; large ones, which do not fit on them, are taken to be half hidden.
+// Visible area of each Gaussian within the group, averaged over directions, world units squared. Pictures are as fine
+// as the Gaussians are small; large ones, which do not fit on them, count as half hidden.
 std::vector<float> visible_areas(const Gaussians& group) {
   std::vector<float> unhidden(group.size()), out(group.size()), sums;
   double total = 0;
@@ -94,8 +93,8 @@ std::vector<float> visible_areas(const Gaussians& group) {
   return out;
 }
 
-// Side of a pixel at which `n` Gaussians are right for what shows: each stands for kCoarseness^2 times its share of a pixel
-// fewer, and one that shows more than a pixel stands for itself.
+// Footprint at which `n` Gaussians suffice: kCoarseness times the pixel at which they count n, each Gaussian counting its
+// visible share of a pixel, at most 1.
 float footprint_of(std::span<const float> visible, std::size_t n) {
   double below = 0, above = 0;
   for (const float area : visible) above += static_cast<double>(area);
@@ -109,7 +108,7 @@ float footprint_of(std::span<const float> visible, std::size_t n) {
   return std::max(kCoarseness * static_cast<float>(above), 1e-18F);
 }
 
-// The Gaussians that stay alone: those that would be told apart, but no more than there is room for.
+// Gaussians that stay alone because they would be told apart, up to kMostKept of the result.
 std::vector<char> kept_alone(const Gaussians& group, std::span<const float> visible, std::size_t n, float pixel) {
   std::vector<std::uint32_t> large;
   for (std::uint32_t i = 0; i < group.size(); ++i) {
@@ -124,7 +123,7 @@ std::vector<char> kept_alone(const Gaussians& group, std::span<const float> visi
   return out;
 }
 
-// Moments of each cluster as a Gaussian, harmonics as they are seen; one member is kept as it is.
+// Sets each cluster's moments as a Gaussian, with harmonics weighted by visible area; single members stay as they are.
 void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, std::span<const float> visible,
              float pixel) {
   const float least = 1e-6F * pixel * pixel;
@@ -152,7 +151,7 @@ void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, s
     const float section = std::max(mean_cross_section(cluster.covariance), 1e-30F);
     out.of(kOpacity)[i] = std::clamp(cluster.weight / section, kLeastOpacity, kMostOpacity);
   }
-  // An array at a time: a Gaussian's harmonics are far apart.
+  // Array by array: a Gaussian's harmonics are far apart in memory.
   for (int v = kSh; v < group.n_values(); ++v) {
     const float* const from = group.of(v);
     float* const sums = out.of(v);
@@ -160,8 +159,8 @@ void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, s
   }
 }
 
-// Opacities, until as much is seen of each Gaussian as was seen of what it stands for; sizes where opacity does not suffice.
-// `wanted`: world units squared; below 0 for those that stay as they are.
+// Adjusts opacities until each Gaussian's visible area is that of what it replaces; grows it where opacity does not
+// suffice. `wanted`: world units squared; below 0 to leave a Gaussian as it is.
 void restore_coverage(Gaussians& gaussians, std::span<const float> wanted, float pixel) {
   Projection projection;
   Picture picture;
@@ -193,7 +192,7 @@ void restore_coverage(Gaussians& gaussians, std::span<const float> wanted, float
   }
 }
 
-// Not so where colours are so large that squares of their differences are beyond FP32.
+// False where colours are so large that their squared differences overflow FP32.
 bool is_finite(const Gaussians& gaussians) {
   for (int v = 0; v < gaussians.n_values(); ++v) {
     const float* const values = gaussians.of(v);
@@ -207,8 +206,8 @@ struct Measured {
   double of_group[kFootprints] = {}, of_result[kFootprints] = {}, covered[kFootprints] = {};
 };
 
-// A piece's share of it, `least_pixel` being the finest that suits it. Directions are others than those that were fitted. One
-// fine picture a direction is the truth of all footprints.
+// Adds a piece's share; `least_pixel` is the finest pixel that suits it. Directions differ from those of the fit. One
+// fine picture a direction is the truth for all footprints.
 void measure(const Gaussians& group, const Gaussians& result, float pixel, float least_pixel, const FitOptions& options,
              Measured& out) {
   constexpr int kCoarsest = 1 << (kFootprints - 1);
@@ -242,7 +241,7 @@ void measure(const Gaussians& group, const Gaussians& result, float pixel, float
       piece.covered[k] += area * by_group.covered;
     }
   }
-  // Footprints below the finest count like that one.
+  // Footprints below the finest use its values.
   int behind = 0;
   while (behind < kFootprints - 1 && pixel * static_cast<float>(1 << (behind + 1)) <= base) ++behind;
   for (int k = 0; k < kFootprints; ++k) {
@@ -253,8 +252,8 @@ void measure(const Gaussians& group, const Gaussians& result, float pixel, float
   }
 }
 
-// Smallest footprint at which the result is good enough for a group of which so much is `covered`, between those measured
-// on a straight line of logarithms.
+// Smallest footprint at which the result is good enough for a group that covers `covered`; interpolates linearly in
+// logarithms.
 float error_of(const Measured& m, std::span<const double> covered, float pixel) {
   if (std::all_of(m.of_result, m.of_result + kFootprints, [](double x) { return x <= 0; })) return 0;
   double ratio[kFootprints];
@@ -262,7 +261,7 @@ float error_of(const Measured& m, std::span<const double> covered, float pixel) 
     const double allowed = allowed_squared(m.of_group[k], covered[static_cast<std::size_t>(k)]);
     ratio[k] = m.of_result[k] <= 0 ? 0 : m.of_result[k] / std::max(allowed, 1e-300);
   }
-  int k = kFootprints;  // good from there on
+  int k = kFootprints;  // good from this one on
   while (k > 0 && ratio[k - 1] <= 1) --k;
   if (k == 0) return pixel * static_cast<float>(std::sqrt(std::max(ratio[0], 0.0625)));
   if (k == kFootprints) {
@@ -288,7 +287,7 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
   out.gaussians.resize(clusters.all.size(), group.sh_degree());
   set_all(out.gaussians, group, clusters, visible, pixel);
 
-  // Pieces of Gaussians of like size, looked at in pixels that suit them.
+  // Pieces of Gaussians of similar size, drawn in pixels that suit them.
   std::vector<std::vector<std::uint32_t>> classes(kClasses);
   for (std::uint32_t i = 0; i < out.gaussians.size(); ++i) {
     const float size = longest(out.gaussians, i) / (kLarge * pixel);
@@ -298,7 +297,7 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
   struct Piece {
     std::size_t of_class;
     float pixel;
-    std::vector<std::uint32_t> items, members;  // of the result, of the group
+    std::vector<std::uint32_t> items, members;  // indices into the result and the group
   };
   std::vector<Piece> pieces;
   std::vector<float> wanted;
@@ -325,8 +324,8 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
       for (std::size_t i = 0; i < piece.items.size(); ++i) out.gaussians.copy(piece.items[i], part, i);
     }
   }
-  // All together: what one piece or class hides of another, and what is lost of those that are not fitted. A group that takes
-  // much larger pixels to fit on a picture would lose by it.
+  // Fit all together: pieces and classes hide each other, and losses of those not fitted show. Not if the group needs
+  // much larger pixels to fit on a picture, which would lose quality.
   const float whole = extent(group) / kMostOfFrame;
   if (options.n_color_steps > 0 && whole < 2 * pixel) {
     Gaussians fitted = out.gaussians;
@@ -338,7 +337,7 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
     measure(subset(group, piece.members), subset(out.gaussians, piece.items), pixel, piece.pixel, options,
             measured[piece.of_class]);
   }
-  // By class: what small Gaussians may get wrong is no excuse for large ones.
+  // By class: small errors of small Gaussians must not excuse those of large ones.
   double covered[kFootprints] = {};
   for (const Measured& of_class : measured) {
     for (int k = 0; k < kFootprints; ++k) covered[k] += of_class.covered[k];

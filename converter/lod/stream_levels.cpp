@@ -1,4 +1,5 @@
-// stream_levels.cpp - levels by way of scratch files: ranges of the Morton curve, groups of pages, pages coarse to fine.
+// stream_levels.cpp - builds levels through scratch files: ranges of the Morton curve, groups of pages, pages coarse to
+// fine.
 // SPDX-License-Identifier: Apache-2.0
 #include "stream_levels.hpp"
 
@@ -24,8 +25,8 @@
 namespace rgs::lod {
 namespace {
 
-constexpr std::size_t kValues = 11;                             // of a Gaussian beside its harmonics
-constexpr std::uint64_t kGroupBytes = std::uint64_t{64} << 20;  // that a group takes while it is simplified
+constexpr std::size_t kValues = 11;                             // of a Gaussian without its harmonics
+constexpr std::uint64_t kGroupBytes = std::uint64_t{64} << 20;  // memory of a group while it is simplified
 constexpr int kMostCellBits = 24;                               // of the upper bits of a Morton key
 
 Error source_changed() {
@@ -39,7 +40,6 @@ void each_in_parallel(std::size_t n, const F& f) {
   });
 }
 
-// The first failure of jobs that run side by side.
 class FirstFailure {
  public:
   void note(const Status& status) {
@@ -93,9 +93,9 @@ Status each_kept(const SplatStream& stream, int sh_degree, BadPolicy on_bad, con
     kept.assign(rows.begin(), rows.end());
     keeps.assign(rows.size(), 0);
     each_in_parallel((rows.size() + kPart - 1) / kPart, [&](std::size_t part) {
-      SceneScan mender(sh_degree, on_bad);
+      SceneScan repair_scan(sh_degree, on_bad);
       for (std::size_t i = part * kPart; i < std::min(rows.size(), (part + 1) * kPart); ++i) {
-        keeps[i] = static_cast<char>(mender.add(kept[i]));
+        keeps[i] = static_cast<char>(repair_scan.add(kept[i]));
       }
     });
     positions.clear();
@@ -153,9 +153,9 @@ void add_to_chunks(const LevelRows& leaves, std::uint64_t first, std::span<const
 
 namespace {
 
-// Where rows of a range go: one after the other, in the order in which they come.
+// Maps rows to ranges; within a range they keep the source's order.
 struct Ranges {
-  std::vector<std::uint32_t> of_cell;  // empty: the order is the source's, or there is one range
+  std::vector<std::uint32_t> of_cell;  // empty: source order, or a single range
   std::vector<std::uint64_t> first;    // [ranges + 1]
   std::uint64_t rows_each = 0;         // without cells
   int cell_bits = 0;
@@ -190,8 +190,8 @@ Result<Ranges> cut_ranges(const SplatStream& stream, const SceneScan& scan, cons
     if (end > ranges.first.back() && end + of_cell > ranges.first.back() + most_rows) ranges.first.push_back(end);
     if (of_cell > most_rows) {
       return make_error(Errc::limit_exceeded, Error::kNone,
-                        "too many Gaussians lie in one cell of the Morton curve to be sorted in this memory; "
-                        "give more with --memory",
+                        "too many Gaussians lie in one cell of the Morton curve to sort them in this memory; "
+                        "raise --memory",
                         most_rows, of_cell);
     }
     count = static_cast<std::uint32_t>(ranges.first.size() - 1);
@@ -204,7 +204,7 @@ Result<Ranges> cut_ranges(const SplatStream& stream, const SceneScan& scan, cons
   return ranges;
 }
 
-// Rows of each range to its place in the scratch file.
+// Writes the rows of each range to their offsets in the scratch file.
 Status distribute(const SplatStream& stream, const SceneScan& scan, const EncodeOptions& encode, const Ranges& ranges,
                   const StreamOptions& options, LevelRows& leaves) {
   const std::size_t n_ranges = ranges.first.size() - 1;
@@ -249,7 +249,7 @@ Status distribute(const SplatStream& stream, const SceneScan& scan, const Encode
   return status;
 }
 
-// Brings the rows of one range into their order; adds what they are to the boxes of chunks, and to positions.
+// Sorts the rows of one range and adds them to the boxes of chunks and to positions.
 Status sort_range(std::uint64_t first, std::uint64_t last, const SceneScan& scan, const EncodeOptions& encode,
                   StreamedLevels& out) {
   LevelRows& leaves = out.rows.front();
@@ -364,8 +364,8 @@ Status scan_stream(const SplatStream& stream, const StreamOptions& options, Scen
         SceneScan& local = scans.local();
         for (std::size_t i = part * kPart; i < std::min(rows.size(), (part + 1) * kPart); ++i) {
           Splat row = rows[i];
-          const std::uint64_t mended = local.n_repaired();
-          if (local.add(row) && local.n_repaired() == mended) continue;
+          const std::uint64_t n_repaired = local.n_repaired();
+          if (local.add(row) && local.n_repaired() == n_repaired) continue;
           std::uint64_t seen = damaged.load();
           while (first + i < seen && !damaged.compare_exchange_weak(seen, first + i)) continue;
         }
@@ -408,7 +408,7 @@ Status order_leaves(const SplatStream& stream, const SceneScan& scan, const Enco
     auto file = scratch_file(out.on_disk, options);
     if (!file) return tl::unexpected(file.error());
     LevelRows& leaves = out.rows.emplace_back(std::move(*file), scan.sh_degree(), kind);
-    if (!out.on_disk) {  // its memory at once, not as it grows
+    if (!out.on_disk) {  // allocate at once, do not grow
       if (Status s = leaves.file().write(out.n_leaves * row_bytes - 1, std::array<std::byte, 1>{}); !s) return s;
     }
     // A range is in memory twice while it is sorted, with keys.
@@ -431,7 +431,7 @@ Status order_leaves(const SplatStream& stream, const SceneScan& scan, const Enco
 BuildOptions build_options(const EncodeOptions& encode, const StreamOptions& options) {
   BuildOptions build = options.build;
   build.chunk_size = encode.chunk_size;
-  build.page_chunks = std::clamp(kMaxPageRows / build.chunk_size, 1U, build.page_chunks);  // of large chunks fewer
+  build.page_chunks = std::clamp(kMaxPageRows / build.chunk_size, 1U, build.page_chunks);  // fewer large chunks
   return build;
 }
 
@@ -479,7 +479,7 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
             Page& page = group[j];
             page.first -= begin;
             if (page.level > 0) continue;
-            // Here all leaves are in memory once, and no other group has this page.
+            // All its leaves are in memory here, and no other group has this page.
             page.core = core_of(splats.view(), page.first, page.count);
             below[begins[i] + j].core = page.core;
           }

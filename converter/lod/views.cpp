@@ -11,10 +11,10 @@
 namespace rgs::lod {
 
 Axes3 direction(int i, int n) {
-  const double turn = std::numbers::pi * (3 - std::sqrt(5.0));  // of the golden angle
+  const double turn = std::numbers::pi * (3 - std::sqrt(5.0));  // golden angle
   const double y = 1 - (2 * i + 1.0) / n, r = std::sqrt(std::max(0.0, 1 - y * y));
   const double f[3] = {r * std::cos(turn * i), y, r * std::sin(turn * i)};
-  // Any vector that is not along f: the axis that is farthest from it.
+  // Any vector not along f: the axis farthest from it.
   int axis = 0;
   for (int k = 1; k < 3; ++k) {
     if (std::abs(f[k]) < std::abs(f[axis])) axis = k;

@@ -1,4 +1,4 @@
-// views.hpp - from where a group is looked at.
+// views.hpp - directions and frames of a group's pictures.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,15 +10,15 @@
 
 namespace rgs::lod {
 
-/// Direction i of n that are spread evenly over the sphere (Fibonacci's lattice), with a roll of its own.
+/// Direction i of n, evenly spread over the sphere (Fibonacci lattice), each with its own roll.
 Axes3 direction(int i, int n);
 
-/// Frame of pixels of that size that holds the means of `gaussians` and a margin, at most `most` pixels a side.
+/// Frame that holds the means of `gaussians` and a margin, with pixels of size `pixel`, at most `most` a side.
 Frame frame_around(const Gaussians& gaussians, const Axes3& axes, float pixel, int most);
-/// The same frame in pixels of 1 / factor of the size.
+/// The same frame with pixels smaller by `factor`.
 Frame finer(Frame frame, int factor);
 
-/// Indices of Gaussians near each other: `items` cut by place until no piece is longer than `most` along an axis.
+/// Splits `items` in space until no piece is longer than `most` along an axis.
 std::vector<std::vector<std::uint32_t>> cut_by_place(const Gaussians& gaussians, std::vector<std::uint32_t> items,
                                                      float most);
 

@@ -1,4 +1,4 @@
-// prune.cpp - ranking by contribution.
+// prune.cpp - ranks Gaussians by contribution.
 // SPDX-License-Identifier: Apache-2.0
 #include "prune.hpp"
 
@@ -81,7 +81,7 @@ Outcome outcome(std::span<const Contribution> contributions, Score by, std::span
 
 std::vector<std::byte> scores_npy(std::span<const Contribution> contributions) {
   static_assert(std::endian::native == std::endian::little);
-  // Version 1.0: magic, version, length of the text (16 bits), text; its end pads all of it to a multiple of 64.
+  // Version 1.0: magic, version, length of the text (16 bits), text padded so that the header is a multiple of 64.
   std::string text =
       fmt::format("{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, 2), }}", contributions.size());
   text.append(63 - (10 + text.size()) % 64, ' ');

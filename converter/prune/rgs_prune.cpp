@@ -1,4 +1,4 @@
-// rgs_prune.cpp - rgs-prune: keeps the Gaussians of a scene that give most to its pictures.
+// rgs_prune.cpp - rgs-prune: keeps the Gaussians that contribute most to given pictures.
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/format.h>
 #include <tbb/global_control.h>
@@ -49,7 +49,7 @@ struct Options {
   rgs::AtomicFile::Options file() const { return {.overwrite = overwrite, .sync = !no_sync}; }
 };
 
-// A failure that has been reported already: the exit code.
+// Or the exit code of a failure that is already reported.
 template <class T>
 using Step = tl::expected<T, int>;
 tl::unexpected<int> failed(const std::string& file, const rgs::Error& error) {
@@ -60,8 +60,8 @@ struct Summary {
   std::string format;
   std::uint64_t source_bytes = 0, n_source = 0, output_bytes = 0, pixels = 0;
   std::size_t n_cameras = 0;
-  std::vector<std::string> lost;                          ///< of what the source declares
-  std::uint64_t n_scale_subnormal = 0, n_scale_zero = 0;  // of an .rgs: below FP16's normal range, flushed to 0
+  std::vector<std::string> lost;                          ///< declarations of the source that the output lacks
+  std::uint64_t n_scale_subnormal = 0, n_scale_zero = 0;  // of an .rgs: below FP16's normal range; flushed to 0
   rgs::prune::Outcome outcome;
   double read_seconds = 0, render_seconds = 0, write_seconds = 0;
 };
@@ -71,25 +71,26 @@ double lap(Clock::time_point& start) {
   return std::chrono::duration<double>(now - std::exchange(start, now)).count();
 }
 
-// What can be told before a minute of work rather than after it. Returns an exit code.
+// Fails early instead of after a minute of work. Returns an exit code.
 int check_outputs(const Options& o, const tool::InputFiles& inputs, SplatFormat to) {
   if (to != SplatFormat::ply && to != SplatFormat::rgs)
-    return tool::report_usage("the output is a .ply or an .rgs file; rgs-convert makes other formats of it");
+    return tool::report_usage("the output must be a .ply or .rgs file; rgs-convert writes other formats");
   const std::array<std::string, 3> outputs{o.output, o.scores, o.json || !o.quiet ? "-" : ""};
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   for (const std::string& output : {o.output, o.scores}) {
     std::error_code ignored;
     if (!output.empty() && !o.overwrite && fs::exists(output, ignored))
-      return tool::report(output, {rgs::Errc::output_exists, rgs::Error::kNone,
-                                   "the output exists already; pass --overwrite to replace it"});
+      return tool::report(
+          output, {rgs::Errc::output_exists, rgs::Error::kNone, "the output exists; pass --overwrite to replace it"});
   }
   return tool::kSuccess;
 }
 
-// The scene in the frame in which rgs-render sees it: an .rgs in its own, all others in that of 3DGS.
+// The scene in the frame that rgs-render uses: an .rgs in its own, all others in that of 3DGS.
 Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
   const auto bytes = rgs::MappedFile::open(o.input);
   if (!bytes) return failed(o.input, bytes.error());
+  tool::failpoint("read");
   hash = rgs::xxh3(bytes->bytes());
   rgs::ReadOptions as_stored;
   as_stored.keep_axes = true;
@@ -104,13 +105,12 @@ Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
   return *std::move(file);
 }
 
-// What each Gaussian gives to the pictures of all cameras.
 Step<std::vector<Contribution>> contributions_of(const Options& o, const rgs::SplatFile& file,
                                                  const std::vector<rgs::Camera>& cameras, tool::Progress& progress) {
   const auto scene = rgs::Scene::load(file.cloud, rgs::declarations_of(file));
   if (!scene) {
     rgs::Error error = scene.error();
-    if (error.code == rgs::Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte of the file
+    if (error.code == rgs::Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte offset
     return failed(o.input, error);
   }
   auto renderer = rgs::Renderer::create({.backend = rgs::Backend::cpu, .threads = o.threads});
@@ -138,7 +138,7 @@ Step<void> write_scores(const Options& o, const std::vector<Contribution>& contr
 Step<rgs::ConvertSummary> write_scene(const Options& o, SplatFormat to, rgs::SplatFile&& file,
                                       std::span<const std::uint64_t> kept, std::uint64_t n_source, std::uint64_t hash,
                                       std::vector<rgs::Camera> cameras) {
-  // PLY has the axes of 3DGS by habit; an .rgs declares those it came in.
+  // PLY implies the axes of 3DGS; an .rgs declares those of its source.
   if (to == SplatFormat::ply && file.axes[0] != rgs::Axis::undeclared) {
     rgs::convert_axes(file.cloud, file.axes, rgs::kAxes3dgs);
     rgs::convert_axes(file.origin, file.axes, rgs::kAxes3dgs);
@@ -147,11 +147,11 @@ Step<rgs::ConvertSummary> write_scene(const Options& o, SplatFormat to, rgs::Spl
   rgs::ConvertOptions options;
   options.encode = rgs::keep_declarations(std::move(options.encode), file);
   options.encode.profile = rgs::Profile::packed;
-  options.encode.keep_permutation = !file.source_index.empty();  // what the .rgs kept
+  options.encode.keep_permutation = !file.source_index.empty();  // if the .rgs kept it
   std::string name = fs::path(o.input).filename().string();
   name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
   options.encode.provenance = rgs::Provenance{file.bytes, hash, name, "rgs-prune " RGS_VERSION};
-  if (!options.encode.depth) options.cameras = std::move(cameras);  // else the range that the .rgs declares
+  if (!options.encode.depth) options.cameras = std::move(cameras);  // else the .rgs's declared range
   options.output = o.file();
   const int degree = file.cloud.sh_degree;
   rgs::LoadedScene scene;
@@ -237,7 +237,7 @@ int prune(const Options& o) {
   auto time = Clock::now();
   std::uint64_t hash = 0;
   auto file = read_scene(o, hash);
-  // The scene is in memory now. That its file changed explains whatever was found wrong in it.
+  // The scene is in memory now. A change of the file explains any error found in it.
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!file) return file.error();
   summary.format = rgs::format_name(file->format);
@@ -280,24 +280,22 @@ void add_options(CLI::App& app, Options& o) {
   using rgs::math::AntiAliasing;
   using rgs::prune::Score;
   app.add_option("input", o.input, "scene, " RGS_SCENE_FORMATS "; its content decides")->required();
-  app.add_option("output", o.output, "what is kept of it, .ply or .rgs")->required();
+  app.add_option("output", o.output, "the pruned scene, .ply or .rgs")->required();
   app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/user/CAMERAS.md)")->required();
-  app.add_option("--split", o.split, "only these cameras; train leaves the test cameras to judge the result")
+  app.add_option("--split", o.split, "only these cameras; with train the test cameras are left to judge the result")
       ->check(CLI::IsMember({"train", "test"}));
   app.add_option("--view", o.view, "camera by name or index in the split, or all")->capture_default_str();
   app.add_option("--size", o.size, "WxH pixels, e.g. 640x480; keeps the horizontal field of view [the cameras' own]");
   auto* const keep = app.add_option("--keep", o.keep_text, "how many: 20% of all, or a number such as 100000 or 100k");
-  app.add_option("--min-contribution", o.min_contribution, "instead: all whose score is at least this")
+  app.add_option("--min-contribution", o.min_contribution, "instead of --keep: all that score at least this")
       ->check(CLI::NonNegativeNumber)
       ->excludes(keep);
-  app.add_option("--score", o.score, "weight over all pixels: sum, or the largest in any pixel: max [sum]")
+  app.add_option("--score", o.score, "weight summed over all pixels: sum, or the largest in any pixel: max [sum]")
       ->transform(tool::one_of<Score>({{"sum", Score::sum}, {"max", Score::max}}));
   app.add_option("--scores", o.scores, "also write sum and max of every Gaussian of the input, NumPy float64 [n, 2]");
-  app.add_option("--low-pass", o.render.low_pass,
-                 "px^2 added to projected covariances [what the file states, else 0.3, mip 0.1]")
+  app.add_option("--low-pass", o.render.low_pass, "px^2 added to projected covariances [the file's, else 0.3, mip 0.1]")
       ->check(CLI::NonNegativeNumber);
-  app.add_option("--aa,--aa-mode", o.render.anti_aliasing,
-                 "anti-aliasing: classic, mip [what the file states, else classic]")
+  app.add_option("--aa,--aa-mode", o.render.anti_aliasing, "anti-aliasing: classic, mip [the file's, else classic]")
       ->transform(tool::one_of<AntiAliasing>({{"classic", AntiAliasing::classic},
                                               {"mip", AntiAliasing::mip_splatting},
                                               {"mip-splatting", AntiAliasing::mip_splatting}}));
@@ -306,7 +304,7 @@ void add_options(CLI::App& app, Options& o) {
       ->capture_default_str();
   tool::add_max_expansion(app, o.limits);
   app.add_flag("--overwrite", o.overwrite, "replace existing outputs");
-  app.add_flag("--no-sync", o.no_sync, "do not wait until the files are on the disk");
+  app.add_flag("--no-sync", o.no_sync, "do not wait until files are on disk");
   app.add_flag("--json", o.json, "summary as JSON on standard output");
   app.add_flag("--quiet,-q", o.quiet, "no progress and no summary");
   app.set_version_flag("--version", "rgs-prune " RGS_VERSION);
@@ -316,7 +314,7 @@ void add_options(CLI::App& app, Options& o) {
 // Values that the parser of arguments does not know; empty if all are right.
 std::string read_values(Options& o) {
   if (!o.size.empty() && !tool::parse_size(o.size)) return "--size takes WxH, sides 1 to 65536, not '" + o.size + "'";
-  if (o.keep_text.empty() && !o.min_contribution) return "say how much to keep: --keep or --min-contribution";
+  if (o.keep_text.empty() && !o.min_contribution) return "--keep or --min-contribution is required";
   if (o.keep_text.empty()) return {};
   const auto keep = rgs::prune::parse_keep(o.keep_text);
   if (!keep) return "--keep takes a percentage up to 100% or a number, not '" + o.keep_text + "'";
@@ -329,7 +327,7 @@ std::string read_values(Options& o) {
 int main(int argc, char** argv) {
   return tool::run([&]() -> int {
     Options options;
-    CLI::App app{"Keeps the Gaussians of a scene that give most to the pictures of given cameras.", "rgs-prune"};
+    CLI::App app{"Keeps the Gaussians of a scene that contribute most to the pictures of given cameras.", "rgs-prune"};
     add_options(app, options);
     if (const auto code = tool::parse(app, argc, argv)) return *code;
     if (const std::string wrong = read_values(options); !wrong.empty()) return tool::report_usage(wrong);

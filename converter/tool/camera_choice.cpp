@@ -1,4 +1,4 @@
-// camera_choice.cpp - cameras by split, name and index.
+// camera_choice.cpp - chooses cameras by split, name or index.
 // SPDX-License-Identifier: Apache-2.0
 #include "camera_choice.hpp"
 
@@ -13,7 +13,7 @@
 namespace rgs {
 namespace {
 
-// "frame.0001" is a name and no extension; ".jpg" is one.
+// ".jpg" is an extension, the ".0001" of "frame.0001" is not.
 bool names_photograph(const std::filesystem::path& name) {
   constexpr std::array<std::string_view, 6> kExtensions{".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"};
   std::string extension = name.extension().string();
@@ -41,7 +41,7 @@ tl::expected<std::vector<Camera>, std::string> choose_cameras(const CameraSet& s
     const bool test = set.split[i] == Split::test;
     if (split.empty() || test == (split == "test")) chosen.push_back(set.cameras[i]);
   }
-  if (chosen.empty()) return tl::unexpected("no camera belongs to the split '" + split + "'");
+  if (chosen.empty()) return tl::unexpected("no camera is in the split '" + split + "'");
   if (view == "all") return chosen;
   for (const Camera& camera : chosen)
     if (camera.name == view || picture_stem(camera, 0) == view) return std::vector{camera};

@@ -1,4 +1,4 @@
-// camera_choice.hpp - which cameras of a file a program takes, and what their pictures are called.
+// camera_choice.hpp - chooses cameras of a file and names their pictures.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,11 +10,12 @@
 
 namespace rgs {
 
-/// File name without extension for camera `index` of a list: the last part of its name, harmless characters only.
+/// File name without extension for camera `index` of a list: the last part of the camera's name, harmless characters
+/// only.
 std::string picture_stem(const Camera& camera, std::size_t index);
 
-/// Cameras of `split` ("train", "test", or "" for both) that `view` names: "all", a camera's name, its picture_stem(), or
-/// an index in the split. The error is a message for the user.
+/// Cameras of `split` ("train", "test", or "" for both) that match `view`: "all", a camera's name, its picture_stem(),
+/// or an index in the split. The error is a message for the user.
 tl::expected<std::vector<Camera>, std::string> choose_cameras(const CameraSet& set, const std::string& split,
                                                               const std::string& view);
 

@@ -1,4 +1,4 @@
-// command_line.cpp - parsing of arguments, and what CLI11 lets through that no program can mean.
+// command_line.cpp - parses arguments, and rejects some that CLI11 accepts but no program can mean.
 // SPDX-License-Identifier: Apache-2.0
 #include "command_line.hpp"
 
@@ -11,7 +11,7 @@
 namespace rgs::tool {
 namespace {
 
-// What is wrong with an empty argument, "--option ''" or "--option="; empty if there is none.
+// A message for an empty argument, "--option ''" or "--option="; empty if there is none.
 std::string empty_argument(int argc, const char* const* argv) {
   for (int i = 1; i < argc; ++i) {
     const std::string_view argument = argv[i], before = argv[i - 1];
@@ -25,7 +25,7 @@ std::string empty_argument(int argc, const char* const* argv) {
   return {};
 }
 
-// Ranges of CLI11 let NaN through, since it is on neither side of a limit.
+// CLI11's range checks let NaN pass.
 std::string number_not_finite(const CLI::App& app) {
   for (const CLI::Option* option : app.get_options()) {
     if (option->get_type_name().find("FLOAT") == std::string::npos) continue;  // "[FLOAT,FLOAT,FLOAT]" too

@@ -1,4 +1,5 @@
-// command_line.hpp - arguments of the command-line programs, on top of CLI11: refusals that say what would be right.
+// command_line.hpp - arguments of the command-line programs, on top of CLI11, with error messages that say what is
+// valid.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,16 +11,16 @@
 
 namespace rgs::tool {
 
-/// What programs read that take any scene, for the text of --help.
+/// Formats that every reader of scenes accepts, for --help.
 #define RGS_SCENE_FORMATS ".rgs, 3DGS .ply, .compressed.ply, .spz, .splat, .ksplat, .sog (or its meta.json) or .glb"
 
-/// Parses the arguments into what `app` fills. Returns the exit code if the program ends here: after --help and
-/// --version, which are printed, and after a refusal. Refuses what CLI11 refuses and, because it would count as not given
-/// or pass every range, an empty argument or value, and a number that is not finite.
+/// Parses the arguments into the variables of `app`. Returns the exit code if the program ends here: after --help and
+/// --version, which it prints, and after an error. Rejects what CLI11 rejects and also empty arguments or values, which
+/// would count as absent, and numbers that are not finite, which would pass every range check.
 std::optional<int> parse(CLI::App& app, int argc, const char* const* argv);
 
-/// For CLI::Option::transform(): the values of an enumeration by name. --help does not list them, so the option's text has
-/// to; a refusal does.
+/// For CLI::Option::transform(): an enumeration's values by name. The option's own text must list them for --help; the
+/// error message lists them too.
 template <class T>
 CLI::Validator one_of(const std::map<std::string, T>& values) {
   static_assert(std::is_enum_v<T>);
@@ -30,7 +31,7 @@ CLI::Validator one_of(const std::map<std::string, T>& values) {
     }
     std::string names;
     for (const auto& [name, value] : values) names += (names.empty() ? "" : ", ") + name;
-    return "'" + text + "' is none of " + names;
+    return "'" + text + "' is not one of " + names;
   };
   return CLI::Validator(replace, "");
 }

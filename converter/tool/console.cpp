@@ -1,10 +1,11 @@
-// console.cpp - start and end of a program, error reports, progress and number formats of the command-line programs.
+// console.cpp - start and end of the command-line programs, error reports, progress and number formats.
 // SPDX-License-Identifier: Apache-2.0
 #include "console.hpp"
 
 #include <errno.h>  // program_invocation_short_name
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <signal.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -36,12 +37,12 @@ std::string number(const Error& error, std::uint64_t value) {
 
 constexpr std::size_t kLongestText = 8192;  // bytes; paths end at 4096
 
-// The name under which the program was called, which is anybody's choice.
+// The name by which the program was called, which can be anything.
 std::string program() {
   return printable(program_invocation_short_name);
 }
 
-// errno of the first write to standard output or standard error that failed, 0 if none has.
+// errno of the first failed write to standard output or standard error; 0 if none failed.
 std::atomic<int> g_output_error{0}, g_message_error{0};
 
 void write(std::FILE* stream, std::string_view text, std::atomic<int>& failed) {
@@ -49,6 +50,27 @@ void write(std::FILE* stream, std::string_view text, std::atomic<int>& failed) {
   if (std::fwrite(text.data(), 1, text.size(), stream) == text.size()) return;
   int none = 0;
   failed.compare_exchange_strong(none, errno != 0 ? errno : EIO);
+}
+
+struct Failpoint {
+  std::string stage;
+  std::uint64_t units = 0;
+  int signal = 0;
+};
+
+const Failpoint& chosen_failpoint() {
+  static const Failpoint read = [] {
+    Failpoint point;
+    const char* const value = std::getenv("RGS_FAILPOINT");
+    const std::string_view text(value == nullptr ? "" : value);
+    const std::size_t first = text.find(':'), second = text.find(':', first + 1);
+    if (first == text.npos || second == text.npos) return point;
+    point.stage = text.substr(0, first);
+    std::from_chars(text.data() + first + 1, text.data() + second, point.units);
+    std::from_chars(text.data() + second + 1, text.data() + text.size(), point.signal);
+    return point;
+  }();
+  return read;
 }
 
 bool json_messages() {
@@ -59,7 +81,7 @@ bool json_messages() {
   return wanted;
 }
 
-// A line for a program that listens: names as they are, but for what is not UTF-8.
+// A line for a calling program: names unchanged, except for bytes that are not UTF-8.
 void print_json(const char* kind, const nlohmann::ordered_json& value) {
   const nlohmann::ordered_json message{{kind, value}};
   print_error(message.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace) + "\n");
@@ -80,8 +102,8 @@ void print_json_error(std::string_view file, const Error& error, std::string_vie
                        {"hint", hint(error)}});
 }
 
-// Whatever is opened gets the lowest free number. If that is 2, messages go into the file, so no number of a standard
-// stream stays free. What stands there can neither be read nor written: both fail with EBADF, as on a closed stream.
+// Opens something for each closed standard stream. Otherwise the next opened file could get number 2, and messages
+// would be written into it. The placeholders fail reads and writes with EBADF, as a closed stream does.
 void occupy_standard_streams() {
   for (const int fd : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
     if (::fcntl(fd, F_GETFD) < 0 && errno == EBADF && ::open("/", O_PATH) != fd) ::_exit(kInputOutput);
@@ -100,10 +122,10 @@ int guarded(const std::function<int()>& body) {
     return body();
   } catch (const std::bad_alloc&) {
     return report_out_of_memory();
-  } catch (const std::length_error&) {  // of a container that cannot be as large
+  } catch (const std::length_error&) {  // of a container that cannot grow so far
     return report_out_of_memory();
   } catch (const std::exception& e) {
-    // A thread that cannot be made, mostly for lack of memory for its stack: libraries say so in words alone.
+    // A thread cannot be created, mostly for lack of memory for its stack; only the text of the exception says so.
     const std::string_view what = e.what();
     for (const int error : {EAGAIN, ENOMEM})
       if (what.find(std::generic_category().message(error)) != what.npos) return report_out_of_memory();
@@ -116,7 +138,7 @@ int guarded(const std::function<int()>& body) {
   return kInternal;
 }
 
-// The exit code, once all that was printed has left the process.
+// The exit code, after flushing all output.
 int finish(int code) {
   flush();
   if (code != kSuccess && code != kGate) return code;
@@ -137,8 +159,7 @@ int worse_exit_code(int a, int b) {
 
 std::string describe(const Error& error) {
   std::string text = error.what;
-  // A record of a file is named by its number, which is not what was found in it; one of an array, which has no bytes, by
-  // its offset.
+  // A record of a file is identified by Error::found, one of an array, which has no bytes, by Error::offset.
   constexpr std::string_view kRecord = "this index";
   const std::size_t at = text.find(kRecord);
   const bool is_record = at != text.npos, in_array = is_record && error.found == Error::kNone;
@@ -164,7 +185,7 @@ const char* hint(const Error& error) {
     case EACCES:
     case EPERM: return "check the permissions of the file and its folder";
     case ENOENT: return "check the spelling; relative paths start at the current folder";
-    case EMFILE: return "raise the limit of open files (ulimit -n)";
+    case EMFILE: return "raise the limit on open files (ulimit -n)";
     default: break;
   }
   switch (error.code) {
@@ -175,8 +196,8 @@ const char* hint(const Error& error) {
     case Errc::limit_exceeded:
       if (std::string_view(error.what).find("max_expansion") == std::string_view::npos) return "";
       return "if you trust the file, allow more: --max-expansion RATIO or a size such as 8GB";
-    case Errc::bad_magic: return "the file is of another format; its name does not decide what it is";
-    case Errc::host_out_of_memory: return "raise the limit of memory (ulimit -v), or use a machine with more";
+    case Errc::bad_magic: return "the file has another format; its content decides, not its name";
+    case Errc::host_out_of_memory: return "raise the memory limit (ulimit -v), or use a machine with more";
     default: return "";
   }
 }
@@ -270,7 +291,7 @@ std::string format_seconds(double seconds) {
 
 Result<std::uint64_t> parse_count(std::string_view text) {
   const auto refused = make_error(Errc::bad_argument, Error::kNone, "not a count such as 250000, 200k or 1.5M");
-  // Decimal digits are shifted exactly, so that no count is rounded on its way through floating point.
+  // Shifts decimal digits exactly: counts do not pass through floating point.
   int shift = 0;
   if (!text.empty()) {
     switch (text.back()) {
@@ -312,6 +333,11 @@ Result<ImageSize> parse_size(std::string_view text) {
   return make_error(Errc::bad_argument, Error::kNone, "not an image size such as 1920x1080 (sides 1 to 65536)");
 }
 
+void failpoint(const char* stage) {
+  const Failpoint& chosen = chosen_failpoint();
+  if (chosen.stage == stage && chosen.units == 0) ::raise(chosen.signal);
+}
+
 Progress::Progress(Mode mode)
     : quiet_(mode == Mode::quiet), json_(json_messages()), terminal_(!json_ && ::isatty(STDERR_FILENO) == 1) {}
 
@@ -335,6 +361,8 @@ void Progress::begin(const char* stage, std::uint64_t total, const char* unit) {
   open_ = true;
   start_ = Clock::now();
   next_draw_ = (start_ + between_draws()).time_since_epoch().count();
+  fails_at_ = chosen_failpoint().stage == stage ? chosen_failpoint().units : 0;
+  failpoint(stage);
   if (json_ && !quiet_) draw(start_);
 }
 
@@ -343,7 +371,8 @@ Progress::Clock::duration Progress::between_draws() const {
 }
 
 void Progress::advance(std::uint64_t units) {
-  done_.fetch_add(units, std::memory_order_relaxed);
+  const std::uint64_t before = done_.fetch_add(units, std::memory_order_relaxed);
+  if (before < fails_at_ && fails_at_ <= before + units) ::raise(chosen_failpoint().signal);
   if (quiet_) return;
   const auto now = Clock::now();
   auto due = next_draw_.load(std::memory_order_relaxed);
@@ -383,7 +412,7 @@ void Progress::finish() {
   if (json_) return draw(Clock::now());
   const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
   const double done = static_cast<double>(done_.load());
-  const std::string units = *unit_ == '\0' ? "" : amount(done) + " in ";  // a stage without units only takes time
+  const std::string units = *unit_ == '\0' ? "" : amount(done) + " in ";  // a stage without units shows its time alone
   print_error(fmt::format("{}{:<12} {}{}{}\n", terminal_ ? "\r" : "", stage_, units, format_seconds(seconds),
                           terminal_ ? "\x1b[K" : ""));
 }

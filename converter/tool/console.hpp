@@ -1,12 +1,15 @@
-// console.hpp - what the command-line programs share: their start and end, error reports, progress and number formats.
+// console.hpp - shared by the command-line programs: start and end, error reports, progress and number formats.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Standard output belongs to results (and stays parseable with --json); reports and progress go to standard error. What
-// came from a command line or a file is escaped (info_escape.hpp) before it is printed on either.
+// Standard output is for results (parseable with --json); reports and progress go to standard error. Text from a
+// command line or a file is escaped (info_escape.hpp) before it is printed on either.
 //
-// With RGS_MESSAGES=json in the environment, errors and progress are lines of JSON on standard error, for programs that
-// call these: {"error": {code, file, offset, expected, found, system, message, hint}}, numbers null where there is none, and
-// {"progress": {stage, done, total, unit}}. Other lines may stand between them.
+// With RGS_MESSAGES=json in the environment, errors and progress are lines of JSON on standard error, for calling
+// programs: {"error": {code, file, offset, expected, found, system, message, hint}}, null for absent numbers, and
+// {"progress": {stage, done, total, unit}}. Other lines may come between them.
+//
+// For tests: with RGS_FAILPOINT=STAGE:UNITS:SIGNAL in the environment a process sends itself this signal once STAGE has done
+// UNITS (0: at its beginning). SIGSTOP holds it there until SIGCONT.
 #pragma once
 
 #include <atomic>
@@ -21,7 +24,7 @@
 
 namespace rgs::tool {
 
-/// Exit codes of every program; a failure's code is its class, see Errc.
+/// Exit codes of every program; a failure's code follows from its class, see Errc.
 enum ExitCode : int {
   kSuccess = 0,
   kInternal = 1,
@@ -32,38 +35,38 @@ enum ExitCode : int {
   kIncomplete = 6
 };
 
-/// Of two exit codes the one that says more of many scenes: 1 (the program), 3 (the machine), 2 (the command), 4 (an
-/// input), 6 (incomplete), 5 (a condition), 0.
+/// The more telling of two exit codes, for runs over many scenes: 1 (the program), 3 (the machine), 2 (the command), 4
+/// (an input), 6 (incomplete), 5 (a condition), 0.
 int worse_exit_code(int a, int b);
 
 /// `error` as one line: byte offset, what is wrong, expected and found, the system's reason.
 std::string describe(const Error& error);
-/// What the user can do about it; empty if the text of the error already says all there is.
+/// What the user can do about it; empty if the error's text says it.
 const char* hint(const Error& error);
 /// Prints `PROGRAM: FILE: ERROR` and, if there is one, a hint. Returns the exit code. `file` may be empty; it is escaped.
 int report(const std::string& file, const Error& error);
-/// Prints `PROGRAM: MESSAGE`, which is escaped, and how to get help. Returns kUsage.
+/// Prints `PROGRAM: MESSAGE`, escaped, and how to get help. Returns kUsage.
 int report_usage(std::string_view message);
-/// Runs a program's body. Before it: no file can get the number of a standard stream that is closed; signals remove
-/// unfinished outputs, see remove_temporaries_on_signal(). After it: success and a failed gate become kInputOutput if
-/// something could not be written to standard output or standard error. What escapes as an exception is printed: out of
-/// memory becomes kInputOutput, a bug kInternal.
+/// Runs a program's body. Before it: reserves the numbers of closed standard streams; makes signals remove unfinished
+/// outputs, see remove_temporaries_on_signal(). After it: success and a failed gate become kInputOutput if standard
+/// output or standard error could not be written. Prints escaping exceptions: out of memory becomes kInputOutput, a bug
+/// kInternal.
 int run(const std::function<int()>& body);
 
-/// Writes to standard output, and to standard error; never throws. run() looks whether all arrived. Names in `text` must
-/// have been escaped.
+/// Write to standard output and standard error; never throw. run() checks that all was written. Names in `text` must be
+/// escaped.
 void print(std::string_view text);
-/// print() for a program that ignores SIGPIPE: a reader that has seen enough and closed the pipe (head) is no failure.
+/// print() for a program that ignores SIGPIPE: a reader that closes the pipe early (head) is no failure.
 void print_to_pipe(std::string_view text);
 void print_error(std::string_view text);
-/// Lets what was printed go, before another program writes to the same place.
+/// Flushes, before another program writes to the same streams.
 void flush();
-/// A name or value from outside as part of a line: escape_untrusted() at a length that paths need.
+/// A name or value from outside as part of a line: escape_untrusted(), with a limit long enough for paths.
 std::string printable(std::string_view text);
 
 /// "193.1 MB", decimal units as file managers and disks count.
 std::string format_bytes(std::uint64_t bytes);
-/// What became of a size: "4.87x smaller", "1.67x larger", "nearly the same size" (1.00x), "same size", "empty".
+/// The change of a size: "4.87x smaller", "1.67x larger", "nearly the same size" (1.00x), "same size", "empty".
 std::string format_size_change(std::uint64_t before, std::uint64_t after);
 /// "778,812".
 std::string format_count(std::uint64_t count);
@@ -79,14 +82,17 @@ struct ImageSize {
 };
 Result<ImageSize> parse_size(std::string_view text);
 
-/// Progress of a program's stages on standard error. On a terminal one line is redrawn with bar, rate and remaining
-/// time; elsewhere (logs, pipes) each finished stage is a line, and long ones report every ten seconds.
+/// Sends this process the signal of RGS_FAILPOINT if that names `stage` at 0 units. Progress::begin() calls it.
+void failpoint(const char* stage);
+
+/// Progress of a program's stages on standard error. On a terminal it redraws one line with bar, rate and remaining
+/// time; elsewhere (logs, pipes) each finished stage prints a line, and long ones report every ten seconds.
 /// advance() may be called from several threads; begin() and finish() from one.
 class Progress {
  public:
   enum class Mode { automatic, quiet };
   explicit Progress(Mode mode = Mode::automatic);
-  /// Ends a stage that is still open without reporting it (an error is about to be printed).
+  /// Ends an open stage without reporting it (an error is about to be printed).
   ~Progress();
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
@@ -106,9 +112,10 @@ class Progress {
   const char* stage_ = "";
   const char* unit_ = "";
   std::uint64_t total_ = 0;
+  std::uint64_t fails_at_ = 0;  // units, by RGS_FAILPOINT; 0: at none
   Clock::time_point start_{};
   std::atomic<std::uint64_t> done_{0};
-  std::atomic<Clock::rep> next_draw_{0};  // time since epoch; the thread that moves it draws
+  std::atomic<Clock::rep> next_draw_{0};  // time since epoch; the thread that advances it draws
   std::mutex drawing_;
 };
 

@@ -1,4 +1,4 @@
-// image_file.cpp - pictures through OpenImageIO, encoded in memory and then written all or nothing.
+// image_file.cpp - pictures through OpenImageIO, encoded in memory and then written atomically.
 // SPDX-License-Identifier: Apache-2.0
 #include "image_file.hpp"
 
@@ -20,7 +20,7 @@ namespace {
 constexpr const char* kDescription =
     "Display-referred sRGB values as trained by 3D Gaussian splatting; show without another transfer curve";
 
-// A file in memory that can be read back, which libtiff does; the library's own output to memory cannot.
+// A file in memory that can be read back, as libtiff requires; OpenImageIO's own memory output cannot.
 class MemoryFile final : public OIIO::Filesystem::IOProxy {
  public:
   MemoryFile() : IOProxy("", Write) {}
@@ -55,7 +55,7 @@ class MemoryFile final : public OIIO::Filesystem::IOProxy {
   std::vector<std::byte> bytes_;
 };
 
-// Colour divided by alpha before it is rounded: dividing 8-bit codes would lose precision where alpha is small.
+// Colour divided by alpha before rounding: dividing 8-bit codes would lose precision where alpha is small.
 std::vector<float> unassociated(const Image& image) {
   std::vector<float> pixels = image.pixels;
   for (std::size_t i = 0; i + 3 < pixels.size(); i += 4)
@@ -72,9 +72,9 @@ OIIO::ImageSpec specification(const Image& image, ImageFormat format, const Imag
   if (options.depth) {
     spec.channelnames = {"Z"};
     spec.z_channel = 0;
-    spec.attribute("ImageDescription", "Depth along the camera's forward axis in world units, 0 where nothing is");
+    spec.attribute("ImageDescription", "Depth along the camera's forward axis in world units, 0 for no surface");
   } else {
-    // In TIFF the tag would be an Exif directory, which the library writes over the picture's own one in memory files.
+    // In TIFF the tag would become an Exif directory, which the library writes over the picture's own in memory files.
     if (format != ImageFormat::tiff) spec.attribute("oiio:ColorSpace", "sRGB");
     spec.attribute("ImageDescription", kDescription);
   }
@@ -90,19 +90,20 @@ OIIO::ImageSpec specification(const Image& image, ImageFormat format, const Imag
     case ImageFormat::tiff:
     case ImageFormat::exr:
       spec.attribute("compression", "zip");
-      spec.attribute("DateTime", "    :  :     :  :  ");  // "unknown" in TIFF; else it is now, and bytes differ
+      spec.attribute("DateTime", "    :  :     :  :  ");  // "unknown" in TIFF; the default is the current time, so
+                                                          // bytes would differ
       break;
   }
   return spec;
 }
 
 Result<std::unique_ptr<OIIO::ImageInput>> open_image(const std::string& path) {
-  // Says why a file cannot be opened; the library only knows that it cannot.
+  // Finds out why a file cannot be opened; the library does not say.
   if (const auto mapped = MappedFile::open(path); !mapped) return tl::unexpected(mapped.error());
   auto input = OIIO::ImageInput::open(path);
   if (input) return input;
   (void)OIIO::geterror();
-  return make_error(Errc::bad_syntax, Error::kNone, "not a picture in a format that OpenImageIO reads");
+  return make_error(Errc::bad_syntax, Error::kNone, "not a picture format that OpenImageIO reads");
 }
 
 const char* extension(ImageFormat format) {
@@ -125,7 +126,7 @@ Status check(const Image& image, ImageFormat format, const ImageFileOptions& opt
   constexpr int kMaxJpegSide = 65500;
   if (format == ImageFormat::jpeg && std::max(image.width, image.height) > kMaxJpegSide)
     return make_error(Errc::bad_argument, Error::kNone,
-                      "JPEG ends at 65,500 pixels a side: name the file .png, .tif or .exr");
+                      "JPEG holds at most 65,500 pixels a side: name the file .png, .tif or .exr");
   return {};
 }
 
@@ -133,8 +134,7 @@ Result<std::vector<std::byte>> encode(const Image& image, ImageFormat format, co
   const std::string name = extension(format);
   const auto output = OIIO::ImageOutput::create(name);
   if (!output)
-    return make_error(Errc::write_failed, Error::kNone,
-                      "this build of OpenImageIO does not write the picture's format");
+    return make_error(Errc::write_failed, Error::kNone, "this build of OpenImageIO cannot write the picture's format");
   MemoryFile memory;
   bool written = output->set_ioproxy(&memory) && output->open("picture." + name, specification(image, format, options));
   if (written && format != ImageFormat::exr && !options.depth) {
@@ -149,7 +149,7 @@ Result<std::vector<std::byte>> encode(const Image& image, ImageFormat format, co
   }
   written = output->close() && written;
   if (!written) {
-    (void)output->geterror();  // fetched, or the library prints it when the object goes
+    (void)output->geterror();  // fetched, or the destructor prints it
     return make_error(Errc::write_failed, Error::kNone, "the picture cannot be encoded");
   }
   return std::move(memory).bytes();
@@ -176,7 +176,6 @@ Status write_image(const std::string& path, const Image& image, const ImageFileO
   const auto format = image_format(path);
   if (!format) return tl::unexpected(format.error());
   if (const Status s = check(image, *format, options); !s) return s;
-  // Refuses existing outputs and unwritable folders before the work of encoding.
   auto file = AtomicFile::create(path, options.file);
   if (!file) return tl::unexpected(file.error());
   const auto bytes = encode(image, *format, options);
@@ -187,7 +186,7 @@ Status write_image(const std::string& path, const Image& image, const ImageFileO
 
 Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat format, const ImageFileOptions& options) {
   if (format != ImageFormat::png && format != ImageFormat::jpeg)
-    return make_error(Errc::bad_argument, Error::kNone, "pictures in memory are PNG or JPEG");
+    return make_error(Errc::bad_argument, Error::kNone, "only PNG and JPEG can be encoded in memory");
   ImageFileOptions colour = options;
   colour.depth = false;
   if (const Status s = check(image, format, colour); !s) return tl::unexpected(s.error());

@@ -31,7 +31,7 @@ Character first_character(std::string_view text) {
   return {code, bytes};
 }
 
-// Controls (C0, DEL, C1) and what Unicode calls format characters, as far as they hide or reorder text.
+// Controls (C0, DEL, C1) and those Unicode format characters that hide or reorder text.
 bool harmful(std::uint32_t c) {
   return c < 0x20 || (c >= 0x7F && c < 0xA0) || c == 0xAD || c == 0x61C || c == 0x180E ||
          (c >= 0x200B && c <= 0x200F) || (c >= 0x2028 && c <= 0x202E) || (c >= 0x2060 && c <= 0x206F) || c == 0xFEFF ||

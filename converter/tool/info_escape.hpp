@@ -8,9 +8,9 @@
 
 namespace rgs::tool {
 
-/// `text` as one line without effect on a terminal: control characters, invisible characters, those that turn the
-/// direction of writing and, with `ascii`, everything beyond ASCII become \u{hex}; bytes that are not UTF-8 become
-/// \xHH; a backslash is doubled. Above `limit` bytes the rest is left out, which shows as "...".
+/// `text` as one line that cannot control a terminal: control characters, invisible characters, those that change the
+/// writing direction and, with `ascii`, everything beyond ASCII become \u{hex}; bytes that are not UTF-8 become \xHH; a
+/// backslash is doubled. Text beyond `limit` bytes is cut and ends in "...".
 std::string escape_untrusted(std::string_view text, bool ascii, std::size_t limit = 256);
 
 }  // namespace rgs::tool

@@ -1,4 +1,4 @@
-// input_files.cpp - identity of files by device and inode, and their times.
+// input_files.cpp - identifies files by device and inode, and detects changes by their times.
 // SPDX-License-Identifier: Apache-2.0
 #include "input_files.hpp"
 
@@ -47,10 +47,10 @@ InputFiles::State InputFiles::look(const std::string& path, int standard_stream)
   State state;
   struct stat info {};
   if (path == "-") {
-    // A pipe or terminal is no file that could be written over.
+    // A pipe or terminal cannot be overwritten.
     if (::fstat(standard_stream, &info) != 0 || !S_ISREG(info.st_mode)) return state;
   } else if (const std::string target = follow_links(path); ::stat(target.c_str(), &info) != 0) {
-    // From the innermost folder that is there: others are still to be made.
+    // From the innermost existing folder; others are still to be made.
     const fs::path place = fs::path(target).lexically_normal();
     fs::path folder = place.parent_path();
     while (!folder.empty() && folder != folder.root_path() && ::stat(folder.c_str(), &info) != 0)
@@ -102,14 +102,14 @@ void InputFiles::add_pictures(const std::string& folder) {
 
 std::string InputFiles::clash(std::span<const std::string> outputs) const {
   using Key = std::tuple<std::uint64_t, std::uint64_t, std::string>;
-  std::map<Key, std::string> taken;  // what the user calls each file
+  std::map<Key, std::string> taken;  // the user's name of each file
   for (std::size_t i = 0; i < paths_.size(); ++i) {
     if (const auto& id = states_[i].identity) taken.emplace(Key(id->device, id->inode, id->name), "input " + paths_[i]);
   }
   bool has_stdout = false;
   for (const std::string& output : outputs) {
     if (output.empty()) continue;
-    if (output == "-" && std::exchange(has_stdout, true)) return "two outputs are standard output";
+    if (output == "-" && std::exchange(has_stdout, true)) return "two outputs go to standard output";
     const auto id = look(output, STDOUT_FILENO).identity;
     if (!id) continue;
     const auto [place, is_new] = taken.emplace(Key(id->device, id->inode, id->name), "output " + output);

@@ -1,4 +1,5 @@
-// input_files.hpp - the files that a program reads: none of them becomes an output, none may change meanwhile.
+// input_files.hpp - the files that a program reads: an output must not replace them, and they must not change
+// meanwhile.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,41 +13,41 @@
 
 namespace rgs::tool {
 
-/// What a path stands for on disk: the file there or, where there is none, a place in a folder. Different names of one
-/// file (links, "./a", "A/../a") have the same. "-" is what standard input or output has been redirected to.
+/// Identifies the file at a path or, where there is none, the path within an existing folder. Different names of one
+/// file (links, "./a", "A/../a") are equal. "-" is the file to which standard input or output is redirected.
 struct FileIdentity {
   std::uint64_t device = 0, inode = 0;  ///< of the file, or of the innermost folder on its path that exists
-  std::string name;                     ///< from that folder on; empty if the file exists
+  std::string name;                     ///< the rest of the path; empty if the file exists
 
   bool operator==(const FileIdentity&) const = default;
 };
 
-/// What is said of a file that changed.
+/// The error for a file that changed.
 inline constexpr Error kFileChanged{.code = Errc::read_failed,
                                     .what = "the file changed while it was read; run the program again"};
 
 class InputFiles {
  public:
-  /// Adds a file. Nothing happens for an empty path.
+  /// Adds a file; ignores an empty path.
   void add(const std::string& path);
-  /// Adds a scene: of a SOG's meta.json also the pictures beside it.
+  /// Adds a scene, with the pictures beside a SOG's meta.json.
   void add_scene(const std::string& path);
-  /// Adds a camera file, or the files of the COLMAP model that a folder holds.
+  /// Adds a camera file, or the files of a COLMAP model's folder.
   void add_cameras(const std::string& path);
-  /// Adds the pictures that lie in a folder.
+  /// Adds the pictures in a folder.
   void add_pictures(const std::string& folder);
 
   const std::vector<std::string>& paths() const { return paths_; }
 
-  /// An output that is one of the files, or is another output as well: a sentence with both names. Empty if all is well.
-  /// Empty paths are passed over.
+  /// A sentence naming an output that is also an input, or that is given twice; empty if there is none. Ignores empty
+  /// paths.
   std::string clash(std::span<const std::string> outputs) const;
-  /// kSuccess, or clash() as reported to the user: kUsage.
+  /// Reports clash() to the user; kUsage or kSuccess.
   int check_outputs(std::span<const std::string> outputs) const;
-  /// The first file that is not what it was when it was added: rewritten, extended, or another one under its name. A file
-  /// that is gone is none, since whoever has opened it can read on.
+  /// The first file that changed since it was added: rewritten, extended or replaced. A file that is gone does not
+  /// count: whoever opened it can read on.
   std::optional<std::string> changed() const;
-  /// kSuccess, or changed() as reported to the user: that of read_failed.
+  /// Reports changed() to the user; the exit code of read_failed, or kSuccess.
   int check_unchanged() const;
 
  private:

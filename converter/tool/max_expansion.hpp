@@ -16,8 +16,8 @@
 
 namespace rgs::tool {
 
-/// "4096": what is compressed in a file may decode to so many times the file's size. "8GB", "512MiB" (kB to TB, KiB to
-/// TiB): to so many bytes, whatever its size. Changes nothing else of `limits`. bad_argument for anything else, and 0.
+/// "4096": compressed data may expand to this many times the file's size. "8GB", "512MiB" (kB to TB, KiB to TiB): to
+/// this many bytes, whatever the size. Changes nothing else in `limits`. bad_argument for anything else, and 0.
 inline Status parse_max_expansion(std::string_view text, DecodeLimits& limits) {
   constexpr std::array<std::pair<std::string_view, std::uint64_t>, 9> kUnits = {{{"kB", 1000},
                                                                                  {"MB", 1'000'000},
@@ -55,7 +55,7 @@ inline CLI::Option* add_max_expansion(CLI::App& app, DecodeLimits& limits) {
               throw CLI::ValidationError("--max-expansion", std::string(s.error().what) + ", not '" + text + "'");
             }
           },
-          "What a compressed file may decode to: a ratio to its size, or bytes such as 8GB [1032]")
+          "Limit on what a compressed file expands to: a ratio to its size, or bytes such as 8GB [1032]")
       ->option_text("RATIO|SIZE");
 }
 

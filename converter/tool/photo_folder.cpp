@@ -1,4 +1,4 @@
-// photo_folder.cpp - pictures by their name with and without its ending.
+// photo_folder.cpp - finds pictures by name, with and without extension.
 // SPDX-License-Identifier: Apache-2.0
 #include "photo_folder.hpp"
 
@@ -19,7 +19,7 @@ Result<PhotoFolder> PhotoFolder::open(const std::string& path) {
   for (fs::directory_iterator it(path, failed), end; !failed && it != end; it.increment(failed))
     if (image_format(it->path().string())) files.push_back(it->path());
   if (failed)
-    return make_error(Errc::open_failed, Error::kNone, "the folder of photographs cannot be read", Error::kNone,
+    return make_error(Errc::open_failed, Error::kNone, "cannot read the folder of photographs", Error::kNone,
                       Error::kNone, failed.value());
   std::sort(files.begin(), files.end());
   PhotoFolder folder;

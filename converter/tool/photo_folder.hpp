@@ -1,4 +1,4 @@
-// photo_folder.hpp - the photographs of a folder, by the names of the cameras that took them.
+// photo_folder.hpp - finds the photograph of a camera in a folder, by the camera's name.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -11,11 +11,11 @@ namespace rgs {
 
 class PhotoFolder {
  public:
-  /// Looks at names alone. Error: open_failed (the folder cannot be read).
+  /// Looks at names only. Error: open_failed (the folder cannot be read).
   static Result<PhotoFolder> open(const std::string& path);
 
-  /// The file of the camera of this name, empty if there is none: of its full name or, where the camera's ends as a picture's or has no
-  /// ending, of that name and another ending.
+  /// The file of the camera of this name, empty if there is none: an exact match or, if the camera's name has a
+  /// picture's extension or none, the same name with another extension.
   std::string find(const std::string& camera_name) const;
 
  private:

@@ -1,4 +1,4 @@
-// scene_file.cpp - a scene from a splat file of any format.
+// scene_file.cpp - loads a scene from a splat file of any format.
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_file.hpp"
 
@@ -38,7 +38,7 @@ Result<SceneFile> load_other(const std::string& path, const DecodeLimits& limits
   auto scene = Scene::load(std::move(file->cloud), declarations_of(*file));
   if (!scene) {
     Error error = scene.error();
-    if (error.code == Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte of the file
+    if (error.code == Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte offset
     return tl::unexpected(error);
   }
   out.scene = std::move(*scene);

@@ -1,4 +1,4 @@
-// scene_list.cpp - one walk over a folder; contents decide, names only where contents say nothing.
+// scene_list.cpp - walks a folder once; the content decides, the name only if the content does not.
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_list.hpp"
 
@@ -24,14 +24,13 @@ std::string_view text_of(std::span<const std::byte> bytes) {
   return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
 }
 
-// What is left of an output whose program was killed: NAME.tmp-XXXXXX.
+// An output left by a killed program: NAME.tmp-XXXXXX.
 bool is_unfinished(std::string_view name) {
   constexpr std::string_view kMark = ".tmp-";
   return name.size() > kMark.size() + 6 && name.substr(name.size() - kMark.size() - 6, kMark.size()) == kMark;
 }
 
-// Stricter than detect_format() where the name does not say the same: many files are zip archives, and a text may begin
-// with "ply".
+// Stricter than detect_format() where the name disagrees: many files are zip archives, and a text may begin with "ply".
 SplatFormat format_of(std::span<const std::byte> bytes, SplatFormat by_name) {
   const SplatFormat format = detect_format(bytes);
   const std::string_view text = text_of(bytes);
@@ -59,7 +58,7 @@ class Walk {
     struct stat info {};
     const std::unique_ptr<DIR, int (*)(DIR*)> open(::opendir(path.c_str()), ::closedir);
     if (open == nullptr || ::fstat(::dirfd(open.get()), &info) != 0)
-      return rgs::make_error(Errc::open_failed, Error::kNone, "the folder cannot be read", Error::kNone, Error::kNone,
+      return rgs::make_error(Errc::open_failed, Error::kNone, "cannot read the folder", Error::kNone, Error::kNone,
                              errno);
     const Identity self(info.st_dev, info.st_ino);
     if (std::ranges::find(without_, self) != without_.end()) return {};
@@ -71,7 +70,7 @@ class Walk {
     errno = 0;
     while (const dirent* entry = ::readdir(open.get())) names.emplace_back(entry->d_name);
     if (errno != 0)
-      return rgs::make_error(Errc::read_failed, Error::kNone, "the folder cannot be read to its end", Error::kNone,
+      return rgs::make_error(Errc::read_failed, Error::kNone, "cannot read the whole folder", Error::kNone,
                              Error::kNone, errno);
     std::ranges::sort(names);
     above_.push_back(self);
@@ -84,7 +83,7 @@ class Walk {
 
   SceneList finish() {
     std::ranges::sort(list_.scenes, {}, &ListedScene::name);
-    // The pictures of a SOG are no files besides.
+    // A SOG's pictures do not count as other files.
     list_.n_others -= std::min(list_.n_others, n_pictures_);
     return std::move(list_);
   }
@@ -96,7 +95,7 @@ class Walk {
     const SplatFormat by_name = is_unfinished(name) ? SplatFormat::unknown : format_of_name(name);
     struct stat info {};
     if (::stat(path.c_str(), &info) != 0) {
-      // A link to nowhere, or a file that vanished meanwhile.
+      // A dangling link, or a file that vanished meanwhile.
       if (by_name == SplatFormat::unknown) return void(++list_.n_others);
       scene.readable =
           rgs::make_error(Errc::open_failed, Error::kNone, "cannot open file", Error::kNone, Error::kNone, errno);
@@ -113,7 +112,7 @@ class Walk {
     const auto file = MappedFile::open(path);
     if (file) scene.format = format_of(file->bytes(), by_name);
     if (!file && by_name != SplatFormat::unknown) scene.readable = tl::unexpected(file.error());
-    const bool is_meta = by_name == SplatFormat::sog && name.ends_with(".json");  // others have such a file too
+    const bool is_meta = by_name == SplatFormat::sog && name.ends_with(".json");  // others may have a meta.json too
     if (scene.format == SplatFormat::unknown && (by_name == SplatFormat::unknown || (is_meta && file)))
       return void(++list_.n_others);
     if (scene.format == SplatFormat::sog && is_meta) {
@@ -149,7 +148,7 @@ std::vector<std::string> files_of_scene(const std::string& path) {
 std::string scene_stem(const std::string& name) {
   const SplatFormat format = format_of_name(name);
   if (format == SplatFormat::unknown) return name;
-  // A SOG's meta.json has the ending of no format.
+  // The ending of a SOG's meta.json is no format's.
   const std::size_t ending =
       name.ends_with(".json") || name.ends_with(".JSON") ? 5 : std::string_view(format_name(format)).size() + 1;
   return name.substr(0, name.size() - ending);

@@ -4,7 +4,7 @@
 
 #include <spawn.h>
 #include <sys/wait.h>
-#include <unistd.h>  // environ, as g++ and clang++ ask for GNU's extensions
+#include <unistd.h>  // environ, with GNU extensions (the default of g++ and clang++)
 
 #include <cerrno>
 #include <filesystem>
@@ -15,7 +15,7 @@ Result<std::string> program_folder() {
   std::error_code failed;
   const auto self = std::filesystem::read_symlink("/proc/self/exe", failed);
   if (failed)
-    return make_error(Errc::open_failed, Error::kNone, "the program cannot tell where it lies", Error::kNone,
+    return make_error(Errc::open_failed, Error::kNone, "cannot find the program's own folder", Error::kNone,
                       Error::kNone, failed.value());
   return self.parent_path().string();
 }
@@ -37,12 +37,11 @@ Result<int> run_program_and_wait(const std::string& path, const std::vector<std:
   argv.push_back(nullptr);
   pid_t id = 0;
   if (const int error = ::posix_spawn(&id, path.c_str(), nullptr, nullptr, argv.data(), environ); error != 0)
-    return make_error(Errc::internal, Error::kNone, "the program cannot be started", Error::kNone, Error::kNone, error);
+    return make_error(Errc::internal, Error::kNone, "cannot start the program", Error::kNone, Error::kNone, error);
   int status = 0;
   while (::waitpid(id, &status, 0) < 0) {
     if (errno != EINTR)
-      return make_error(Errc::internal, Error::kNone, "the program cannot be waited for", Error::kNone, Error::kNone,
-                        errno);
+      return make_error(Errc::internal, Error::kNone, "cannot wait for the program", Error::kNone, Error::kNone, errno);
   }
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
 }

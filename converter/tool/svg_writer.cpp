@@ -1,4 +1,4 @@
-// svg_writer.cpp - an SVG document, shape by shape.
+// svg_writer.cpp - writes an SVG document, shape by shape.
 // SPDX-License-Identifier: Apache-2.0
 #include "svg_writer.hpp"
 
@@ -7,7 +7,7 @@
 namespace rgs::tool {
 namespace {
 
-// Colours follow the page that shows the picture, also where it is embedded as an image.
+// Colours follow the page's theme, also where the picture is embedded as an image.
 constexpr const char* kStyle =
     "text{font:12px sans-serif;fill:#1f2328}.small{font-size:11px}.title{font-size:14px;font-weight:bold}"
     ".grid{stroke:#818b98;stroke-opacity:.3}.roof{stroke:#1f2328;stroke-width:1.5}.dashed{stroke-dasharray:5 4}"

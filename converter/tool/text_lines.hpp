@@ -1,4 +1,4 @@
-// text_lines.hpp - the lines of a report for people, as the programs print them.
+// text_lines.hpp - composes the lines of a printed report.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,17 +10,17 @@
 
 namespace rgs::tool {
 
-/// To be inherited by what composes a report.
+/// Base class of report composers.
 class TextLines {
  public:
-  /// Appends one line of formatted text; spaces at its end, which columns leave behind, are cut off.
+  /// Appends one line of formatted text without trailing spaces.
   template <class... Args>
   void line(fmt::format_string<Args...> format, Args&&... args) {
     fmt::format_to(std::back_inserter(text_), format, std::forward<Args>(args)...);
     text_.erase(text_.find_last_not_of(' ') + 1);
     text_ += '\n';
   }
-  /// All lines, which are then gone.
+  /// Returns all lines and clears them.
   std::string take() { return std::exchange(text_, {}); }
 
  private:

@@ -1,4 +1,4 @@
-// image_metrics.cpp - PSNR and SSIM, a row a task, sums in the order of the rows.
+// image_metrics.cpp - PSNR and SSIM in tasks of some rows; sums in row order.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/image_metrics.hpp"
 
@@ -15,7 +15,7 @@
 namespace rgs {
 namespace {
 
-constexpr std::uint64_t kRows = 8;  // a task; a row alone would be too little work in small pictures
+constexpr std::uint64_t kRows = 8;  // a task; one row is too little work in small pictures
 constexpr int kRadius = 5;
 constexpr double kSigma = 1.5;
 constexpr double kC1 = 0.01 * 0.01, kC2 = 0.03 * 0.03;
@@ -43,7 +43,7 @@ tl::unexpected<Error> not_finite(const Image& a, const Image& b) {
 
 // ---- SSIM
 
-// Half of the window's profile, from its centre out. The window is separable: its profile, normalised, along each axis.
+// Half of the normalised window profile, from its centre out; the window is separable.
 std::array<double, kRadius + 1> window() {
   std::array<double, kRadius + 1> half{};
   double sum = 0;
@@ -55,10 +55,10 @@ std::array<double, kRadius + 1> window() {
   return half;
 }
 
-// The four local means that SSIM needs; the variances enter it only as their sum.
+// The four local means of SSIM; the two variances enter only as their sum.
 enum Moment : std::size_t { kA, kB, kSquares, kProduct, kMoments };
 
-// One row's moments: in FP64, because a variance is a small difference of two of them.
+// Moments of one row, in FP64, because a variance is a small difference of two of them.
 class RowMoments {
  public:
   explicit RowMoments(const Image& image)
@@ -82,7 +82,7 @@ class RowMoments {
     for (std::size_t i = 0; i < length_; ++i) {
       const double ab = means_[kA][i] * means_[kB][i];
       const double squares = means_[kA][i] * means_[kA][i] + means_[kB][i] * means_[kB][i];
-      // What rounding leaves must not make a variance negative, nor correlate more than perfectly.
+      // Rounding must not make a variance negative or a correlation exceed 1.
       const double variances = std::max(0.0, means_[kSquares][i] - squares);
       const double covariance = std::clamp(means_[kProduct][i] - ab, -variances / 2, variances / 2);
       sum += (2 * ab + kC1) * (2 * covariance + kC2) / ((squares + kC1) * (variances + kC2));

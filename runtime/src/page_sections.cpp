@@ -1,4 +1,4 @@
-// page_sections.cpp - the sections of one page, with what fills up its last chunk.
+// page_sections.cpp - the sections of one page, with padding of its last chunk.
 // SPDX-License-Identifier: Apache-2.0
 #include "page_sections.hpp"
 
@@ -11,7 +11,7 @@
 namespace rgs::detail {
 namespace {
 
-// Byte places in an entry of CHNK.
+// Byte offsets in an entry of CHNK.
 constexpr std::size_t kStepSetAt = 32, kScaleUnitAt = 44;
 
 }  // namespace
@@ -22,7 +22,7 @@ void write_page_sections(const PageRows& page, std::uint32_t chunk_size, std::ui
   for (std::size_t k = 0; k < from.size(); ++k) std::ranges::copy(from[k], to[k]);
   const std::uint64_t n = page.n, n_sets = page.steps.size() / kStepSetBytes, sh_row = page.sh.size() / n;
   const std::array<std::uint64_t, 5> rows = section_rows(page.n, n_sets, chunk_size);
-  // Means that are no numbers are in no view.
+  // A NaN mean is in no view.
   constexpr float kNowhere = std::numeric_limits<float>::quiet_NaN();
   constexpr float kMean[3] = {kNowhere, kNowhere, kNowhere};
   constexpr std::uint16_t kNoSize[8] = {0x3C00, 0, 0, 0, 0, 0, 0, 0};

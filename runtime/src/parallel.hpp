@@ -11,14 +11,14 @@
 
 namespace rgs::detail {
 
-/// Calls f(begin, end) for ranges that cut [0, n), at most `grain` long, on the threads of the current arena; returns
-/// when all are done. What the caller wrote before is seen by f, and what f wrote is seen by the caller after.
+/// Calls f(begin, end) for ranges of at most `grain` that partition [0, n), on the threads of the current arena, and
+/// returns when all are done. f sees what the caller wrote before; the caller then sees what f wrote.
 template <class F>
 void parallel_ranges(std::uint64_t n, std::uint64_t grain, const F& f) {
-  // oneTBB guarantees that order by itself. It is stated once more in terms that ThreadSanitizer sees, because
-  // distributions ship the library without instrumentation; the cost is one atomic addition per range.
+  // oneTBB guarantees that order. It is repeated here for ThreadSanitizer, since distributions ship the library without
+  // instrumentation; it costs one atomic addition a range.
   std::atomic<bool> begun{false};
-  std::atomic<std::uint64_t> n_done{0};  // not one variable for both: that would order the ranges among themselves
+  std::atomic<std::uint64_t> n_done{0};  // a second variable: one would order the ranges among themselves
   begun.store(true, std::memory_order_release);
   using Range = tbb::blocked_range<std::uint64_t>;
   const auto body = [&begun, &n_done, &f](const Range& range) {
@@ -30,7 +30,7 @@ void parallel_ranges(std::uint64_t n, std::uint64_t grain, const F& f) {
   (void)n_done.load(std::memory_order_acquire);
 }
 
-/// Calls f(i) for 0 <= i < n; each call is worth a task of its own.
+/// Calls f(i) for 0 <= i < n; each call is a task.
 template <class F>
 void parallel_blocks(std::uint64_t n, const F& f) {
   parallel_ranges(n, 1, [&f](std::uint64_t begin, std::uint64_t end) {

@@ -1,4 +1,4 @@
-// render_options.cpp - the rule from options and declarations to the settings of a frame, and which values are legal.
+// render_options.cpp - turns options and declarations into a frame's settings, and checks them.
 // SPDX-License-Identifier: Apache-2.0
 #include "render_options.hpp"
 
@@ -15,13 +15,13 @@ namespace rgs {
 static_assert(default_low_pass_px2(AaMode::classic) == math::kLowPass, "the reference's low-pass is that of 3DGS");
 
 RenderOptions with_declarations(RenderOptions options, const std::optional<Declarations>& declared) {
-  const Declarations d = declared.value_or(Declarations());  // whose defaults are those of the original
+  const Declarations d = declared.value_or(Declarations());  // the default is the original's
   const bool is_mip = d.aa_mode == AaMode::mip_splatting;
   if (!options.anti_aliasing) {
     options.anti_aliasing = is_mip ? math::AntiAliasing::mip_splatting : math::AntiAliasing::classic;
   }
   if (!options.low_pass) {
-    // A low-pass belongs to its mode: where another is drawn, or none is declared, it is that mode's usual one.
+    // A low-pass belongs to its mode: a mode other than the declared one gets its default.
     const auto drawn =
         options.anti_aliasing == math::AntiAliasing::mip_splatting ? AaMode::mip_splatting : AaMode::classic;
     options.low_pass = drawn == d.aa_mode ? d.low_pass_px2 : default_low_pass_px2(drawn);
@@ -39,7 +39,7 @@ Result<float> detail::drawn_detail(const RenderOptions& options, bool has_levels
   if (!has_levels) return 0.0F;
   if (detail > 0 && options.pipeline == Pipeline::baseline) {
     return make_error(Errc::bad_argument, Error::kNone,
-                      "baseline draws the leaves alone: detail 0, or another pipeline");
+                      "baseline draws the leaves alone: set detail 0 or another pipeline");
   }
   return detail;
 }
@@ -115,7 +115,7 @@ Status validate(const FrameSettings& o) {
       (o.depth_mapping != DepthMapping::linear && o.depth_mapping != DepthMapping::logarithmic) ||
       o.exponent > math::Exponent::folded || o.exp > math::Exp::zero_mean ||
       o.cuda.front_end > PaperSteps::FrontEnd::fused) {
-    return refuse("an option has no such value");
+    return refuse("an option has an unknown value");
   }
   if (o.cuda.pixels_per_thread != 1 && o.cuda.pixels_per_thread != 2) return refuse("pixels per thread are not 1 or 2");
   return {};
@@ -126,7 +126,7 @@ Status validate(const FrameSettings& o) {
 Result<FrameSettings> resolve(const RenderOptions& options, const std::optional<Declarations>& declared,
                               Backend backend) {
   if (options.pipeline > Pipeline::turbo) {
-    return make_error(Errc::bad_argument, Error::kNone, "the pipeline has no such value");
+    return make_error(Errc::bad_argument, Error::kNone, "the pipeline is unknown");
   }
   RenderOptions o = options;
   o.paper = steps_of(options, backend);
@@ -167,12 +167,12 @@ double depth_resolution(const FrameSettings& settings, int depth_bits, const Cam
   if (depth_bits == 0) return 0;
   const double near = static_cast<double>(settings.depth_range[0]), far = static_cast<double>(settings.depth_range[1]);
   const double bins = std::exp2(depth_bits) - 1;  // as make_depth_quantizer() divides the range
-  // Bins of equal depth are coarsest, relative to it, where they begin.
+  // Bins of equal width are coarsest, relative to depth, where they start.
   const double step = settings.depth_mapping == DepthMapping::logarithmic ? std::expm1(std::log(far / near) / bins)
                                                                           : (far - near) / bins / near;
   if (!declared) return step;
   const SceneBounds box = declared_bounds(*declared);
-  if (box.low == box.high) return step;  // declarations that are not a file's have none
+  if (box.low == box.high) return step;  // only files' declarations have a box
   double low = std::numeric_limits<double>::infinity(), high = -low, middle = 0;
   for (int corner = 0; corner < 8; ++corner) {
     const glm::dvec4 at(corner & 1 ? box.high.x : box.low.x, corner & 2 ? box.high.y : box.low.y,
@@ -191,7 +191,7 @@ Status validate(const RenderTarget& t, const Camera& camera) {
   const auto fits = [n](std::size_t size, std::size_t channels) { return size == 0 || size == n * channels; };
   if (!fits(t.rgb.size(), 3) || !fits(t.alpha.size(), 1) || !fits(t.depth.size(), 1) || !fits(t.evaluated.size(), 1) ||
       !fits(t.blended.size(), 1)) {
-    return make_error(Errc::bad_argument, Error::kNone, "a target's size is not that of the camera's image", n);
+    return make_error(Errc::bad_argument, Error::kNone, "a target's size differs from the camera's image", n);
   }
   return {};
 }

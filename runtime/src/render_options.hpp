@@ -13,7 +13,7 @@
 
 namespace rgs::detail {
 
-/// RenderOptions once pipeline, scene and backend are known: every choice made, one member for each.
+/// RenderOptions with every choice made, once pipeline, scene and backend are known.
 struct FrameSettings {
   std::array<float, 3> background;
   float near_plane;
@@ -41,20 +41,20 @@ struct FrameSettings {
   } cuda;
 };
 
-/// The rule from options and a scene's declarations to a picture. `backend` is not automatic. Errors: bad_argument,
-/// naming the option that has no such value.
+/// Settings from options and a scene's declarations. `backend` is not automatic. Errors: bad_argument, naming the
+/// illegal option.
 Result<FrameSettings> resolve(const RenderOptions& options, const std::optional<Declarations>& declared,
                               Backend backend);
-/// FrameStats::depth_resolution of a frame whose key has `depth_bits`; 0 if that is 0. `declared`: of the scene.
+/// FrameStats::depth_resolution of a frame with `depth_bits`; 0 if that is 0. `declared`: by the scene.
 double depth_resolution(const FrameSettings& settings, int depth_bits, const Camera& camera,
                         const std::optional<Declarations>& declared);
 
-/// rgs::drawn_detail() of a scene of which only that is known.
+/// rgs::drawn_detail() if only `has_levels` is known of the scene.
 Result<float> drawn_detail(const RenderOptions& options, bool has_levels);
-/// `options` of a scene with levels at this detail: above 0 with the anti-aliasing by which levels were fitted, unless they name
-/// another.
+/// `options` for drawing levels at this detail: above 0 with the anti-aliasing for which levels were fitted, unless
+/// they name another.
 RenderOptions with_levels(RenderOptions options, float detail_px);
-/// A camera as the choice of pages sees it. `z_near`: as the scene declares it.
+/// The camera for the choice of pages. `z_near`: as the scene declares.
 lod::Eye eye_of(const Camera& camera, const Origin& origin, float z_near);
 
 /// bad_argument unless every span is empty or has the camera's pixels.

@@ -1,4 +1,4 @@
-// renderer.cpp - checks what the caller asked for and hands the frame to the machine that draws it.
+// renderer.cpp - checks the arguments of a frame and passes it to the backend.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/renderer.hpp"
 
@@ -23,19 +23,19 @@ constexpr std::uint64_t kMaxDrawn = std::uint64_t{1} << 31;
 }  // namespace
 
 struct Renderer::Impl {
-  std::optional<detail::ReferenceRenderer> reference;  // one of the two
+  std::optional<detail::ReferenceRenderer> reference;  // null if CUDA draws
   std::optional<detail::CudaBackend> cuda;
   std::string name;
-  // On the CPU, pages of a scene with levels of detail, as the last frame drew them: kept while they stay the same.
+  // On the CPU: the last frame's pages of a scene with levels of detail, kept while they stay the same.
   struct Cut {
     std::uint64_t of = 0;  // Scene::identity()
     std::vector<std::uint32_t> pages = {};
     Scene scene = {};
   } cut;
 
-  std::vector<float> scratch;  // a picture of which only codes are wanted
+  std::vector<float> scratch;  // for a picture whose codes alone are wanted
 
-  // Of streamed scenes: which renderer looks at them.
+  // Identifies this renderer's view of streamed scenes.
   std::uint64_t identity = next_identity();
 
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
@@ -92,9 +92,9 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
   if (!detail) return tl::unexpected(detail.error());
   drawn = detail::with_levels(drawn, *detail);
   if (*detail > 0 && !target.contributions.empty()) {
-    return make_error(Errc::bad_argument, Error::kNone, "contributions are counted of the leaves alone: detail 0");
+    return make_error(Errc::bad_argument, Error::kNone, "contributions are counted for the leaves alone: set detail 0");
   }
-  // A device has all pages and chooses among them itself.
+  // A device has all pages and chooses the cut itself.
   if (*detail == 0 || impl_->cuda) return impl_->render(scene, camera, target, drawn);
   return detail::guard_memory([&]() -> Result<FrameStats> {
     auto pages = drawn_pages(scene, camera, *detail);
@@ -116,12 +116,12 @@ Result<std::vector<FrameStats>> Renderer::render_all(const Scene& scene, std::sp
                                                      const PictureArrays& pictures, const RenderOptions& options) {
   if (pictures.on_device && !impl_->cuda) {
     return make_error(Errc::unavailable, Error::kNone,
-                      "pictures in a device's memory are drawn by CUDA, and not by the CPU: Backend::cuda");
+                      "only CUDA draws pictures into device memory: use Backend::cuda");
   }
   for (const Camera& camera : cameras) {
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
     if (camera.width != cameras.front().width || camera.height != cameras.front().height)
-      return make_error(Errc::bad_argument, Error::kNone, "the cameras of one call have pictures of different sizes");
+      return make_error(Errc::bad_argument, Error::kNone, "the cameras of one call have different image sizes");
   }
   return detail::guard_memory([&] {
     return impl_->cuda && (pictures.on_device || cameras.size() > 1)
@@ -173,13 +173,13 @@ Result<std::vector<FrameStats>> Renderer::render_each(const Scene& scene, std::s
 Result<DeviceBlock> Renderer::allocate_on_device(std::uint64_t bytes) const {
   if (!impl_->cuda) {
     return make_error(Errc::unavailable, Error::kNone,
-                      "pictures in a device's memory are drawn by CUDA, and not by the CPU: Backend::cuda");
+                      "only CUDA draws pictures into device memory: use Backend::cuda");
   }
-  if (bytes == 0) return make_error(Errc::bad_argument, Error::kNone, "an array on a device has no bytes");
+  if (bytes == 0) return make_error(Errc::bad_argument, Error::kNone, "an array on the device has 0 bytes");
   return detail::guard_memory([&] { return detail::CudaBackend::allocate(bytes); });
 }
 
-// A scene without levels, or the leaves of one with them; on CUDA any scene.
+// A scene without levels, or the leaves of one with levels; on CUDA any scene.
 Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                           const RenderOptions& options) {
   const Backend backend = cuda ? Backend::cuda : Backend::cpu;
@@ -187,36 +187,35 @@ Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& came
   if (!settings) return tl::unexpected(settings.error());
   if (const auto ok = detail::validate(target, camera); !ok) return tl::unexpected(ok.error());
   if (!target.contributions.empty()) {
-    if (cuda) return make_error(Errc::bad_argument, Error::kNone, "contributions are counted by the CPU renderer only");
+    if (cuda) return make_error(Errc::bad_argument, Error::kNone, "only the CPU renderer counts contributions");
     if (target.contributions.size() != scene.size())
-      return make_error(Errc::bad_argument, Error::kNone, "the contributions' size is not that of the scene",
+      return make_error(Errc::bad_argument, Error::kNone, "the contributions' size differs from the scene's",
                         scene.size(), target.contributions.size());
   }
   auto stats = cuda ? cuda->render(scene, camera, target, with_declarations(options, scene.declarations()))
                     : scene.view().and_then(
                           [&](const SceneView& view) { return reference->render(view, camera, target, *settings); });
-  // Here also for CUDA, where a scene of FP32 arrays no longer knows what it declares.
+  // Here for CUDA too, where FP32 arrays carry no declarations.
   if (stats) {
     stats->depth_resolution = detail::depth_resolution(*settings, stats->depth_bits, camera, scene.declarations());
   }
   return stats;
 }
 
-// How a streamed scene is drawn: as one with levels that is there as a whole.
+// Draws a streamed scene like one with levels that is entirely in memory.
 Result<detail::StreamRule> Renderer::Impl::rule_of(const StreamedScene& scene, const Camera& camera,
                                                    const RenderOptions& options) const {
   const bool is_on_device = scene.state_->store->is_on_device();
   if (cuda && !is_on_device) {
     return make_error(
         Errc::unavailable, Error::kNone,
-        "CUDA draws streamed scenes whose pool has memory of the device: StreamPoolOptions::device_memory, "
-        "or Backend::cpu");
+        "CUDA draws streamed scenes only if their pool has device memory: set StreamPoolOptions::device_memory, "
+        "or use Backend::cpu");
   }
   if (!cuda && is_on_device) {
-    return make_error(
-        Errc::unavailable, Error::kNone,
-        "the scene's pages are in a device's memory, where the CPU does not draw them: Backend::cuda, or a "
-        "pool without device_memory");
+    return make_error(Errc::unavailable, Error::kNone,
+                      "the scene's pages are in device memory, which the CPU does not draw: use Backend::cuda, or a "
+                      "pool without device_memory");
   }
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
   const auto detail = detail::drawn_detail(options, true);
@@ -245,13 +244,13 @@ Result<FrameStats> Renderer::render(const StreamedScene& scene, const Camera& ca
   if (const auto ok = detail::validate(target, camera); !ok) return tl::unexpected(ok.error());
   if (!target.contributions.empty()) {
     return make_error(Errc::bad_argument, Error::kNone,
-                      "contributions are counted of a scene that is there as a whole: open the file as a Scene");
+                      "contributions are not counted for streamed scenes: open the file as a Scene");
   }
   return detail::guard_memory([&]() -> Result<FrameStats> {
     const auto frame = detail::StreamFrame::begin(scene.state_, impl_->identity, camera, *rule);
     if (!frame) return tl::unexpected(frame.error());
     if (frame->cut().gaussians >= kMaxDrawn) {
-      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxDrawn - 1,
+      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index", kMaxDrawn - 1,
                         frame->cut().gaussians);
     }
     auto stats = impl_->cuda ? impl_->render(*frame, scene, camera, target, options)

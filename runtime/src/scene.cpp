@@ -1,4 +1,4 @@
-// scene.cpp - activation of training parameters, and FP32 arrays of a file when they are first asked for.
+// scene.cpp - activates training parameters, and makes FP32 arrays of a file on first use.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/scene.hpp"
 
@@ -39,7 +39,7 @@ bool drawable(const SplatView& s, std::uint64_t i, std::uint64_t floats) {
          all_finite(&s.rotation[4 * i], 4) && !std::isnan(s.opacity_logit[i]) && all_finite(&s.sh[floats * i], floats);
 }
 
-// The same of activated attributes, whose scales are below log_scale and opacities below opacity_logit.
+// The same for activated attributes; log_scale holds scales, opacity_logit opacities.
 bool activated_drawable(const SplatView& s, std::uint64_t i, std::uint64_t floats) {
   const auto legal = [](float scale) { return scale >= 0 && std::isfinite(scale); };
   return all_finite(&s.mean[3 * i], 3) && std::all_of(&s.log_scale[3 * i], &s.log_scale[3 * i] + 3, legal) &&
@@ -53,8 +53,8 @@ Status check(const SplatView& s, Drawable& is_drawable, const char* damage) {
   if (!s.consistent())
     return make_error(Errc::bad_argument, Error::kNone, "the sizes of the attributes contradict each other");
   if (s.n >= kMaxGaussians) {
-    return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1,
-                      s.n);
+    return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index",
+                      kMaxGaussians - 1, s.n);
   }
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(s.sh_degree));
   std::atomic<std::uint64_t> first_bad{s.n};
@@ -73,10 +73,10 @@ Status check(const SplatView& s, Drawable& is_drawable, const char* damage) {
 
 Status check(const SplatView& s) {
   return check(s, drawable,
-               "a Gaussian is damaged: NaN, or an infinity that is no opacity; convert with a repair policy first");
+               "a Gaussian is damaged (NaN, or an infinity other than an opacity): convert with a repair policy first");
 }
 
-// What a picture takes from them; a file's have been checked by its reader.
+// What a picture uses of them; a file's have been checked by its reader.
 Status check(const std::optional<Declarations>& declared) {
   if (!declared) return {};
   const Declarations& d = *declared;
@@ -98,7 +98,7 @@ void normalize(float* q) {
   }
 }
 
-// As a file may store it: FP16 moves the norm that far.
+// FP16 in a file changes the norm as much.
 bool is_unit(const float* q) {
   double squared = 0;
   for (int k = 0; k < 4; ++k) squared += static_cast<double>(q[k]) * static_cast<double>(q[k]);
@@ -110,7 +110,7 @@ std::uint64_t next_identity() {
   return ++last;
 }
 
-// Training parameters to rendered ones, in place.
+// Training parameters to activated ones, in place.
 void activate(SplatCloud& s) {
   detail::parallel_ranges(s.size(), kGrain, [&](std::uint64_t begin, std::uint64_t end) {
     for (std::uint64_t i = begin; i < end; ++i) {
@@ -123,7 +123,7 @@ void activate(SplatCloud& s) {
 
 using Arrays = detail::SplatArrays;
 
-// Rows of these pages, one page after the other.
+// Copies the rows of these pages, page after page.
 void gather(const Arrays& to, const Arrays& from, const std::vector<lod::Page>& pages,
             std::span<const std::uint32_t> chosen) {
   std::vector<std::uint64_t> first;
@@ -141,7 +141,7 @@ void gather(const Arrays& to, const Arrays& from, const std::vector<lod::Page>& 
   });
 }
 
-// Gaussians first .. first + n - 1 of them.
+// Gaussians first .. first + n - 1.
 SceneView view_of(const Arrays& a, std::uint64_t first, std::uint64_t n, int sh_degree, const Origin& origin) {
   return {n,
           sh_degree,
@@ -160,26 +160,26 @@ struct Scene::Storage {
   std::uint64_t n = 0;
   int sh_degree = 0;
   std::optional<Declarations> declarations;
-  MappedFile file;  // empty if none is kept
+  MappedFile file;  // empty if no file is kept
   FileView opened;  // `file`, without levels of detail
 
-  // Of a file with levels of detail. Its bytes are `file` or `copy`.
+  // For a file with levels of detail; its bytes are `file` or `copy`.
   std::vector<std::byte> copy;
   std::optional<PagedFile> levels;
 
   mutable std::mutex mutex;                   // of all below
   mutable bool is_validated = false;          // `file`, on the host
-  mutable std::optional<DirectData> decoded;  // by load(), until somebody needs it
+  mutable std::optional<DirectData> decoded;  // by load(), until first needed
   mutable std::optional<SceneView> arrays;    // of `activated` or `expanded`
   SplatCloud activated;                       // training parameters, activated
   mutable std::unique_ptr<float[]> expanded;  // of a file
-  mutable std::unique_ptr<float[]> paged;     // of all pages of `levels` that are there, one array after the other
+  mutable std::unique_ptr<float[]> paged;     // of all present pages of `levels`, array after array
   mutable std::uint64_t n_paged = 0;
 
   Status describe(const FileView& view);
   Status decode(const FileView& view);
   const Origin& origin() const { return declarations ? declarations->origin : kNoOrigin; }
-  // The caller holds the mutex, or is the only one who knows the scene.
+  // The caller holds the mutex or is the scene's only user.
   Result<DirectData> take_direct() const;
   Status expand() const;
   Status expand_pages() const;
@@ -188,19 +188,18 @@ struct Scene::Storage {
   Status open_levels(const DecodeLimits& limits, std::span<const std::byte> bytes);
 };
 
-// What the head says.
+// Takes size, SH degree and declarations from the head.
 Status Scene::Storage::describe(const FileView& view) {
   n = view.header().n_gaussians;
   if (n >= kMaxGaussians) {
-    return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1,
-                      n);
+    return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index",
+                      kMaxGaussians - 1, n);
   }
   sh_degree = view.header().sh_degree;
   declarations = view.declarations();
   return {};
 }
 
-// Validates.
 Status Scene::Storage::decode(const FileView& view) {
   if (const auto ok = describe(view); !ok) return ok;
   auto data = load_direct(view);
@@ -237,14 +236,14 @@ Status Scene::Storage::expand() const {
       for (std::uint64_t k = 0; k < part.size(); ++k) to.set(first + k, part[k]);
     }
   };
-  // Isolated: a task of the caller's that this thread took up while it waits might want the mutex.
+  // Isolated: this waiting thread could otherwise take up a task of the caller's that wants the mutex.
   tbb::this_task_arena::isolate([&] { detail::parallel_ranges(n, kGrain, fill); });
   expanded = std::move(memory);
   arrays = view_of(to, 0, n, sh_degree, origin());
   return {};
 }
 
-// Of a file with levels of detail, or its beginning: what is there at its finest stands for the leaves.
+// A file with levels of detail, or a prefix of it, whose finest pages then stand for the leaves.
 Status Scene::Storage::open_levels(const DecodeLimits& limits, std::span<const std::byte> bytes) {
   auto paged_file = PagedFile::open(bytes, limits);
   if (!paged_file) return tl::unexpected(paged_file.error());
@@ -263,7 +262,7 @@ std::vector<std::uint32_t> Scene::Storage::finest_present() const {
   return lod::drawn_pages(levels->pages(), {}, 0, levels->n_present());
 }
 
-// Leaves are the last of all pages; the finest of a file's beginning may lie anywhere among them.
+// Leaves are the last pages; the finest pages of a prefix may be any of those present.
 Status Scene::Storage::expand_leaves() const {
   if (const auto ok = expand_pages(); !ok) return ok;
   if (levels->n_present() == levels->n_pages()) {
@@ -286,7 +285,7 @@ Status Scene::Storage::expand_pages() const {
   const Arrays to(memory.get(), rows, sh_degree);
   std::mutex failing;
   Status status;
-  std::uint32_t failed = n_present;  // the first page that is damaged, whichever thread comes upon one first
+  std::uint32_t failed = n_present;  // the first damaged page, whichever thread finds one first
   const auto decode = [&](std::uint64_t begin, std::uint64_t end) {
     PageDecoder decoder(*levels);
     const detail::PageMemory page_memory(levels->largest_decoded_bytes());
@@ -336,7 +335,7 @@ Result<Scene> Scene::load(const SceneView& activated, const std::optional<Declar
                            activated.rotation, activated.opacity,   activated.sh};
     Status ok =
         check(splats, activated_drawable,
-              "a Gaussian is damaged: a number that is not finite, a scale below 0 or an opacity outside 0 to 1");
+              "a Gaussian is damaged: a value that is not finite, a scale below 0 or an opacity outside 0 to 1");
     if (ok) ok = check(declared);
     if (!ok) return tl::unexpected(ok.error());
     const auto copy = [](std::span<const float> s) { return std::vector<float>(s.begin(), s.end()); };
@@ -480,11 +479,12 @@ Result<Scene> Scene::pages(std::span<const std::uint32_t> pages) const {
     std::uint64_t n = 0;
     for (const std::uint32_t page : pages) {
       if (page >= levels()->n_present())
-        return make_error(Errc::bad_argument, Error::kNone, "the scene has no such page", levels()->n_present(), page);
+        return make_error(Errc::bad_argument, Error::kNone, "the scene has no page of this number",
+                          levels()->n_present(), page);
       n += all[page].count;
     }
     if (n >= kMaxGaussians) {
-      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers",
+      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index",
                         kMaxGaussians - 1, n);
     }
     auto storage = std::make_shared<Storage>();
@@ -524,7 +524,7 @@ std::uint64_t Scene::bytes() const {
   const std::scoped_lock lock(storage_->mutex);
   std::uint64_t total = 0;
   if (const auto& a = storage_->arrays) {
-    // Leaves are part of all pages.
+    // The leaves are part of all pages.
     const bool is_paged = storage_->paged && !storage_->expanded;
     for (const auto& array : {a->mean, a->rotation, a->scale, a->opacity, a->sh})
       total += is_paged ? 0 : array.size_bytes();
@@ -533,7 +533,7 @@ std::uint64_t Scene::bytes() const {
            storage_->n_paged * sizeof(float) * static_cast<std::uint64_t>(11 + 3 * sh_coefficients(sh_degree()));
   if (const auto& d = storage_->decoded) {
     const FileView& file = d->file();
-    if (file.frames(SectionType::means).rows > 0) total += d->means().size();  // 0: not coded, and so not decoded
+    if (file.frames(SectionType::means).rows > 0) total += d->means().size();  // 0 rows: not coded, so not decoded
     if (file.frames(SectionType::geometry).rows > 0) total += d->geometry().size();
     if (file.frames(SectionType::sh).rows > 0) total += d->sh().size();
   }

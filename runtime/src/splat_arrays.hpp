@@ -25,11 +25,11 @@ struct SplatArrays {
         scale(rotation + 4 * n),
         opacity(scale + 3 * n),
         sh(opacity + n) {}
-  /// Floats of a Gaussian.
+  /// Floats a Gaussian.
   static constexpr std::uint64_t floats(int sh_degree) {
     return static_cast<std::uint64_t>(11 + 3 * sh_coefficients(sh_degree));
   }
-  /// Not cleared: the threads that fill it touch its memory first.
+  /// Not cleared, so that the threads that fill it touch its memory first.
   static std::unique_ptr<float[]> memory(std::uint64_t n, int sh_degree) {
     return std::make_unique_for_overwrite<float[]>(n * floats(sh_degree));
   }
@@ -40,7 +40,7 @@ struct SplatArrays {
     opacity[i] = s.opacity;
     std::copy_n(s.sh, sh_floats, &sh[sh_floats * i]);
   }
-  /// A decoded page, from Gaussian `first` on, once its values are checked. Errors: those of check_page_values().
+  /// Stores a decoded page from Gaussian `first` on, once its values are checked. Errors: those of check_page_values().
   Status set_page(const PagedFile& file, std::uint32_t page, const PageRows& rows, std::uint64_t first) const {
     if (Status ok = check_page_values(file, page, rows); !ok) return ok;
     std::array<ActivatedSplat, 64> buffer;
@@ -53,7 +53,7 @@ struct SplatArrays {
   }
 };
 
-/// Memory for decoded pages, aligned as PageRows wants it.
+/// Memory for decoded pages, aligned as PageRows requires.
 class PageMemory {
  public:
   explicit PageMemory(std::uint64_t bytes) : memory_(std::make_unique_for_overwrite<std::byte[]>(bytes + kAlignment)) {

@@ -76,7 +76,7 @@ struct FrameMaker::Impl {
     spare.pop_back();
     return workspace;
   }
-  void give_back(Workspace workspace) {
+  void release(Workspace workspace) {
     constexpr std::size_t kMost = 2;
     const std::scoped_lock lock(spare_lock);
     if (spare.size() < kMost) spare.push_back(std::move(workspace));
@@ -175,7 +175,7 @@ Result<Frame> FrameMaker::make(const FrameRequest& request) {
   if (!file) return tl::unexpected(file.error());
   frame.file = *std::move(file);
   frame.encode_ms = ms_since(start);
-  impl_->give_back(std::move(workspace));
+  impl_->release(std::move(workspace));
   return frame;
 }
 

@@ -4,8 +4,8 @@
 //   rgs_bench_reference_renderer [--ply SCENE --cameras CAMERAS] [--view I] [--size WxH] [--gaussians N]
 //                                [benchmark flags]
 //
-// Without a scene it renders the generated one. Counters: stage times in ms (of the last frame), evaluated and blended
-// pairs a second, attribute and workspace bytes. Ratios between rows of one run are what counts.
+// Without a scene it renders the generated one. Counters: stage times of the last frame (ms), evaluated and blended
+// pairs per second, attribute and workspace bytes. Compare rows of one run only.
 #include <benchmark/benchmark.h>
 
 #include <algorithm>
@@ -75,7 +75,7 @@ Input load(int argc, char** argv) {
     cloud = value_or_stop(rgs::read_ply(ply));
     cameras = value_or_stop(rgs::read_cameras(cameras_path));
   }
-  if (view >= cameras.size()) stop("no such view");
+  if (view >= cameras.size()) stop("there is no such view");
   return {value_or_stop(rgs::Scene::load(std::move(cloud))), rgs::resized(cameras[view], width, height)};
 }
 
@@ -85,7 +85,7 @@ void frame(benchmark::State& state, const Input& input, const rgs::RendererOptio
   const auto n_pixels = static_cast<std::size_t>(input.camera.width) * static_cast<std::size_t>(input.camera.height);
   std::vector<float> rgb(3 * n_pixels);
   const rgs::RenderTarget target{.rgb = rgb};
-  value_or_stop(renderer.render(input.scene, input.camera, target, options));  // grows the workspace
+  value_or_stop(renderer.render(input.scene, input.camera, target, options));
   rgs::FrameStats stats;
   for (auto _ : state) stats = value_or_stop(renderer.render(input.scene, input.camera, target, options));
   const auto rate = [](std::uint64_t n) {

@@ -1,12 +1,12 @@
-// measure_levels.cpp - what levels of detail look like from 1 to 8 times as far, against the supersampled truth: prints the
-// tables of docs/records/LEVELS.md.
+// measure_levels.cpp - quality of levels of detail at 1 to 8 times the distance, against the supersampled truth: prints
+// the tables of docs/records/LEVELS.md.
 // SPDX-License-Identifier: Apache-2.0
 //
 //   rgs_measure_levels SCENE.rgs CAMERAS.json [fast|best [PHOTOS]]
 //
-// Views: every fourth test camera at 1, 1/2, 1/4 and 1/8 of its size. Truth: the leaves at twice the full size as the scene
-// declares them, averaged in display values. Pages are drawn with compensated opacity and a low-pass of 0.1. PHOTOS: a folder
-// with photographs NAME.jpg of the cameras, to compare all test views with.
+// Views: every fourth test camera at 1, 1/2, 1/4 and 1/8 of its size. Truth: the leaves at twice the full size, as the
+// scene declares them, averaged in display values. Pages are drawn with compensated opacity and a low-pass of 0.1.
+// PHOTOS: a folder with the cameras' photographs, NAME.jpg, to compare all test views with.
 #include <algorithm>
 #include <array>
 #include <chrono>
@@ -48,7 +48,7 @@ Camera scaled(Camera camera, double by) {
   return camera;
 }
 
-// Squares of factor x factor pixels, averaged; what is left at the edges is cut off.
+// Averages squares of factor x factor pixels; drops incomplete squares at the edges.
 std::vector<float> averaged(const std::vector<float>& pixels, int full_width, int full_height, int factor) {
   const int width = full_width / factor, height = full_height / factor;
   std::vector<float> out;
@@ -98,7 +98,7 @@ class Measure {
   double compare(const std::vector<float>& pixels, std::size_t view, int far) const {
     return psnr(pixels, truth_.at({view, far}));
   }
-  /// Mean PSNR of one scene in all views.
+  /// Mean PSNR of a scene over all views.
   double compare(const Scene& scene, int far, const rgs::RenderOptions& options) {
     double total = 0;
     for (std::size_t v = 0; v < cameras_.size(); ++v) {
@@ -113,7 +113,7 @@ class Measure {
   std::map<std::pair<std::size_t, int>, std::vector<float>> truth_;
 };
 
-// Footprint of a page in a view: docs/develop/LEVELS.md.
+// A page's footprint in a view, see docs/develop/LEVELS.md.
 float footprint(const Page& page, const Camera& camera) {
   const auto eye = rgs::camera_centre(camera);
   return static_cast<float>(
@@ -224,7 +224,7 @@ int main(int argc, char** argv) {
       std::fflush(stdout);
     }
   }
-  // The detail at which no more than a share of all Gaussians is drawn, the mean over views.
+  // The detail at which the views draw at most a given share of all Gaussians, on average.
   for (const auto& [far, share] : {std::pair{4, 0.25}, std::pair{8, 0.125}}) {
     float least = 1.F / 16, most = 64;
     std::array<std::uint64_t, 8> by_level{};
@@ -247,7 +247,7 @@ int main(int argc, char** argv) {
     std::fflush(stdout);
   }
   if (argc > 4) {
-    // The photograph, averaged, is the truth from afar.
+    // From afar, the averaged photograph is the truth.
     for (const int far : {1, 2, 4, 8}) {
       double db[4] = {};
       int n_views = 0;

@@ -1,10 +1,11 @@
-// measure_motion.cpp - how steady levels of detail are while the camera moves: prints the table "Motion" of docs/records/LEVELS.md.
+// measure_motion.cpp - steadiness of levels of detail while the camera moves: prints the table "Motion" of
+// docs/records/LEVELS.md.
 // SPDX-License-Identifier: Apache-2.0
 //
 //   rgs_measure_motion LEVELS.rgs CAMERAS.json [WIDTH [SUPERSAMPLING]]
 //
-// From the first test camera, WIDTH pixels wide (160): a dolly back to 16 times the distance of what it shows, and orbits
-// about that, from there and from 4 times as far, 120 frames each.
+// Starts at the first test camera, WIDTH pixels wide (160): a dolly back to 16 times the distance of its subject, and
+// orbits about the subject at that distance and at 4 times, 120 frames each.
 #include <cstdio>
 #include <cstdlib>
 #include <string>
@@ -62,7 +63,7 @@ int main(int argc, char** argv) {
   std::vector<float> depth(static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height));
   value_or_stop(renderer.render(scene, camera, {.depth = depth}));
   const double distance = bench::look_at_distance(depth);
-  std::printf("%d x %d pixels, what is shown is %.3g away\n", camera.width, camera.height, distance);
+  std::printf("%d x %d pixels, subject %.3g away\n", camera.width, camera.height, distance);
 
   LevelsMotion motion(scene, supersampling);
   const std::vector<Camera> back = bench::dolly(camera, distance, 16, kFrames);

@@ -1,5 +1,5 @@
-// measure_packed.cpp - size of a scene in every profile by section and level, and how fast it decodes: prints the
-// table of docs/records/MEASUREMENTS.md, "Profiles".
+// measure_packed.cpp - a scene's size in every profile, by section and compression level, and its decoding speed:
+// prints the table of docs/records/MEASUREMENTS.md, "Profiles".
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <chrono>

@@ -1,5 +1,5 @@
-// measure_paged.cpp - bytes of levels of detail and how fast pages decode, in every profile: prints the second table of
-// docs/records/MEASUREMENTS.md, "Profiles". Its levels are every fourth Gaussian of those below, twice as large.
+// measure_paged.cpp - bytes that levels of detail add, and the decoding speed of pages, in every profile: prints the
+// second table of docs/records/MEASUREMENTS.md, "Profiles". Each level keeps every fourth Gaussian of the level below, twice as large.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdio>
@@ -23,7 +23,7 @@ int failed(const char* what, const Error& error) {
   return exit_code(error.code);
 }
 
-// Least CPU time of seven turns over all pages, one at a time.
+// Least CPU time of seven passes over all pages, one page at a time.
 double decode_seconds(const PagedFile& file) {
   PageDecoder decoder(file);
   std::vector<std::byte> memory(file.largest_decoded_bytes());
@@ -43,7 +43,7 @@ int measure(const SplatCloud& source, Profile profile, const char* name, std::ui
   options.profile = profile;
   const auto plain = encode(source.view(), options);
   if (!plain) return failed("encode", plain.error());
-  // What is stored, in its order.
+  // Stored Gaussians, in file order.
   EncodeOptions direct;
   const auto stored = encode(source.view(), direct);
   if (!stored) return failed("encode", stored.error());

@@ -1,5 +1,5 @@
-// measure_step_sets.cpp - what one SH step set for the file, and sets per chunk of several sizes, lose and cost on a
-// scene: prints the table of docs/records/QUANTISATION.md.
+// measure_step_sets.cpp - error and size of one SH step set per file and of sets per chunk of several sizes: prints the
+// table of docs/records/QUANTISATION.md.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -42,7 +42,7 @@ double angle_degrees(const float a[4], const float b[4]) {
     aa += static_cast<double>(a[i]) * static_cast<double>(a[i]);
     bb += static_cast<double>(b[i]) * static_cast<double>(b[i]);
   }
-  // |q - q'| resolves small angles, where acos of the dot product would not.
+  // |q - q'| resolves small angles; acos of the dot product does not.
   double squared = 0;
   const double sign = dot < 0 ? -1 : 1;
   for (int i = 0; i < 4; ++i) {
@@ -52,7 +52,7 @@ double angle_degrees(const float a[4], const float b[4]) {
   return 4 * std::asin(std::min(1.0, std::sqrt(squared) / 2)) * 180 / std::numbers::pi;
 }
 
-// Errors of one encoding of `source`, in rows of a Markdown table.
+// Errors of one encoding of `source`, as rows of a Markdown table.
 int measure(const rgs::SplatCloud& source, const char* name, const rgs::EncodeOptions& options, bool geometry) {
   rgs::EncodeOptions with_permutation = options;
   with_permutation.keep_permutation = true;

@@ -1,9 +1,10 @@
-// measure_streaming.cpp - how fast pages decode on one core and how soon a streamed town is seen: prints a table of docs/records/STREAMING.md.
+// measure_streaming.cpp - decoding speed of pages on one core, and time until a streamed town is visible: prints the
+// table of docs/records/STREAMING.md.
 // SPDX-License-Identifier: Apache-2.0
 //
 //   rgs_measure_streaming GAUSSIANS DEGREE FOLDER [decode]
 //
-// Files of the town, one of each profile, stay in FOLDER and are used again. `decode`: only the first rows.
+// FOLDER keeps the town's files, one per profile, for later runs. `decode`: prints only the first rows.
 #include <algorithm>
 #include <array>
 #include <chrono>
@@ -35,7 +36,7 @@ using test::value_or_stop;
 using Clock = std::chrono::steady_clock;
 
 constexpr std::uint64_t kSeed = 1;
-constexpr int kTurns = 7;  // of each measurement, of which the best counts
+constexpr int kTurns = 7;  // of each measurement; the best counts
 
 double seconds_since(Clock::time_point began) {
   return std::chrono::duration<double>(Clock::now() - began).count();
@@ -55,7 +56,7 @@ SplatCloud make_town(std::uint64_t n, int sh_degree) {
   return cloud;
 }
 
-// The town with its levels, in each profile.
+// The town with levels, in each profile.
 struct Stored {
   const char* name;
   Profile profile;
@@ -79,10 +80,10 @@ void write_missing(std::uint64_t n, int sh_degree, const std::vector<Stored>& fi
 }
 
 struct Decoded {
-  double rows_s = 1e9, arrays_s = 1e9;  // of one core
+  double rows_s = 1e9, arrays_s = 1e9;  // on one core
 };
 
-// Pages one after the other: to the rows that a GPU reads, and on to FP32 arrays, each value checked.
+// Decodes pages in turn: to the rows that a GPU reads, and to checked FP32 arrays.
 Decoded measure_decoding(const PagedFile& file) {
   Decoded best;
   PageDecoder decoder(file);
@@ -123,7 +124,7 @@ struct Seen {
   double open_s = 1e9, first_s = 1e9, complete_s = 1e9, first_mb = 0;
 };
 
-// A view inside the town, from a file that the system has in memory.
+// A view inside the town, with the file in the system's cache.
 Seen measure_streaming(const std::string& path, const Camera& camera) {
   Seen best;
   for (int turn = 0; turn < 3; ++turn) {

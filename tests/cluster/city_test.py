@@ -19,7 +19,7 @@ from slurm_cluster import wait_for
 
 CITY = f"{ROOT}/samples/cluster/city"
 PROFILES = f"{ROOT}/samples/cluster/scenes/profiles"
-OPTIONS = "--chunk-size 32"  # of the page: two stretches of few Gaussians
+OPTIONS = "--chunk-size 32"  # as on the page: two stretches of few Gaussians
 TILES = [f"tiles/{i}.ply" for i in range(4)]
 CASES = {}
 
@@ -37,7 +37,7 @@ def command(profile, *config):
 
 
 class Run:
-    """One run of the Snakefile: its exit code, output, and the jobs that it began: ["begin", "scan 0", ...]."""
+    """One run of the Snakefile: exit code, output, and the jobs that it started: ["begin", "scan 0", ...]."""
 
     def __init__(self, folder, *config, profile="local", limit="", options=(), **variables):
         words = " ".join(f"'{word}'" for word in [*command(profile, *config), *options])
@@ -65,7 +65,7 @@ def write_camera(folder, distance):
 
 
 def by_hand(folder, name="by_hand.rgs", *more):
-    """The file that one process makes."""
+    """The file that a single process writes."""
     subprocess.run([f"{BIN}/rgs-convert", "--quiet", "--overwrite", "--lod", "--merge", *OPTIONS.split(), *more, *TILES, name],
                    cwd=folder, check=True, stdin=subprocess.DEVNULL)
     with open(f"{folder}/{name}", "rb") as file:
@@ -74,7 +74,7 @@ def by_hand(folder, name="by_hand.rgs", *more):
 
 def check_city(folder, wanted):
     with open(f"{folder}/city.rgs", "rb") as file:
-        assert file.read() == wanted, "other bytes than by hand"
+        assert file.read() == wanted, "bytes differ from a run by hand"
 
 
 def left_over(folder):
@@ -110,7 +110,7 @@ def reruns(folder):
     os.remove(f"{folder}/city.rgs")
     expect("the loss of the file", ["assemble"])
     os.remove(f"{folder}/city.work/range.1")
-    expect("the loss of what is not needed any more", [])
+    expect("the loss of files that are no longer needed", [])
     os.remove(f"{folder}/city.rgs")
     expect("the loss of both", ["build 1", "assemble"])
     check_city(folder, wanted)
@@ -140,7 +140,7 @@ def another_version(folder):
     make_tiles(folder)
     wanted = by_hand(folder)
     same((Run(folder).code, os.path.exists(f"{folder}/city.rgs")), (0, True))
-    # The files of the other version; Snakemake sees that the program is another.
+    # The other version's files. Snakemake sees that the program changed.
     for name in ("plan", "scan.1", "rows.2", "range.3"):
         with open(f"{folder}/city.work/{name}", "wb") as file:
             file.write(b"of another version")
@@ -162,7 +162,7 @@ def resources(folder):
     text = Run(folder, "memory=1 GiB", options=["--dry-run"]).text
     found = {rule: (int(mb), int(minutes)) for rule, mb, minutes in re.findall(
         r"(?:rule|checkpoint) (\w+):\n(?:    .*\n)*?    resources: .*mem_mb=(\d+).*runtime=(\d+)", text)}
-    # Of 40 million, and four times a stretch more than others have; what is placed and built is not known before the plan.
+    # Of 40 million, and four times the largest other stretch; rows to place and build are unknown before the plan.
     same(found, {"begin": (1488, 10), "scan": (1488, 11), "plan": (1488, 10), "assemble": (1488, 77)})
 
 
@@ -170,14 +170,14 @@ def resources(folder):
 def faults(folder):
     make_tiles(folder)
     wanted = by_hand(folder)
-    run = Run(folder, limit="ulimit -f 5000; ")  # KiB of a file: less than the rows of a tile
+    run = Run(folder, limit="ulimit -f 5000; ")  # KiB per file: less than a tile's rows
     same(run.code, 1)
     assert not any(job.startswith("build") for job in run.jobs), run.jobs
     same([name for name in sorted(os.listdir(f"{folder}/city.work")) if name.startswith(("rows", "range"))], [])
     same(left_over(folder), [])
     assert os.path.exists(f"{folder}/city.work/plan") and "File too large" in run.text, "the reason is not told"
 
-    # The program in front of the one under test loses a tile while others are placed.
+    # The wrapper loses a tile while others are placed.
     os.makedirs(f"{folder}/losing")
     with open(f"{folder}/losing/rgs-convert", "w", encoding="utf-8") as file:
         file.write(f'#!/bin/sh\ncase "$*" in *"--lod-input 2 "*) mv "{folder}/tiles/2.ply" "{folder}/lost" ;; esac\n'
@@ -193,7 +193,7 @@ def faults(folder):
 
 
 def kill_in_job(folder, n_jobs, seconds):
-    """Runs the Snakefile and kills it that long after so many jobs have begun. False if it ended before."""
+    """Runs the Snakefile and kills it some time after so many jobs have started. False if it ended first."""
     with subprocess.Popen(command("local"), cwd=folder, env=environment(), start_new_session=True, stdout=subprocess.PIPE,
                           stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True) as run:
         try:
@@ -206,7 +206,7 @@ def kill_in_job(folder, n_jobs, seconds):
             return True
         finally:
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(run.pid, signal.SIGKILL)  # it, and the programs that it began
+                os.killpg(run.pid, signal.SIGKILL)  # it, and the programs that it started
 
 
 @case("killed twenty times, at any moment, it ends with the same bytes")
@@ -223,17 +223,17 @@ def killed(folder):
     for _ in range(20):
         n_at_work += kill_in_job(folder, chance.randint(1, 4), chance.uniform(0, a_job))
         subprocess.run([*command("local"), "--unlock"], cwd=folder, env=environment(), check=True, capture_output=True)
-        if os.path.exists(f"{folder}/city.rgs"):  # once more, from somewhere on
+        if os.path.exists(f"{folder}/city.rgs"):  # once more, to the end
             check_city(folder, wanted)
             os.remove(f"{folder}/city.rgs")
             for name in chance.sample(["plan", "rows.0", "range.1", "range.3"], 2):
                 os.remove(f"{folder}/city.work/{name}")
-    assert n_at_work > 3, f"only {n_at_work} kills"
+    assert n_at_work > 3, f"only {n_at_work} kills at work"
     print(f"{n_at_work} of 20 runs were killed at work; what killed programs left: {left_over(folder)}")
     same(Run(folder).code, 0)
     check_city(folder, wanted)
     same(left_over(folder), [])
-    # A program that is killed at the worst moment leaves what it has written, in each step.
+    # Each step leaves partial files when it is killed at the worst moment.
     os.utime(f"{folder}/tiles/0.ply")
     os.remove(f"{folder}/city.rgs")
     for name in ("job", "scan.0", "plan", "rows.3", "range.1"):
@@ -264,11 +264,11 @@ def refusals(folder):
     os.symlink("nowhere.ply", f"{folder}/tiles/link.ply")
     refused("a link to nowhere")
     assert not os.path.exists(f"{folder}/city.work")
-    # An option that the program refuses fails the first job, with its words.
+    # An option that the program rejects fails the first job with the program's message.
     os.remove(f"{folder}/tiles/link.ply")
     run = Run(folder, "options=--profile archive:high")
     same((run.code, run.jobs), (1, ["begin"]))
-    assert "--profile archive looks at all Gaussians at once" in run.text
+    assert "--profile archive needs all Gaussians at once" in run.text
 
 
 @case("the page's GNU parallel, and a Slurm array's steps by hand")
@@ -315,7 +315,7 @@ def node_down(folder):
         try:
             wait_for(lambda: cluster.run("squeue", "--noheader", "--states=RUNNING", "--nodelist=n2",
                                          "--name=rgs-build").stdout, "build on n2", 300)
-            time.sleep(1)  # into the program
+            time.sleep(1)  # into the program itself
             cluster.run("scontrol", "update", "NodeName=n2", "State=DOWN", "Reason=test")
             same(run.wait(400), 0)
         finally:
@@ -331,7 +331,7 @@ def main():
         print("\n".join(CASES))
         return
     for name in ("rgs-convert", "rgs-make-scene"):
-        assert os.access(f"{BIN}/{name}", os.X_OK), f"{BIN}/{name} is not there: build it, or set RGS_BIN"
+        assert os.access(f"{BIN}/{name}", os.X_OK), f"{BIN}/{name} is missing: build it, or set RGS_BIN"
     need("snakemake")
     with tempfile.TemporaryDirectory(prefix="rgs-city-") as folder:
         os.chdir(folder)

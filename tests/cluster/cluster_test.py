@@ -58,7 +58,7 @@ def command(profile, *config):
 
 
 class Run:
-    """One run of the Snakefile: its exit code, output, and which jobs it began: [("convert", "a/b"), ...]."""
+    """One run of the Snakefile: exit code, output, and the jobs that it started: [("convert", "a/b"), ...]."""
 
     def __init__(self, folder, *config, profile="local", options=(), **variables):
         done = subprocess.run([*command(profile, QUICK, *config), *options], cwd=folder, env=environment(**variables),
@@ -94,7 +94,7 @@ def audit_of(folder, name, out="results"):
 
 
 def files_below(folder):
-    """But hidden ones: programs keep notes there."""
+    """Without hidden files, where programs keep notes."""
     return sorted(os.path.relpath(os.path.join(at, name), folder) for at, _, names in os.walk(folder) for name in names
                   if not name.startswith("."))
 
@@ -104,14 +104,14 @@ def same(actual, wanted):
 
 
 def same_as_by_hand(folder, assets, sources):
-    """The assets are exactly those of `sources`, byte for byte what one rgs-convert makes."""
+    """The assets are exactly those of `sources`, byte for byte as one rgs-convert writes them."""
     same(files_below(f"{folder}/{assets}"), sorted(stem + ".rgs" for stem in sources))
     with tempfile.TemporaryDirectory() as other:
         for stem, source in sources.items():
             by_hand = f"{other}/by_hand.rgs"
             subprocess.run([f"{BIN}/rgs-convert", "--quiet", "--overwrite", source, by_hand], cwd=folder, check=True)
             with open(by_hand, "rb") as a, open(f"{folder}/{assets}/{stem}.rgs", "rb") as b:
-                assert a.read() == b.read(), f"{stem}: other bytes than by hand"
+                assert a.read() == b.read(), f"{stem}: bytes differ from a run by hand"
 
 
 def need(*programs):
@@ -246,7 +246,7 @@ def failures(folder):
                             .encode("latin-1").decode())
         assert os.path.exists(path), link
 
-    # A gate that nothing passes is a result: reports stay, nothing runs again.
+    # A gate that nothing passes is a result: the reports stay, and nothing runs again.
     for name in ("0_damaged.ply", "empty.ply", "link.ply", "bra{ce}.ply", "line\nbreak.ply", "bytes\udcff.ply"):
         os.remove(f"{folder}/scenes/{name}")
     run = Run(folder, "fail_below=psnr=500,ratio=1")
@@ -328,7 +328,7 @@ def killed(folder):
         time.sleep(seconds)
         os.killpg(run.pid, signal.SIGKILL)
         run.wait()
-    # A lock is left behind, which Snakemake names and --unlock removes.
+    # A lock is left behind; Snakemake names it and --unlock removes it.
     subprocess.run([*command("local", QUICK), "--unlock"], cwd=folder, env=environment(), check=True)
     same(Run(folder).code, 0)
     same(Run(folder).jobs, [])
@@ -347,7 +347,7 @@ def page_slurm(folder):
         same(shell(page_block("scenes"), folder).returncode, 0)
         check_page_run(folder, shell(page_block("slurm"), folder, **variables))
         jobs = cluster.run("scontrol", "show", "job", "-o").stdout.splitlines()
-        # 7 conversions, one of them tried again, and 6 audits
+        # 7 conversions, one of them retried, and 6 audits
         same(len(jobs), 14)
         same(sorted(re.search(r"JobState=(\w+)", job)[1] for job in jobs), ["COMPLETED"] * 12 + ["FAILED"] * 2)
         asked = [(re.search(r"MinMemoryNode=(\w+)", job)[1], re.search(r"TimeLimit=(\S+)", job)[1]) for job in jobs]
@@ -359,7 +359,7 @@ def page_slurm(folder):
 
 
 def slow_programs(folder, seconds):
-    """Programs in front of those under test that wait before they begin, so that jobs can be caught at work."""
+    """Wrappers that wait before they start the programs under test, so that jobs can be caught at work."""
     os.makedirs(f"{folder}/slow")
     for name in ("rgs-convert", "rgs-audit"):
         with open(f"{folder}/slow/{name}", "w", encoding="utf-8") as file:
@@ -370,7 +370,7 @@ def slow_programs(folder, seconds):
 
 @contextlib.contextmanager
 def at_work_on(node, folder, cluster, n_scenes):
-    """Snakemake, with a job of it running on the node."""
+    """Snakemake, with one of its jobs running on the node."""
     for seed in range(n_scenes):
         make_scene(f"{folder}/scenes/{seed}.ply", seed)
     run = subprocess.Popen(command("slurm", QUICK), cwd=folder, start_new_session=True, stdin=subprocess.DEVNULL,
@@ -378,7 +378,7 @@ def at_work_on(node, folder, cluster, n_scenes):
                            {"PATH": slow_programs(folder, 3)})
     try:
         wait_for(lambda: cluster.run("squeue", "--noheader", "--states=RUNNING", f"--nodelist={node}").stdout, "job there")
-        time.sleep(2)  # into the program
+        time.sleep(2)  # into the program itself
         yield run
     finally:
         if run.poll() is None:
@@ -457,7 +457,7 @@ def page_parallel(folder):
     same(shell(page_block("parallel"), folder).returncode, 1)
     same_as_by_hand(folder, "by_parallel", sources)
     before = os.stat(f"{folder}/by_parallel/house1.ply.rgs").st_mtime_ns
-    # Mended, changed, and new in front of all others, with one name but for the ending.
+    # Repaired, changed, and new ahead of all others, two with the same stem.
     shutil.copy(f"{folder}/scenes/house1.ply", f"{folder}/scenes/cut_off.ply")
     shutil.copy(f"{folder}/scenes/house4.ply", f"{folder}/scenes/house2.ply")
     for name, other in (("a.ply", "house3.ply"), ("a.spz", "old/phone.spz")):
@@ -492,7 +492,7 @@ def main():
         print("\n".join(CASES))
         return
     for name in ("rgs-convert", "rgs-audit", "rgs-make-scene"):
-        assert os.access(f"{BIN}/{name}", os.X_OK), f"{BIN}/{name} is not there: build it, or set RGS_BIN"
+        assert os.access(f"{BIN}/{name}", os.X_OK), f"{BIN}/{name} is missing: build it, or set RGS_BIN"
     need("snakemake")
     with tempfile.TemporaryDirectory(prefix="rgs-cluster-") as folder:
         os.chdir(folder)

@@ -1,10 +1,10 @@
 #!/usr/bin/python3
-# fit_cost_model.py - from measure_city.py's JSON to the cost of each step in Gaussians, and what it says of many nodes.
+# fit_cost_model.py - fits each step's cost per Gaussian to measure_city.py's JSON, and predicts runs on many nodes.
 # usage: python3 tests/cluster/fit_cost_model.py measured.json [--disk-gb-s 1.0] [--shared-gb-s 10] [--cores 16] [--without-moves]
-# CPU of a step is fixed (a job) plus linear (a million Gaussians), by least squares with
-# weights of one over CPU: the largest scene counts most, since what is predicted is larger still. A run takes, one after
-# the other: what one process does (begin, plan, assemble), and what all do side by side (scan, place, build), each the longer
-# of its CPU and of its bytes by the disk. Assumptions are printed with the tables.
+# A step's CPU is fixed (per job) plus linear (per million Gaussians), by least squares weighted by one over CPU: the
+# largest scene counts most, because predictions go beyond it. A run is the sum of its serial steps (begin, plan,
+# assemble) and its parallel ones (scan, place, build); each takes the longer of its CPU time and its bytes over the
+# disk's rate. The tables state the assumptions.
 # SPDX-License-Identifier: Apache-2.0
 import argparse
 import json
@@ -14,7 +14,7 @@ STRETCH = 1_572_864
 
 
 def fit(points):
-    """[(millions, jobs, seconds)] to seconds a job and a million, neither negative."""
+    """[(millions, jobs, seconds)] to seconds per job and per million, neither negative."""
     best = None
     for weights in ((1, 1), (0, 1), (1, 0)):
         # Weighted normal equations of y = a * jobs + b * millions.
@@ -40,7 +40,7 @@ def fit(points):
 
 
 def jobs_of(step, run):
-    """Those that have something to do: a range has one stretch at least."""
+    """Jobs with work to do: a range has at least one stretch."""
     jobs = run["steps"][step]["jobs"]
     return min(jobs, -(-run["gaussians"] // STRETCH)) if step == "build" else jobs
 

@@ -1,10 +1,10 @@
 #!/usr/bin/python3
-# measure_city.py - what the steps of one scene by many processes take: CPU, peak memory and bytes of each, for scenes of several
-# sizes, as JSON for fit_cost_model.py; and what a second worker gains.
+# measure_city.py - CPU, peak memory and bytes of each step of one scene by many processes, for several sizes, as JSON
+# for fit_cost_model.py; and the gain of a second worker.
 # usage: RGS_BIN=build/release/bin python3 tests/cluster/measure_city.py --gaussians 1M 2M [--degree 0] [--tiles 4] [--ranges 4]
 #        [--memory 2GiB] [--workers 1 2] [--folder DIR] --out measured.json
-# Every process has one thread. On a machine that others use wall times, and with them the gain, mean little; CPU seconds grow
-# by a part as well.
+# Every process has one thread. On a shared machine wall times, and the gain with them, mean little; CPU seconds grow
+# somewhat as well.
 # SPDX-License-Identifier: Apache-2.0
 import argparse
 import concurrent.futures
@@ -39,7 +39,7 @@ def bytes_of(folder, prefix):
 
 
 def convert(folder, tiles, arguments, workers):
-    """The steps; of each what its processes took, and the wall time of all."""
+    """Each step's resources by process, and the wall time of all steps."""
     shutil.rmtree(f"{folder}/city.work", ignore_errors=True)
     memory = ["--memory", arguments.memory]
     moves = [word for i in range(len(tiles)) for word in ("--translate", f"{40 * (i % 8)},0,{40 * (i // 8)}")]

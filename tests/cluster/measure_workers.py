@@ -1,8 +1,10 @@
 #!/usr/bin/python3
-# measure_workers.py - what a second worker gains: the Snakefile on many small scenes with one job at a time, and with two.
+# measure_workers.py - the gain of a second worker: the Snakefile on many small scenes with one job at a time, and with
+# two.
 # usage: RGS_BIN=build/release/bin python3 tests/cluster/measure_workers.py [--scenes 100] [--gaussians 20k] [--audit=OPTIONS]
-# Ideal is half the time. "programs" is the time that rgs-convert and rgs-audit ran, "busy" their share of workers x wall time. On a
-# machine that others use, look at CPU: with two cores the second worker gains at most 2 x programs / (programs + the rest).
+# Ideal is half the time. "programs": time that rgs-convert and rgs-audit ran. "busy": their share of workers x wall
+# time. On a shared machine, look at CPU: with two cores the second worker gains at most 2 x programs / (programs + the
+# rest).
 # SPDX-License-Identifier: Apache-2.0
 import argparse
 import os
@@ -16,7 +18,7 @@ SCENES = f"{ROOT}/samples/cluster/scenes"
 
 
 def timed_programs(folder, programs, record):
-    """Programs that note how long the real ones run."""
+    """Wrappers that record how long the programs run."""
     os.makedirs(folder)
     for name in ("rgs-convert", "rgs-audit"):
         with open(f"{folder}/{name}", "w", encoding="utf-8") as file:

@@ -1,5 +1,5 @@
-# slurm_cluster.py - a real Slurm on this machine: a controller and nodes n1, n2, ... of one core, all below one folder.
-# Needs root. `with SlurmCluster(folder) as slurm:`; nothing is left running afterwards.
+# slurm_cluster.py - a real Slurm on this machine: a controller and nodes n1, n2, ... of one core, all in one folder.
+# Needs root. `with SlurmCluster(folder) as slurm:` stops everything at its end.
 # SPDX-License-Identifier: Apache-2.0
 import os
 import shutil
@@ -10,7 +10,7 @@ import time
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "scontrol", "sinfo")
 
-# cred_expire: for so long a job that lost its node waits before it starts anew.
+# cred_expire: how long a job that lost its node waits before it restarts.
 SLURM_CONF = """
 ClusterName=rgs
 SlurmctldHost={host}(127.0.0.1)
@@ -43,7 +43,7 @@ def find(program):
 
 
 def missing():
-    """Why there can be no cluster here; None if there can."""
+    """The reason why no cluster can run here, or None."""
     absent = [program for program in PROGRAMS if find(program) is None]
     if absent:
         return f"{', '.join(absent)} not installed"
@@ -96,7 +96,7 @@ class SlurmCluster:
     def __init__(self, folder, nodes=("n1", "n2")):
         self.folder, self.nodes = os.path.abspath(folder), nodes
         self.environment = dict(os.environ, SLURM_CONF=f"{self.folder}/slurm.conf")
-        self._daemons = {}  # name: process; the last started is stopped first
+        self._daemons = {}  # name: process; stopped in reverse order
 
     def __enter__(self):
         try:
@@ -137,13 +137,13 @@ class SlurmCluster:
 
     def _launch(self, program, *arguments, name=None):
         with open(f"{self.folder}/{name or program}.out", "wb") as out:
-            # A group of its own: Ctrl-C ends the test, which then ends the daemons in order.
+            # A process group of its own: Ctrl-C ends the test, which then stops the daemons in order.
             self._daemons[name or program] = subprocess.Popen(
                 [find(program), *arguments], env=self.environment, stdout=out, stderr=out, stdin=subprocess.DEVNULL,
                 start_new_session=True)
 
     def stop(self, name, how=signal.SIGTERM):
-        """Ends a daemon by name: munged, slurmctld or a node."""
+        """Stops a daemon by name: munged, slurmctld or a node."""
         daemon = self._daemons.pop(name)
         daemon.send_signal(how)
         try:
@@ -153,7 +153,7 @@ class SlurmCluster:
             daemon.wait()
 
     def kill_node(self, name):
-        """As if its machine lost power: nothing of it says a last word."""
+        """As if its machine lost power: no process reports anything."""
         self.stop(name, signal.SIGKILL)
         jobs = self.processes(f"SLURMD_NODENAME={name}")
         # A slurmstepd is the parent of its job and would report the job's end.
@@ -169,7 +169,7 @@ class SlurmCluster:
         return subprocess.run(command, env=self.environment, capture_output=True, text=True, check=check, timeout=60)
 
     def processes(self, variable=None):
-        """All processes of this cluster, or those that have a variable in their environment besides."""
+        """All processes of this cluster, or only those with a variable in their environment."""
         marks = {f"SLURM_CONF={self.folder}/slurm.conf"} | ({variable} if variable else set())
         found = []
         for pid in map(int, filter(str.isdigit, os.listdir("/proc"))):

@@ -1,9 +1,9 @@
 # commands_test.py - runs the commands that a document shows, as they stand: commands_test.py PROGRAMS SOURCE DOCUMENT
 #
-# Commands are indented blocks and ```sh blocks, run in order by one `sh -e` in a new folder, with PROGRAMS first on PATH
-# and SOURCE as ~/roofgs. A command fails the test unless it exits with 0, or with N where "# exit code N" follows it.
-# What NOT_RUN names is not run, nor are ```sbatch blocks and blocks below "<!-- NAME -->", which tests/cluster runs; they
-# are counted and listed. Of commands within a sentence or a table the options must exist.
+# Commands are indented blocks and ```sh blocks, run in order by one `sh -e` in a new folder, with PROGRAMS first on
+# PATH and SOURCE as ~/roofgs. A command must exit with 0, or with N where "# exit code N" follows it. Commands that
+# match NOT_RUN, ```sbatch blocks, and blocks below "<!-- NAME -->", which tests/cluster runs, are not run but counted
+# and listed. For commands within a sentence or a table, the options must exist.
 # SPDX-License-Identifier: Apache-2.0
 import os
 import re
@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-NOT_RUN = [  # how a command begins, and why it is not run here
+NOT_RUN = [  # pattern at a command's start, and why it is not run here
     (r"(sudo )?apt-get |pip install ", "installs packages"),
     (r"sh (scripts|packaging|tests/cluster)/|cmake --preset ", "builds for minutes; a section of .ci/run"),
     (r"docker |vcpkg |conan |colmap |snakemake |sbatch ", "a program of others"),
@@ -23,7 +23,7 @@ NOT_RUN = [  # how a command begins, and why it is not run here
 ]
 LANGUAGES = {"sh", "python", "python gpu", "cpp", "cmake", "json", "text", "html", "js", "yaml", "sbatch"}
 
-# rgs-view serves until it is interrupted: here as soon as it has printed its address.
+# rgs-view serves until it is interrupted: here, once it has printed its address.
 VIEW = """#!/usr/bin/python3
 import signal, subprocess, sys
 view = subprocess.Popen([{program!r}, *sys.argv[1:]], stdout=subprocess.PIPE, text=True,
@@ -65,7 +65,7 @@ def blocks(text):
 
 
 def commands(lines):
-    """(place, text) of each command of a block: as many lines as it takes the shell to see its end."""
+    """(place, text) of each command of a block: lines are joined until the shell sees a complete command."""
     text, first = "", 0
     for i, line in enumerate(lines):
         first = first if text else i

@@ -1,9 +1,10 @@
-// dump_file.cpp - everything that the library reads from an .rgs file, as raw arrays for the independent reader's test.
+// dump_file.cpp - prints everything that the library reads from an .rgs file, as raw arrays for the independent
+// reader's test.
 // SPDX-License-Identifier: Apache-2.0
 //
-// rgs_dump_file FILE > DUMP: per array a line `NAME TYPE SIZE...` (numpy's type codes) and its bytes, little-endian,
-// rows one after the other. A file that is refused gives the one line `error CODE OFFSET` and its exit code. It needs of
-// the library only what opens and decodes a file, and is linked with that part alone as well (RGS_FORMAT_PORTABLE).
+// rgs_dump_file FILE > DUMP prints for each array a line `NAME TYPE SIZE...` (numpy's type codes) and its bytes,
+// little-endian, row by row. For a refused file it prints `error CODE OFFSET` and exits with the code. It uses only the
+// part of the library that opens and decodes a file, and is also linked with that part alone (RGS_FORMAT_PORTABLE).
 
 #include <array>
 #include <bit>
@@ -42,7 +43,7 @@ int report(const Error& error) {
   return exit_code(error.code);
 }
 
-/// `columns` numbers a row, of numpy's `type`; T is what the rows consist of.
+/// `columns` numbers per row, of numpy's `type`; T is the rows' element type.
 template <class T>
 void put(const char* name, const char* type, std::uint64_t columns, std::span<const T> values) {
   const std::uint64_t item_bytes = static_cast<std::uint64_t>(type[1] - '0');
@@ -132,7 +133,7 @@ Status put_payload(const FileView& view) {
   return {};
 }
 
-// Of a file with levels: the tree, then Gaussians, chunks and steps of all pages in their order.
+// For a file with levels: the tree, then Gaussians, chunks and steps of all pages in file order.
 Status put_pages(const PagedFile& file) {
   std::vector<std::uint64_t> integers;
   std::vector<float> floats;

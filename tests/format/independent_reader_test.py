@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-# independent_reader_test.py - the reader written from docs/format/FORMAT.md and the library agree on every golden file.
+# independent_reader_test.py - the reader written from docs/format/FORMAT.md agrees with the library on every golden
+# file.
 # SPDX-License-Identifier: Apache-2.0
 """independent_reader_test.py RGS_DUMP_FILE GOLDEN_FOLDER
 
@@ -29,11 +30,11 @@ TRAINED = {"mean": 3, "log_scale": 3, "rotation": 4, "logit": 1, "sh": 48}
 
 
 class Refused(Exception):
-    """The library's verdict: name of the error and offset."""
+    """The library's error: name and offset."""
 
 
 def dump(program: str, path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays that rgs_dump_file prints; raises Refused where it gives an error."""
+    """The arrays that rgs_dump_file prints; raises Refused if it prints an error."""
     run = subprocess.run([program, path], capture_output=True, check=False)
     if run.stdout.startswith(b"error "):
         code, offset = run.stdout.split()[1:]
@@ -134,7 +135,7 @@ def robust_box(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_robust(scene: rgs_reader.Scene) -> None:
-    """Golden files obey the writers' rules of the robust box."""
+    """Golden files follow the writers' rules for the robust box."""
     if scene.header["n_gaussians"] == 0:
         return
     d, means = scene.declarations, scene.means[-scene.header["n_gaussians"]:]
@@ -145,7 +146,7 @@ def check_robust(scene: rgs_reader.Scene) -> None:
 
 
 def check_order(scene: rgs_reader.Scene) -> None:
-    """Golden files obey the writers' rules of order: keys ascend, and so do source positions where keys are equal."""
+    """Golden files follow the writers' rules for order: keys ascend, and source positions of equal keys do too."""
     n, d = scene.header["n_gaussians"], scene.declarations
     if n == 0 or scene.source_index is None:
         return
@@ -189,7 +190,7 @@ def main(program: str, folder: Path) -> int:
             if path in accepted:
                 scene = rgs_reader.read_file(str(path))
                 compare(scene, dump(program, path))
-                if not any(s["codec"] == 2 for s in scene.sections):  # whose order is Draco's
+                if not any(s["codec"] == 2 for s in scene.sections):  # Draco chooses their order
                     check_order(scene)
                 check_robust(scene)
             elif path.name in expected:

@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-# portable_test.py - what decodes files does so without exceptions, threads, mapped files and Draco, to the same bytes.
+# portable_test.py - the decoding part needs no exceptions, threads, mapped files or Draco, and decodes to the same
+# bytes.
 # SPDX-License-Identifier: Apache-2.0
 """portable_test.py GOLDEN_FOLDER RGS_DUMP_FILE RGS_DUMP_FILE_PORTABLE "OBJECT;OBJECT..."
 
@@ -15,7 +16,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-# Symbols of libraries, as the linker knows them: of C, of C++ (mangled), of Draco.
+# The linker's symbols of libraries: C, C++ (mangled), Draco.
 HOST = re.compile(r"""(
     __?(cxa_(throw|rethrow|begin_catch|allocate_exception)|Unwind_.*)
   | pthread_.* | thrd_.* | call_once | sem_.*
@@ -33,7 +34,7 @@ def undefined(objects: list[str]) -> set[str]:
 
 def main(golden: str, whole: str, portable: str, objects: str) -> None:
     symbols = undefined(objects.split(";"))
-    assert any("ZSTD_decompress" in symbol for symbol in symbols), "the list of symbols is not one"
+    assert any("ZSTD_decompress" in symbol for symbol in symbols), "the list of symbols is empty or unreadable"
     host = sorted(filter(HOST.fullmatch, symbols))
     assert not host, f"RGS_FORMAT_PORTABLE asks the host for {', '.join(host)}"
 

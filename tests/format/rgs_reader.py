@@ -32,9 +32,9 @@ SH_BYTES = (4, 12, 28, 48)                                        # bytes a Gaus
 DEGREE = np.array([0] + [1] * 3 + [2] * 5 + [3] * 7)              # degree of SH coefficient k
 KNOWN = ("DECL", "SHSC", "CHNK", "MEAN", "GEOM", "SHI8", "PERM", "PROV")
 REQUIRED = KNOWN[:6]
-ARCHIVED = ("MEAN", "GEOM", "SHI8")                               # what has codec 2 if anything has
-LEVELS = ("LODS", "PAGE")                                         # of a file with levels of detail
-IN_PAGES = REQUIRED[1:]                                           # what such a file must not have
+ARCHIVED = ("MEAN", "GEOM", "SHI8")                               # sections that have codec 2 if any has
+LEVELS = ("LODS", "PAGE")                                         # in a file with levels of detail
+IN_PAGES = REQUIRED[1:]                                           # absent from such a file
 ROOT = 2**32 - 1
 CODED = ("SHSC", "CHNK", *ARCHIVED)
 PROV_HEAD = struct.Struct("<QQII")
@@ -118,7 +118,7 @@ class Scene:
     chunks: NDArray[np.void]           # [n_chunks] of CHUNK
     source_index: NDArray[np.uint64] | None  # [N] position in the source file
     exponents: NDArray[np.int64]       # [N] scale_exponent of each Gaussian
-    levels: Record | None = None       # LODS, with pages: its records
+    levels: Record | None = None       # LODS with its page records, if there are pages
 
     def log_scales(self) -> NDArray[np.float32]:
         """[N, 3] as a 3DGS PLY stores them, at most 60."""
@@ -197,7 +197,7 @@ def read_header(data: memoryview, max_file_bytes: int, max_gaussians: int) -> Re
     rule(-110 <= h["scale_exponent"] <= 110, "scale_exponent", "-110 to 110")
     rule(h["file_bytes"] <= max_file_bytes, "file_bytes", "larger than the caller allows", "limit_exceeded")
     rule(n <= max_gaussians, "n_gaussians", "more Gaussians than the caller allows", "limit_exceeded")
-    # With levels of detail the end may be missing: read_table() sees whether it has them.
+    # With levels of detail the end may be missing; read_table() knows whether there are any.
     least = table_end(h) + HASH_BYTES if h["version_minor"] >= 4 else h["file_bytes"]
     require(len(data) >= least, "truncated", len(data), "shorter than file_bytes says")
     require(len(data) <= h["file_bytes"], "trailing_bytes", h["file_bytes"], "longer than file_bytes says")
@@ -219,7 +219,7 @@ def read_table(data: memoryview, h: Record) -> list[Record]:
 
     seen: set[str] = set()
     for s in entries:
-        s["type"] = bytes(s["type"]).decode("latin-1")        # known types are ASCII, others may be anything
+        s["type"] = bytes(s["type"]).decode("latin-1")        # known types are ASCII, others are arbitrary
         if s["type"] in known(h):
             require(s["type"] not in seen, "duplicate_section", s["at"], s["type"] + " is there twice")
             require(codec_exists(h, s), "unsupported_codec", s["at"] + at["codec"], "codec 0, for some types 1 or 2")

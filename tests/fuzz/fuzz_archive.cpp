@@ -1,4 +1,4 @@
-// fuzz_archive.cpp - any bytes behind Profile::archive's checksums: Draco's streams, entropy-coded streams and
+// fuzz_archive.cpp - arbitrary bytes behind Profile::archive's checksums: Draco's streams, entropy-coded streams and
 // section ARCH.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
@@ -19,7 +19,7 @@ void require(bool condition) {
   if (!condition) std::abort();
 }
 
-// The head is made to fit, so that every input reaches the kd-tree.
+// The header is corrected, so that every input reaches the kd-tree.
 void decode_draco(std::span<const std::byte> bytes) {
   if (bytes.size() < 4) return;
   std::uint16_t count;
@@ -37,7 +37,7 @@ void decode_draco(std::span<const std::byte> bytes) {
   static_cast<void>(decode_points(stream, 0, max_bits, points));
 }
 
-// A stream under tables that fit nothing: every distribution is flat.
+// A stream with tables that are not fitted: every distribution is flat.
 void decode_streams(std::span<const std::byte> bytes) {
   if (bytes.size() < 4) return;
   ArchiveTables t;
@@ -60,7 +60,7 @@ void decode_streams(std::span<const std::byte> bytes) {
   require(t.rans.assign(t.frequencies));
   const std::size_t n = static_cast<std::size_t>(bytes[3]) % 80 + 1;
   const auto decoder = std::make_unique<ArchiveDecoder>(t);
-  static_cast<void>(decoder->geometry_codes(bytes.subspan(4), 0, n));  // whatever it says, the codes are some
+  static_cast<void>(decoder->geometry_codes(bytes.subspan(4), 0, n));  // codes are decoded whatever the stream
   std::vector<std::byte> rows(48 * n);
   decoder->geometry(10, std::span(rows).first(16 * n));
   static_cast<void>(decoder->sh_codes(bytes.subspan(4), 0));

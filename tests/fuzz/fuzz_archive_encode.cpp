@@ -1,4 +1,4 @@
-// fuzz_archive_encode.cpp - any bytes as Gaussians and options of Profile::archive: what the encoder takes, it has decoded and
+// fuzz_archive_encode.cpp - arbitrary Gaussians and options of Profile::archive: the encoder verifies what it accepts.
 // compared itself.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>

@@ -1,8 +1,8 @@
 // fuzz_cameras.cpp - camera readers on arbitrary bytes: an error, or cameras that are all valid.
 // SPDX-License-Identifier: Apache-2.0
 //
-// The first byte chooses the reader (j JSON, b COLMAP binary, t COLMAP text). A COLMAP model is two files: the four
-// bytes that follow, little-endian, are the size of the first one.
+// The first byte chooses the reader (j JSON, b COLMAP binary, t COLMAP text). A COLMAP model is two files: the next
+// four bytes, little-endian, are the first one's size.
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>

@@ -1,4 +1,4 @@
-// fuzz_info.cpp - any bytes as an .rgs file through all that rgs-info prints of it, and decoded as a whole.
+// fuzz_info.cpp - arbitrary bytes as an .rgs file, through everything that rgs-info prints, and decoded whole.
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdlib>
 #include <string>
@@ -31,7 +31,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     if (rgs::tool::info_json(*report).empty() || (text.empty() && !report->error)) std::abort();
   }
   const auto cloud = rgs::decode(bytes);
-  // What is valid decodes, and every error says what it is.
+  // A valid file decodes, and every error has a description.
   if (whole.verified && !whole.error && !cloud) std::abort();
   if (!cloud && cloud.error().what[0] == '\0') std::abort();
   return 0;

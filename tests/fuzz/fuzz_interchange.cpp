@@ -1,5 +1,5 @@
-// fuzz_interchange.cpp - any bytes, read as one format, are an error or a scene; what its writer makes of that scene is
-// read again. A target for each reader; RGS_FUZZ_FORMAT says which.
+// fuzz_interchange.cpp - arbitrary bytes, read as one format, are an error or a scene, and the scene survives writing.
+// One target per reader; RGS_FUZZ_FORMAT names it.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdint>
@@ -41,7 +41,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     return 0;
   }
   require(file->format == kFormat && file->cloud.view().consistent());
-  require(file->cloud.size() <= 1032 * size / 16 + (1u << 20));  // no format spends less than 16 bytes unpacked
+  require(file->cloud.size() <= 1032 * size / 16 + (1u << 20));  // every format spends at least 16 bytes unpacked
   if (rgs::is_writable(kFormat)) check_writer(file->cloud);
   return 0;
 }

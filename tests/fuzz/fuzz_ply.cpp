@@ -1,4 +1,5 @@
-// fuzz_ply.cpp - any bytes are an error or a scene; a scene reads the same by row and by index, and survives writing.
+// fuzz_ply.cpp - arbitrary bytes are an error or a scene; a scene reads the same by row and by index, and survives
+// writing.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdint>
@@ -31,7 +32,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   const int degree = ply->sh_degree();
   require(degree >= 0 && degree <= rgs::kMaxShDegree && ply->bytes() == size);
-  require(ply->size() <= size / 14);  // no Gaussian fits into fewer bytes than it has properties
+  require(ply->size() <= size / 14);  // a Gaussian takes at least a byte per property
 
   const std::uint64_t n = std::min<std::uint64_t>(ply->size(), 256);
   const std::uint64_t first = ply->size() - n;  // ends at the last row
@@ -43,7 +44,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   require(same_bits(read, gathered));
 
   rgs::Declarations one = ply->declarations();
-  one.origin = rgs::kNoOrigin;  // rows are written as they were read
+  one.origin = rgs::kNoOrigin;  // rows are written as read
   const std::string header = rgs::ply_header(n, degree, one);
   std::vector<std::byte> file(header.size() + n * rgs::ply_row_bytes(degree));
   std::memcpy(file.data(), header.data(), header.size());

@@ -1,4 +1,4 @@
-// fuzz_reader.cpp - any bytes as an .rgs file: open, validate, and read all that FileView::open() lets through.
+// fuzz_reader.cpp - arbitrary bytes as an .rgs file: open, validate, and read everything that FileView::open() accepts.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdlib>
@@ -19,7 +19,7 @@ extern "C" std::size_t LLVMFuzzerCustomMutator(std::uint8_t* data, std::size_t s
 
 namespace {
 
-// Everything that can be read of decoded attributes; false if an entry of the tables stops it.
+// Reads all decoded attributes; false if an entry of the tables stops it.
 bool read_attributes(const rgs::DirectData& data) {
   std::vector<rgs::Splat> splats(std::min<std::uint64_t>(data.size(), 100));
   std::vector<rgs::ActivatedSplat> activated(splats.size());
@@ -33,7 +33,7 @@ bool read_attributes(const rgs::DirectData& data) {
   return true;
 }
 
-// The same of a file with levels, or its beginning.
+// The same for a file with levels, or a prefix of one.
 void read_levels(std::span<const std::byte> bytes) {
   const auto file = rgs::PagedFile::open(bytes);
   if (!file) return;
@@ -63,13 +63,13 @@ void read_levels(std::span<const std::byte> bytes) {
   if (!read || !of_cut || (file->complete() && !(plain && cloud && rgs::decode(*plain)))) std::abort();
 }
 
-// A copy of exact size, gone after the call.
+// An exact-size copy, freed after the call.
 rgs::Status extend(rgs::PagedFile& file, std::uint64_t offset, std::span<const std::byte> bytes) {
   const std::vector<std::byte> copy(bytes.begin(), bytes.end());
   return file.extend({offset, copy});
 }
 
-// The same file, or its beginning, as one that is fetched in pieces, cut where `seed` says: the pages of the whole, or an error.
+// The same file or prefix, fetched in pieces cut by `seed`: the same pages, or an error.
 void read_in_pieces(std::span<const std::byte> bytes, std::uint64_t seed) {
   std::mt19937_64 random(seed);
   std::vector<std::vector<std::byte>> pieces;
@@ -147,7 +147,7 @@ void read_all(std::span<const std::byte> bytes) {
   }
   const auto cloud = rgs::decode(bytes);
   if (cloud && !cloud->view().consistent()) std::abort();
-  // Documented: after validate() nothing of this can fail.
+  // Documented: after validate() none of this can fail.
   if (valid && !(read && cloud && rgs::load_direct(*view, {.threads = 1}))) std::abort();
 }
 
@@ -156,9 +156,9 @@ void read_all(std::span<const std::byte> bytes) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   const auto bytes = std::as_bytes(std::span(data, size));
   read_all(bytes);
-  // Checksums would stop every mutation: once more with hashes, and mostly the size, that fit.
+  // Checksums stop every mutation: repeat with corrected hashes and, mostly, size.
   rgs::test::Bytes fixed(bytes.begin(), bytes.end());
-  if (size >= 24 && size % 8 != 0) rgs::test::put<std::uint64_t>(fixed, 16, size);  // else the end may be missing
+  if (size >= 24 && size % 8 != 0) rgs::test::put<std::uint64_t>(fixed, 16, size);  // otherwise the end may be missing
   rgs::test::fix_hashes(fixed);
   read_all(fixed);
   return 0;

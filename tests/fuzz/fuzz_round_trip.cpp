@@ -1,4 +1,5 @@
-// fuzz_round_trip.cpp - any bytes as a cloud and options: what encode() accepts decodes, and encodes to the same bytes.
+// fuzz_round_trip.cpp - arbitrary bytes as a cloud and options: what encode() accepts decodes, and re-encodes to the
+// same bytes.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdlib>
@@ -49,7 +50,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   const auto decoded = rgs::decode(*first);
   require(decoded.has_value());
-  // The second encoding knows no source and no damage: it is the one to be repeated exactly.
+  // The second encoding knows no source and no damage; the third must repeat it exactly.
   options.on_bad = rgs::BadPolicy::refuse;
   options.keep_permutation = false;
   const auto second = rgs::encode(decoded->view(), options);
@@ -57,7 +58,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const auto again = rgs::decode(*second);
   require(again.has_value());
   require(*rgs::encode(again->view(), options) == *second);
-  // Attributes are those of the first encoding, and in the other profile they are the same.
+  // Attributes equal the first encoding's, in the other profile too.
   options.profile = options.profile == rgs::Profile::packed ? rgs::Profile::direct : rgs::Profile::packed;
   const auto other = rgs::encode(again->view(), options);
   require(other.has_value());

@@ -1,5 +1,5 @@
-// rgs_mutator.hpp - mutations of .rgs files that know their structure: fields, counts, sections, frames and what frames
-// decode to are changed, and sizes, places and hashes made to fit again, so that readers see them.
+// rgs_mutator.hpp - structural mutations of .rgs files: fields, counts, sections, frames and their contents change,
+// then sizes, offsets and hashes are corrected, so that readers reach the change.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -30,7 +30,7 @@ class RgsMutator {
  public:
   explicit RgsMutator(unsigned seed) : random_(seed) {}
 
-  /// A changed file in place of `bytes`; nothing if they are too little of one, or the result is above `max_size`.
+  /// Replaces `bytes` by a mutated file; by nothing if they are too short, or the result exceeds `max_size`.
   std::optional<Bytes> mutate(std::span<const std::byte> bytes, std::size_t max_size) {
     if (!take_apart(bytes)) return {};
     for (std::uint64_t i = 1 + below(3); i > 0; --i) change();
@@ -63,7 +63,7 @@ class RgsMutator {
     return true;
   }
 
-  // Places, sizes and hashes fit; decoded sizes are left alone but for sections that are stored as they are.
+  // Corrects offsets, sizes and hashes; decoded sizes only of sections stored as they are.
   Bytes put_together() {
     put(std::span(header_), 52, static_cast<std::uint32_t>(sections_.size()));
     Bytes file(test::entry_at(sections_.size()) + 8);
@@ -86,7 +86,7 @@ class RgsMutator {
 
   static bool is(const Section& s, const char* type) { return std::memcmp(s.entry.data(), type, 4) == 0; }
 
-  // Pages lie where their section now is.
+  // Pages move with their section.
   void move_pages(Bytes& file) {
     const auto place = [&](const char* type) -> std::uint64_t {
       const auto s = std::ranges::find_if(sections_, [type](const Section& section) { return is(section, type); });
@@ -116,7 +116,8 @@ class RgsMutator {
     }
   }
 
-  // A number of 1, 2, 4 or 8 bytes somewhere in [first, end) of `bytes`: an extreme, a neighbour, a bit, a number as read.
+  // Changes a number of 1, 2, 4 or 8 bytes somewhere in [first, end) of `bytes`: to an extreme, a neighbour, one bit
+  // off, or a number from the file.
   void change_number(Bytes& bytes, std::size_t first, std::size_t end) {
     const std::size_t width = std::size_t{1} << below(4);
     if (end < first + width) return;
@@ -134,7 +135,7 @@ class RgsMutator {
     std::memcpy(bytes.data() + at, &value, width);
   }
 
-  // One away, one twice, two exchanged, or a type changed.
+  // Removes or repeats an entry, swaps two, or changes a type.
   void change_sections() {
     const std::size_t a = below(sections_.size()), b = below(sections_.size());
     switch (below(3)) {
@@ -149,7 +150,7 @@ class RgsMutator {
     }
   }
 
-  // Another number of Gaussians, and what the head says of them to go with it.
+  // Changes the number of Gaussians, and the head to match.
   void change_counts() {
     const std::uint64_t n = below(3) == 0 ? below(70000) : get<std::uint64_t>(header_, 24) + below(3) - 1;
     if (below(4) == 0)
@@ -177,7 +178,7 @@ class RgsMutator {
     }
   }
 
-  // The table of a coded section for `rows` rows, its frames cut off or repeated.
+  // Resizes a coded section's table for `rows` rows; cuts off or repeats frames.
   void fit_frame_count(Section& s, std::uint64_t rows) {
     auto frames = frames_of(s);
     if (frames.empty()) return;
@@ -212,7 +213,7 @@ class RgsMutator {
     return frames;
   }
 
-  // Hashes come later.
+  // Hashes follow later.
   static void set_frames(Section& s, std::span<const Bytes> frames) {
     Bytes content(16 + 16 * frames.size());
     std::copy_n(s.content.begin(), 4, content.begin());
@@ -237,7 +238,7 @@ class RgsMutator {
     set_frames(s, frames);
   }
 
-  // Bytes of a frame: of a Zstandard frame what it decodes to, or itself.
+  // Changes a frame's bytes: for a Zstandard frame its content, otherwise the frame itself.
   void change_frame(Section& s) {
     auto frames = frames_of(s);
     if (frames.empty()) return;
@@ -263,7 +264,7 @@ class RgsMutator {
   std::uint64_t pages_ = 0;  // where PAGE was
 };
 
-/// For LLVMFuzzerCustomMutator(): mostly by structure, now and then by bytes.
+/// For LLVMFuzzerCustomMutator(): mostly structural, sometimes bytewise.
 inline std::size_t mutate_rgs(std::uint8_t* data, std::size_t size, std::size_t max_size, unsigned seed) {
   if (seed % 8 != 0) {
     if (const auto file = RgsMutator(seed).mutate(std::as_bytes(std::span(data, size)), max_size)) {

@@ -444,7 +444,6 @@ TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after
       check_same(frame.rgb, device.rgb());
       check_same(frame.alpha, device.alpha());
       CHECK(stats->instances == direct->instances);
-      CHECK(stats->total_ms > 0);
       CHECK(std::none_of(frame.depth.begin(), frame.depth.end(), [](float z) { return std::isnan(z); }));
       CHECK(std::none_of(frame.blended.begin(), frame.blended.end(), [](auto n) { return n == 0xDEADBEEF; }));
     }
@@ -514,7 +513,6 @@ TEST_CASE("pictures of several cameras at once, in the host's memory and the dev
         for (std::size_t i = 0; i < n; ++i) {
           CAPTURE(i);
           CHECK((*stats)[i].instances == expected[i].stats.instances);
-          CHECK((*stats)[i].total_ms > 0);
           CHECK(std::ranges::equal(expected[i].rgb, std::span(rgb).subspan(3 * kPixels * i, 3 * kPixels)));
           CHECK(std::ranges::equal(expected[i].alpha, std::span(alpha).subspan(kPixels * i, kPixels)));
           std::vector<std::uint8_t> wanted(3 * kPixels);
@@ -604,7 +602,7 @@ TEST_CASE("a turbo frame does not depend on the frames before: other cameras, si
     check_same(used.rgb(), fresh.rgb());
     check_same(used.alpha(), fresh.alpha());
     check_same_counts(*b, *a);
-    CHECK((b->total_ms > 0) == options.measure.timings);
+    if (!options.measure.timings) CHECK(b->total_ms == 0);
   }
   require_cuda(cudaStreamDestroy(stream));
 }
@@ -636,7 +634,6 @@ TEST_CASE("an asynchronous frame is the frame once it is finished, also one that
   const auto finished = device.renderer().finish();
   require_ok(finished);
   check_same_counts(*finished, *large_stats);
-  CHECK(finished->total_ms > 0);
   check_same(device.rgb(), large_rgb);
   const auto again = device.renderer().finish();
   require_ok(again);
@@ -678,14 +675,12 @@ TEST_CASE("stage times on request: the frame's own time does without them") {
     options.measure.timings = true;
     const auto staged = device.render(scene, options);
     require_ok(staged);
-    CHECK(staged->project_ms > 0);
-    CHECK(staged->blend_ms > 0);
-    CHECK(staged->project_ms + staged->bin_ms + staged->sort_ms + staged->blend_ms ==
-          doctest::Approx(staged->total_ms).epsilon(0.05));
+    // Between the same events, each read to half a microsecond.
+    const double stages_ms = staged->project_ms + staged->bin_ms + staged->sort_ms + staged->blend_ms;
+    CHECK(std::abs(stages_ms - staged->total_ms) < 0.01);
     options.measure.stage_timings = false;
     const auto whole = device.render(scene, options);
     require_ok(whole);
-    CHECK(whole->total_ms > 0);
     CHECK(whole->project_ms == 0);
     CHECK(whole->blend_ms == 0);
   }

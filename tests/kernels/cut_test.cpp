@@ -1,4 +1,4 @@
-// cut_test.cpp - levels of detail on the device: the pages that the host chooses, their tie order, and the same pictures.
+// cut_test.cpp - levels of detail on the device: the host's cut, its tie order, and the same pictures.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -27,7 +27,7 @@ using namespace rgs::test;
 
 namespace {
 
-/// A file with levels, what of it is there, and its leaves as a file without.
+/// A file with levels, its present part, and its leaves as a file without levels.
 struct Levels {
   std::vector<std::byte> bytes, plain;
 
@@ -71,7 +71,7 @@ DeviceScene upload(const From& from) {
   return *std::move(scene);
 }
 
-/// Scenes of many pages, of one, and without much of their end; pages of which the last chunk is not full.
+/// Scenes of many pages, of one, and with most of their end missing; pages whose last chunk is not full.
 const Levels& many_pages() {
   static const Levels kLevels = Levels::of(random_splats(1611, sized(40000, 6000, 3000)), 1, 32, 2);
   return kLevels;
@@ -91,7 +91,7 @@ lod::Eye host_eye(const cuda::CutEye& e) {
   return {{e.position[0], e.position[1], e.position[2]}, e.focal_px, e.z_near};
 }
 
-/// Chunks of these pages on the device, page after page.
+/// Chunks of these pages on the device, in page order.
 std::vector<std::uint32_t> chunks_of(const detail::PagePlan& plan, std::vector<std::uint32_t> pages) {
   std::ranges::sort(pages);
   std::vector<std::uint32_t> chunks;
@@ -109,11 +109,11 @@ std::uint32_t narrow(std::uint64_t n) {
 
 struct DeviceCut {
   std::vector<std::uint32_t> chosen;  ///< [counts.chunks]
-  std::vector<std::uint32_t> chunks;  ///< [capacity] what of them is in view
+  std::vector<std::uint32_t> chunks;  ///< [capacity] those in view
   std::vector<std::uint32_t> places;
   cuda::CutCounts counts, listed;
 };
-/// By both launches; `entries`: CHNK.
+/// Runs both launches; `entries`: CHNK.
 DeviceCut cut(std::span<const cuda::CutPage> table, const detail::PagePlan& plan, const cuda::CutEye& eye,
               std::uint32_t capacity, std::span<const std::uint32_t> entries,
               const std::optional<cuda::ViewParameters>& view = std::nullopt) {
@@ -136,7 +136,7 @@ DeviceCut cut(std::span<const cuda::CutPage> table, const detail::PagePlan& plan
   CHECK(std::memcmp(&cut.listed, seen.get(), sizeof cut.listed) == 0);
   return cut;
 }
-/// Boxes of 0.5 about `centers`.
+/// Boxes of side 0.5 around `centers`.
 std::vector<std::uint32_t> boxes_about(std::span<const std::array<float, 3>> centers) {
   std::vector<std::uint32_t> entries(12 * centers.size());
   for (std::size_t i = 0; i < centers.size(); ++i) {
@@ -148,7 +148,7 @@ std::vector<std::uint32_t> boxes_about(std::span<const std::array<float, 3>> cen
   return entries;
 }
 
-/// Frames of one renderer.
+/// Draws frames with one renderer.
 class Frames {
  public:
   Frames() : renderer_(make()) {}
@@ -211,7 +211,7 @@ Camera camera_at(double back, int width = 96, int height = 64) {
 
 }  // namespace
 
-TEST_CASE("pages decide by themselves what the host decides from the root downwards") {
+TEST_CASE("each page's own decision equals the host's traversal from the root") {
   Random random(1612);
   const Levels& levels = many_pages();
   const std::uint32_t n_pages = open(levels.bytes).n_pages();
@@ -243,7 +243,7 @@ TEST_CASE("pages decide by themselves what the host decides from the root downwa
   }
 }
 
-TEST_CASE("the device chooses the pages that the host chooses, in 200 views, of whole files and beginnings") {
+TEST_CASE("the device's cut equals the host's in 200 views, of whole files and prefixes") {
   if (!device_answers()) return;
   Random random(1613);
   const Levels& levels = many_pages();
@@ -274,10 +274,10 @@ TEST_CASE("the device chooses the pages that the host chooses, in 200 views, of 
       sizes.insert(chunks.size());
     }
   }
-  CHECK(sizes.size() > sized(20u, 10u, 1u));  // not the same cut again and again
+  CHECK(sizes.size() > sized(20u, 10u, 1u));  // cuts differ
 }
 
-TEST_CASE("chunks outside the view are left out, the others stay in their order; a list without room is counted") {
+TEST_CASE("chunks outside the view are dropped, the others keep their order; an overfull list is counted") {
   if (!device_answers()) return;
   const PagedFile file = open(many_pages().bytes);
   const detail::PagePlan plan(file);
@@ -297,7 +297,7 @@ TEST_CASE("chunks outside the view are left out, the others stay in their order;
     const auto& c = centers[chunk];
     const bool listed = at < drawn.listed.chunks && drawn.chunks[at] == chunk;
     if (listed) REQUIRE(drawn.places[chunk] == at++);
-    // Well inside, and well outside: 160/256 and 100/256 are the slopes of the image's edges.
+    // Clearly inside, and clearly outside: 160/256 and 100/256 are the slopes of the image's edges.
     const float x = std::abs(c[0]), y = std::abs(c[1]), z = c[2];
     if (z > 1 && x < 0.6F * z && y < 0.36F * z) CHECK(listed);
     if (z < -1 || (z > 0 && (x > 0.7F * z + 1 || y > 0.5F * z + 1))) CHECK(!listed);
@@ -311,7 +311,7 @@ TEST_CASE("chunks outside the view are left out, the others stay in their order;
   CHECK(std::equal(full.chunks.begin(), full.chunks.end(), full.chosen.begin()));
 }
 
-TEST_CASE("what is drawn has the tie order of all rows, without the others") {
+TEST_CASE("the rows of a view keep the tie order of all rows") {
   if (!device_answers()) return;
   Random random(1614);
   constexpr std::uint32_t kChunk = 32;
@@ -376,10 +376,10 @@ TEST_CASE("what is drawn has the tie order of all rows, without the others") {
   }
 }
 
-TEST_CASE("pages lie on the device as the host decodes them, each from a chunk of its own on, in every profile") {
+TEST_CASE("pages on the device equal the host's decoding, each from its own first chunk, in every profile") {
   if (!device_answers()) return;
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
-    // Four batches of those that are decoded together.
+    // Four batches of pages that are decoded together.
     const int n = profile == Profile::direct ? sized(700000, 3000, 500) : sized(30000, 3000, 500);
     const Levels levels = Levels::of(random_splats(1623, n), 2, 64, 3, profile);
     const PagedFile file = open(levels.bytes);
@@ -428,7 +428,7 @@ TEST_CASE("pages lie on the device as the host decodes them, each from a chunk o
   }
 }
 
-TEST_CASE("what the device chooses and draws is what the same pages are as a scene of FP32 arrays") {
+TEST_CASE("the device draws a cut like the same pages as a scene of FP32 arrays") {
   if (!device_answers()) return;
   const Levels& levels = many_pages();
   const Scene scene = load(levels.bytes);
@@ -451,14 +451,14 @@ TEST_CASE("what the device chooses and draws is what the same pages are as a sce
       CAPTURE(back);
       CAPTURE(detail_px);
       const auto drawn = frames.draw(on_device, camera, at_detail(mode, detail_px));
-      // With the declarations that arrays do not have.
+      // With declarations, which arrays lack.
       const auto expected =
           gathered.draw(expected_scene, camera, with_declarations(as_levels(mode), scene.declarations()));
       CHECK(drawn.stats.pages == chosen->size());
       CHECK(drawn.stats.gaussians == as_scene->size());
       CHECK(drawn.stats.visible == expected.stats.visible);
       CHECK(drawn.stats.instances == expected.stats.instances);
-      // Colours alone are decoded in another order of operations; FP16 keeps 2^-11 of them.
+      // Only colours are decoded in another order of operations; FP16 keeps 2^-11 of them.
       if (!mode.paper.deterministic) continue;
       CHECK(same_bytes(drawn.alpha, expected.alpha));
       const bool is_tensor = mode.pipeline == Pipeline::turbo && mode.turbo.tensor_cores;
@@ -470,7 +470,7 @@ TEST_CASE("what the device chooses and draws is what the same pages are as a sce
   if (!race_sizes()) CHECK(pages.size() >= (small_sizes() ? 3 : 4));
 }
 
-TEST_CASE("at detail 0 the leaves are drawn to the bytes of the file without levels, in every mode and profile") {
+TEST_CASE("at detail 0 the picture equals that of the file without levels, in every mode and profile") {
   if (!device_answers()) return;
   for (const Profile profile : {Profile::direct, Profile::packed}) {
     if (race_sizes() && profile != Profile::direct) continue;
@@ -526,7 +526,7 @@ TEST_CASE("equal depths of a scene with levels are drawn in tie order, whatever 
   }
 }
 
-TEST_CASE("a scene of one page, and the beginning of a file, are drawn as the CPU draws them") {
+TEST_CASE("a scene of one page, and a prefix of a file, are drawn as on the CPU") {
   if (!device_answers()) return;
   const Levels one = Levels::of(random_splats(1617, 50), 2, 32, 4);
   REQUIRE(open(one.bytes).n_pages() == 1);
@@ -553,10 +553,10 @@ TEST_CASE("a scene of one page, and the beginning of a file, are drawn as the CP
   }
 }
 
-TEST_CASE("frames that follow each other do not leave anything behind: other views, details, pipelines, scenes") {
+TEST_CASE("no frame affects the next: other views, details, pipelines, scenes") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
-  // More rows than there is room for at first.
+  // More rows than the initial capacity.
   const Levels levels = Levels::of(random_splats(1618, 200000), 0, 256, 4);
   const DeviceScene scene = upload(open(levels.bytes)), small = upload(open(many_pages().bytes));
   const DeviceScene fp32 = upload(scene_of(cloud_of(random_splats(1619, 500), 0)).view().value());
@@ -581,7 +581,7 @@ TEST_CASE("frames that follow each other do not leave anything behind: other vie
   }
 }
 
-TEST_CASE("where memory is short a cut is refused as out of memory or drawn right, and the renderer goes on") {
+TEST_CASE("with little memory a cut is refused as out of memory or drawn right, and the renderer goes on") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   struct Budget {
@@ -605,7 +605,7 @@ TEST_CASE("where memory is short a cut is refused as out of memory or drawn righ
   const DeviceScene scene = upload(open(levels.bytes));
   const Camera camera = camera_at(0.5);
   for (const RenderOptions& mode : {turbo_options(), paper_options()}) {
-    const RenderOptions options = at_detail(mode, 0);  // more than a frame has room for at first
+    const RenderOptions options = at_detail(mode, 0);  // more than a frame's initial capacity
     Frames fresh;
     const auto expected = fresh.draw(scene, camera, options);
     auto renderer = CudaRenderer::create({.allocator = budget.allocator()});
@@ -628,7 +628,7 @@ TEST_CASE("where memory is short a cut is refused as out of memory or drawn righ
 }
 
 TEST_CASE(
-    "a detail that is none, baseline above 0 and a file without any page are refused; damage is told as by the host") {
+    "an invalid detail, baseline above 0 and a file without pages are refused; damage is reported as by the host") {
   if (!device_answers()) return;
   const Levels levels = Levels::of(random_splats(1621, 500), 1, 32, 2);
   const PagedFile file = open(levels.bytes);

@@ -1,4 +1,4 @@
-// device_fixture.hpp - device memory between guards, scenes on the device, and what decides whether a test runs.
+// device_fixture.hpp - guarded device memory, scenes on the device, and the conditions under which tests run.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -24,7 +24,7 @@
 
 namespace rgs::test {
 
-/// Whether a CUDA device answers. If none does, the case is skipped.
+/// Whether a CUDA device is available. If not, skips the case.
 inline bool device_answers() {
   int n = 0;
   if (cudaGetDeviceCount(&n) == cudaSuccess && n > 0) return true;
@@ -33,9 +33,9 @@ inline bool device_answers() {
   return false;
 }
 
-/// How large scenes and frames are, by RGS_TEST_SIZE: full where it is not set. `small` is for compute-sanitizer, and leaves
-/// out what fails on purpose. `race` is for its racecheck, to which each launch costs tens of milliseconds and each access
-/// to shared memory a thousandfold: every path of the kernels once, in as few launches and threads as it takes.
+/// Sizes of scenes and frames by RGS_TEST_SIZE; full if it is not set. `small` is for compute-sanitizer and omits
+/// deliberate failures. `race` is for its racecheck, which adds tens of milliseconds per launch and slows shared memory
+/// a thousandfold: it runs every path of the kernels once, with the fewest launches and threads.
 enum class TestSize { full, small, race };
 inline TestSize test_size() {
   const char* const value = std::getenv("RGS_TEST_SIZE");
@@ -67,12 +67,12 @@ void require_ok(const Result& result) {
   REQUIRE_MESSAGE(result, text_of(result.error()), ", expected ", result.error().expected, ", found ",
                   result.error().found);
 }
-/// Waits for the device; a kernel's fault shows here.
+/// Waits for the device and reports a kernel's fault.
 inline void synchronize() {
   require_cuda(cudaDeviceSynchronize());
 }
 
-/// n values in device memory, every byte 0xFF (NaN) until written, between guard bytes.
+/// n values in device memory between guard bytes; every byte is 0xFF (NaN) until written.
 template <class T>
 class DeviceArray {
  public:
@@ -120,13 +120,13 @@ class DeviceArray {
   }
 
  private:
-  static constexpr std::size_t kGuard = 256;  // keeps the alignment of cudaMalloc
+  static constexpr std::size_t kGuard = 256;  // keeps cudaMalloc's alignment
   static constexpr unsigned char kGuardByte = 0xA5;
   std::byte* base_ = nullptr;
   std::size_t n_ = 0;
 };
 
-/// Attributes in device memory, as the launchers take them.
+/// Attributes in device memory, in the launchers' form.
 class DeviceAttributes {
  public:
   explicit DeviceAttributes(const SceneView& s)
@@ -149,11 +149,11 @@ class DeviceAttributes {
     memory_.emplace_back(bytes);
     return reinterpret_cast<const T*>(memory_.back().data());
   }
-  std::vector<DeviceArray<std::byte>> memory_;  // before attributes_, whose construction fills it
+  std::vector<DeviceArray<std::byte>> memory_;  // before attributes_, whose constructor fills it
   cuda::Attributes attributes_;
 };
 
-/// A scene both as an .rgs file and decoded on the host, Gaussian by Gaussian the same.
+/// A scene both as an .rgs file and decoded on the host, equal for each Gaussian.
 struct CompactScene {
   std::vector<std::byte> bytes;
   FileView file;
@@ -174,7 +174,7 @@ struct CompactScene {
   }
 };
 
-/// front_camera() moved, turned and with its principal point beside the centre.
+/// front_camera() moved and rotated, with its principal point off the centre.
 inline Camera random_camera(Random& random, int width, int height) {
   Camera camera = front_camera(width, height);
   camera.fx *= random.uniform(0.7, 1.4);
@@ -189,7 +189,7 @@ inline Camera random_camera(Random& random, int width, int height) {
   return camera;
 }
 
-/// What CudaRenderer hands to the kernels for a view.
+/// CudaRenderer's kernel parameters for a view.
 inline cuda::ViewParameters view_parameters(const Camera& camera, const Arithmetic& options, int sh_degree) {
   Matrix4 m;
   std::ranges::copy(row_major(camera.world_to_camera), m);

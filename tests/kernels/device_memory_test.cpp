@@ -3,9 +3,7 @@
 #include <doctest/doctest.h>
 
 #include <atomic>
-#include <chrono>
 #include <map>
-#include <thread>
 
 #include "device_fixture.hpp"
 #include "rgs/cuda_renderer.hpp"
@@ -155,12 +153,13 @@ TEST_CASE("a scene uploaded on a stream, waited for or not, is the scene; also o
       CAPTURE(asynchronous);
       const TestStream copies, frames;
       const UploadOptions how{.stream = copies.get(), .asynchronous = asynchronous};
-      // The copies begin late, and nothing but the frame itself waits for them.
+      // The copies begin after much other work, and nothing but the frame itself waits for them.
+      const DeviceArray<std::byte> other(std::size_t{small_sizes() ? 1U : 256U} << 20);
       const auto late = [&](const auto& source) {
         const DeviceArray<float> rgb(fp32.size());
         synchronize();
-        require_cuda(cudaLaunchHostFunc(
-            copies.get(), [](void*) { std::this_thread::sleep_for(std::chrono::milliseconds(30)); }, nullptr));
+        for (int k = 0; k < (small_sizes() ? 2 : 200); ++k)
+          require_cuda(cudaMemsetAsync(other.data(), k, other.size(), copies.get()));
         const DeviceScene scene = upload(source, how);
         require_ok(device.render(scene, camera, {.rgb = rgb.data()}, options, frames.get()));
         return rgb.download();
@@ -283,7 +282,7 @@ TEST_CASE("a workspace grows while another stream is busy, without waiting for i
     picture(plain, small, camera, options);
     const auto expected = picture(plain, large, camera, options);  // its kernels are loaded now
 
-    // A callback that holds its stream until the frame is made, or for 20 seconds.
+    // A callback that holds its stream until the frame is made.
     struct Gate {
       std::atomic<bool> is_open{false};
     } gate;
@@ -294,19 +293,12 @@ TEST_CASE("a workspace grows while another stream is busy, without waiting for i
     const std::uint64_t before = device.bytes();
     synchronize();
     require_cuda(cudaLaunchHostFunc(
-        busy.get(),
-        [](void* user) {
-          const auto& held = *static_cast<Gate*>(user);
-          const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
-          while (!held.is_open && std::chrono::steady_clock::now() < end) {
-            std::this_thread::sleep_for(std::chrono::milliseconds(1));
-          }
-        },
-        &gate));
+        busy.get(), [](void* user) { static_cast<Gate*>(user)->is_open.wait(false); }, &gate));
     const auto stats = device.render(large, camera, {.rgb = rgb.data()}, options, frames.get());
     const bool is_done = cudaStreamSynchronize(frames.get()) == cudaSuccess;
     const cudaError_t other = cudaStreamQuery(busy.get());
     gate.is_open = true;
+    gate.is_open.notify_one();
     require_ok(stats);
     CHECK(is_done);
     CHECK(other == cudaErrorNotReady);

@@ -1,4 +1,4 @@
-// device_target_test.cpp - frames in the caller's memory: rows with room between them, surfaces, and what is refused.
+// device_target_test.cpp - frames in the caller's memory: padded rows, surfaces, and refusals.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/device_target.hpp"
 
@@ -32,7 +32,7 @@ DeviceScene scene_for_targets() {
   return *std::move(scene);
 }
 
-/// Rows of `row_bytes` cut out of rows of `pitch` bytes; fails the test unless all between them is as it was filled.
+/// Rows of `row_bytes` taken from rows of `pitch` bytes; fails the test unless the padding is unchanged.
 std::vector<std::byte> rows_of(const std::vector<std::byte>& pitched, std::size_t row_bytes, std::size_t pitch) {
   std::vector<std::byte> rows;
   std::size_t n_touched = 0;
@@ -51,9 +51,9 @@ std::vector<std::byte> rows_of(const std::vector<std::byte>& pitched, std::size_
 
 }  // namespace
 
-TEST_CASE("targets: what is misaligned, or has rows shorter than the image, is refused without a device") {
+TEST_CASE("targets: misaligned memory, or rows shorter than the image, are refused without a device") {
   const Camera camera = front_camera(75, 33);
-  alignas(8) std::byte memory[16];  // only its address counts
+  alignas(8) std::byte memory[16];  // only its address matters
   auto* const floats = reinterpret_cast<float*>(memory);
   auto* const odd = reinterpret_cast<float*>(memory + 2);
   const auto code = [&](const DeviceTarget& target) {
@@ -76,7 +76,7 @@ TEST_CASE("targets: what is misaligned, or has rows shorter than the image, is r
   CHECK(code({.rgb = floats, .pitch = {.rgb = 75 * 12 + 4}}) == Errc::internal);
   CHECK(code({.rgb = floats, .pitch = {.rgb = 75 * 12 - 4}}) == Errc::bad_argument);
   CHECK(code({.rgb = floats, .pitch = {.rgb = 75 * 12 + 2}}) == Errc::bad_argument);
-  CHECK(code({.rgb = floats, .pitch = {.alpha = 1}}) == Errc::internal);  // of an output that is not wanted
+  CHECK(code({.rgb = floats, .pitch = {.alpha = 1}}) == Errc::internal);  // of an output that is not requested
   CHECK(code({.alpha = floats, .pitch = {.alpha = 75 * 4 - 4}}) == Errc::bad_argument);
   CHECK(code({.depth = floats, .pitch = {.depth = 75 * 4 + 1}}) == Errc::bad_argument);
   CHECK(code({.packed = floats, .pitch = {.packed = 75 * 4 + 4}}) == Errc::internal);
@@ -85,7 +85,7 @@ TEST_CASE("targets: what is misaligned, or has rows shorter than the image, is r
   CHECK(code({.packed = floats, .format = PixelFormat::rgba16f, .pitch = {.packed = 75 * 4}}) == Errc::bad_argument);
 }
 
-TEST_CASE("targets: a pitch of 0 is that of rows that follow each other") {
+TEST_CASE("targets: a pitch of 0 means rows without padding") {
   float pixel = 0;
   const auto arrays = detail::arrays_of({.rgb = &pixel, .format = PixelFormat::rgba16f, .pitch = {.depth = 4096}},
                                         front_camera(75, 33));
@@ -97,7 +97,7 @@ TEST_CASE("targets: a pitch of 0 is that of rows that follow each other") {
   CHECK(arrays.pitch.packed == 75 * 8);
 }
 
-TEST_CASE("targets: colours alone are those that come with alpha, also in a frame that follows a nearly empty one") {
+TEST_CASE("targets: colours alone equal colours with alpha, also in a frame that follows a nearly empty one") {
   if (!device_answers()) return;
   const DeviceScene full = scene_for_targets();
   const auto upload = [](const std::vector<Splat>& splats) {
@@ -106,7 +106,7 @@ TEST_CASE("targets: colours alone are those that come with alpha, also in a fram
     return *std::move(scene);
   };
   const DeviceScene speck = upload({splat_at(0.3, 0.2, 5, 0.02, 0.9)});  // in one tile or two
-  // So many of turbo's tiles that a speck leaves a frame nearly empty; with and without a rest at the borders.
+  // With so many turbo tiles a speck leaves the frame nearly empty; with and without incomplete tiles at the borders.
   const std::pair<int, int> sizes[] = {{256, 192}, {250, 190}, {257, 191}};
   for (const auto& [width, height] : sizes) {
     CAPTURE(width);
@@ -130,16 +130,16 @@ TEST_CASE("targets: colours alone are those that come with alpha, also in a fram
   }
 }
 
-TEST_CASE("targets: rows with room between them hold the bytes of rows that follow each other, and the room nothing") {
+TEST_CASE("targets: padded rows hold the bytes of unpadded ones, and the padding is unchanged") {
   if (!device_answers()) return;
   constexpr std::size_t kWidth = 75, kHeight = 33;  // no multiple of a tile
   const Camera camera = front_camera(kWidth, kHeight);
   const DeviceScene scene = scene_for_targets();
   CudaRenderer device = renderer();
   for (const RenderOptions& options : pipelines()) {
-    for (const bool details : {false, true}) {  // kernels of their own
+    for (const bool details : {false, true}) {  // with their own kernels
       for (const auto format : {PixelFormat::rgba8, PixelFormat::rgba16f}) {
-        if (race_sizes() && (details || format != PixelFormat::rgba8)) continue;  // kernels that other cases have
+        if (race_sizes() && (details || format != PixelFormat::rgba8)) continue;  // kernels that other cases cover
         const RowPitches pitch{.rgb = kWidth * 12 + 4,
                                .alpha = kWidth * 4 + 20,
                                .depth = kWidth * 4 + 4,
@@ -183,7 +183,8 @@ TEST_CASE("targets: rows with room between them hold the bytes of rows that foll
   }
 }
 
-TEST_CASE("targets: a surface gets what packed memory gets; one that is too small or of other elements is refused") {
+TEST_CASE(
+    "targets: a surface gets the same pixels as packed memory; a small surface or one of other elements is refused") {
   if (!device_answers()) return;
   constexpr std::size_t kWidth = 75, kHeight = 33;
   const Camera camera = front_camera(kWidth, kHeight);
@@ -216,7 +217,7 @@ TEST_CASE("targets: a surface gets what packed memory gets; one that is too smal
                                          array_height, cudaMemcpyDeviceToHost));
       auto rows = rows_of(all, kWidth * bytes, array_width * bytes);
       CHECK(std::all_of(rows.begin() + static_cast<std::ptrdiff_t>(expected.size()), rows.end(),
-                        [](std::byte b) { return b == std::byte{0xFF}; }));  // the array's own last rows
+                        [](std::byte b) { return b == std::byte{0xFF}; }));  // the array's remaining rows
       rows.resize(expected.size());
       CHECK(rows == expected);
     }

@@ -1,4 +1,4 @@
-// kernel_traps_test.cpp - what the paper does not spell out and a port gets wrong: a test for each trap of the design.
+// kernel_traps_test.cpp - details that the paper omits and ports get wrong: one test for each trap of the design.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -55,7 +55,7 @@ double exp2_of(Exp exp, double p) {
   return (1 + shifted - whole) * std::exp2(whole);
 }
 
-/// log2 of a splat's density at a pixel, by the textbook's formula in double precision.
+/// log2 of a splat's density at a pixel, by the textbook formula in double precision.
 double exact_power(const ScreenSplat& s, int x, int y) {
   const double dx = x - static_cast<double>(s.mean.u), dy = y - static_cast<double>(s.mean.v);
   const double power =
@@ -65,15 +65,15 @@ double exact_power(const ScreenSplat& s, int x, int y) {
 double exact_exponent(const ScreenSplat& s, int x, int y) {
   return std::log2(static_cast<double>(s.opacity)) + exact_power(s, x, y);
 }
-/// Opacity as a variant defines it: folded exponents have that of the splat in them.
+/// Opacity by variant: folded exponents include the splat's.
 double exact_alpha(const ScreenSplat& s, int x, int y, const Variant& v) {
   const double alpha = v.exponent == Exponent::folded ? exp2_of(v.exp, exact_exponent(s, x, y))
                                                       : s.opacity * exp2_of(v.exp, exact_power(s, x, y));
   return std::min(0.99, alpha);
 }
 
-/// Alphas of an image with one splat against double precision: relative errors above `tolerance` are told with their
-/// pixel. Pixels within `tolerance` of the threshold may or may not be drawn.
+/// Compares alphas of an image with one splat to double precision; reports relative errors above `tolerance` with their
+/// pixel. Pixels within `tolerance` of the threshold may be drawn or not.
 void check_alphas(const ScreenSplat& s, int width, int height, const Variant& v, double tolerance) {
   const DeviceFrame frame = blend(HandMade(std::span(&s, 1), width, height), v);
   double worst = 0;
@@ -87,7 +87,7 @@ void check_alphas(const ScreenSplat& s, int width, int height, const Variant& v,
       const double drawn = exact_alpha(s, x, y, v);
       const bool near = std::abs(exponent - threshold) < 2 * tolerance;
       const bool zero = alpha == 0 && (near || exponent < threshold);
-      // 1 - (1 - alpha), which is what is stored, has an error of 2^-25 of its own.
+      // The stored 1 - (1 - alpha) has an error of 2^-25 of its own.
       const double error = zero ? 0 : (std::abs(alpha - drawn) - 0x1p-24) / drawn;
       const bool wrong = !(error <= tolerance) || (!near && exponent < threshold && alpha != 0);
       if (!wrong) worst = std::max(worst, error);
@@ -128,7 +128,7 @@ TEST_CASE("trap 1: folded exponents stay exact at 4K, and for a big Gaussian cen
   const auto right = static_cast<float>(width), bottom = static_cast<float>(height);
   const ScreenSplat cases[] = {
       screen_splat({right - 20.3F, bottom - 11.7F}, conic_of(30, 2, 0.7), 0.9F),  // in the far corner
-      screen_splat({right - 5.1F, bottom - 3.4F}, conic_of(0.55, 0.55, 0), 1),  // as small as the low-pass leaves them
+      screen_splat({right - 5.1F, bottom - 3.4F}, conic_of(0.55, 0.55, 0), 1),    // as small as the low-pass makes them
       screen_splat({right + 2000, bottom / 2 + 2000}, conic_of(1500, 900, 0.6), 0.95F),
       screen_splat({-2000, -1500.5F}, conic_of(1200, 1200, 0), 0.7F),
       screen_splat({right / 2, bottom + 2000}, conic_of(2500, 800, 1.2), 0.99F),
@@ -142,18 +142,18 @@ TEST_CASE("trap 1: folded exponents stay exact at 4K, and for a big Gaussian cen
 
 TEST_CASE("trap 2: the conic's off-diagonal counts twice") {
   if (!device_answers()) return;
-  // Narrow and turned: half or double the off-diagonal would be another ellipse altogether.
+  // Narrow and rotated: half or double the off-diagonal gives a clearly different ellipse.
   for (const double angle : {0.4, 2.5}) {
     const ScreenSplat s = screen_splat({40.25F, 30.5F}, conic_of(14, 3, angle), 0.8F);
     for (const Variant& v : variants()) check_alphas(s, 83, 61, v, 5e-4);
   }
 }
 
-TEST_CASE("trap 3: the exponent is tested, not the exponential: approximations draw the pixels of the exact one") {
+TEST_CASE("trap 3: the exponent is tested, not the exponential: approximations draw the exact variant's pixels") {
   if (!device_answers()) return;
   std::vector<ScreenSplat> splats;
   Random random(701);
-  // Faint enough that no pixel is finished early, which would hide later ones.
+  // Faint, so that no pixel stops early and hides later ones.
   for (int i = 0; i < 100; ++i) {
     const auto at = [&random](double low, double high) { return static_cast<float>(random.uniform(low, high)); };
     splats.push_back(screen_splat({at(-20, 148), at(-20, 90)},
@@ -198,7 +198,7 @@ TEST_CASE("trap 4: the exponential by a shift equals the one by a conversion") {
       const HandMade splats(one ? std::span(&s, 1) : std::span<const ScreenSplat>(many), 101, 80);
       const DeviceFrame shifted = blend(splats, {Exponent::folded, exp, 2, false});
       const DeviceFrame converted = blend(splats, {Exponent::folded, exp, 1, false});
-      // 2^-16 of each opacity; and sums of some dozens of them.
+      // 2^-16 of each opacity, and sums of some dozens of them.
       const double error = largest_difference(shifted.rgb, converted.rgb), quality = psnr(shifted.rgb, converted.rgb);
       MESSAGE("by a shift, ", (one ? 1 : 60), " Gaussians: ", quality, " dB, at most ", error, " off");
       CHECK_MESSAGE(error <= (one ? 0x1p-15 : 0x1p-8), "largest difference ", error);
@@ -212,7 +212,7 @@ TEST_CASE("trap 5: exponents rounded above 0 give 0.99 at most, and opaque Gauss
   const float top = math::kAlphaMax;
   for (const Variant& v : variants()) {
     CAPTURE(v.name());
-    // At the mean the exponent is log2(1) give or take a rounding; needles make the rounding large.
+    // At the mean the exponent is log2(1) up to rounding; needles make the rounding large.
     for (const double minor : {0.5, 0.01, 0.001}) {
       for (int k = 0; k < sized(8, 8, 1); ++k) {
         const float off = 0.0003F * static_cast<float>(k);
@@ -224,10 +224,10 @@ TEST_CASE("trap 5: exponents rounded above 0 give 0.99 at most, and opaque Gauss
                       ", minor ", minor, ", k ", k);
       }
     }
-    // An exponent above 0 is an opaque pixel, neither a hole nor one that is finished before anything was blended.
+    // An exponent above 0 is an opaque pixel, not a hole and not one that stopped before blending.
     for (const float above : {1e-6F, 0.03F, 0.5F, 4.0F}) {
       if (race_sizes() && above != 0.5F) continue;
-      if (v.exponent == Exponent::direct) break;  // there it is the Gaussian alone that is above 1, and is skipped
+      if (v.exponent == Exponent::direct) break;  // there the Gaussian alone exceeds 1 and is skipped
       ScreenSplat s = screen_splat({8, 8}, conic_of(1000, 1000, 0), 1);
       s.log2_opacity = above;
       const float alpha = blend(HandMade(std::span(&s, 1), 16, 16), v).alpha[8 * 16 + 8];
@@ -235,8 +235,8 @@ TEST_CASE("trap 5: exponents rounded above 0 give 0.99 at most, and opaque Gauss
       CHECK_MESSAGE(std::abs(alpha - expected) <= 0x1p-15, "alpha ", alpha, " instead of ", expected, " at exponent ",
                     above);
     }
-    // Behind one opaque Gaussian another one is refused where alpha is 0.99: 0.01 * 0.01 < 1e-4 in FP32. At an exponent
-    // of 0 the approximations stay below 0.99, and it takes a third.
+    // Behind one opaque Gaussian a second is refused where alpha is 0.99: 0.01 * 0.01 < 1e-4 in FP32. At an exponent of
+    // 0 the approximations stay below 0.99, so it takes a third.
     const auto flat = conic_of(1000, 1000, 0);
     const ScreenSplat walls[] = {screen_splat({8, 8}, flat, 1, {1, 0, 0}), screen_splat({8, 8}, flat, 1, {0, 1, 0}),
                                  screen_splat({8, 8}, flat, 1, {0, 0, 1})};
@@ -251,9 +251,9 @@ TEST_CASE("trap 5: exponents rounded above 0 give 0.99 at most, and opaque Gauss
   }
 }
 
-TEST_CASE("trap 5: needles whose exponents are all rounding leave every pixel between nothing and opaque") {
+TEST_CASE("trap 5: needles whose exponents are all rounding leave every pixel between transparent and opaque") {
   if (!device_answers()) return;
-  // Thousands of pixels long and as thin as the low-pass leaves them, askew, so that terms of 1e7 and more cancel.
+  // Thousands of pixels long, as thin as the low-pass makes them, and askew, so that terms of 1e7 and more cancel.
   std::vector<Splat> splats;
   Random random(707);
   for (int i = 0; i < 40; ++i) {
@@ -285,7 +285,7 @@ TEST_CASE("trap 5: needles whose exponents are all rounding leave every pixel be
   }
 }
 
-TEST_CASE("trap 6: 32 bits are sorted, no constant ones") {
+TEST_CASE("trap 6: 32 varying bits are sorted, no constant ones") {
   if (!device_answers()) return;
   const DeviceScene scene = upload(scene_of(cloud_of(random_splats(703, 3000), 1)).view().value());
   struct Case {
@@ -301,7 +301,7 @@ TEST_CASE("trap 6: 32 bits are sorted, no constant ones") {
   }
 }
 
-TEST_CASE("trap 6: at 8K too few bits of depth give the exact order, and it is said") {
+TEST_CASE("trap 6: at 8K too few bits of depth cause exact order, which is reported") {
   if (!device_answers()) return;
   if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const DeviceScene scene = upload(scene_of(cloud_of(random_splats(703, 3000), 1)).view().value());
@@ -314,13 +314,13 @@ TEST_CASE("trap 6: at 8K too few bits of depth give the exact order, and it is s
   options.paper.depth_order = DepthOrder::exact;
   CHECK(draw(scene, eight_k, options).rgb == fallen_back.rgb);
   options.paper.depth_order = DepthOrder::quantized;
-  options.paper.depth_bits = 15;  // who asks for them gets them
+  options.paper.depth_bits = 15;  // on request they are used
   const auto coarse = draw(scene, eight_k, options);
   CHECK(coarse.stats.depth_bits == 15);
   CHECK(coarse.stats.key_bits == 32);
 }
 
-TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order, whatever that of the scene") {
+TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order, whatever their order in the scene") {
   if (!device_answers()) return;
   auto splats = random_splats(704, small_sizes() ? 600 : 20000);
   for (Splat& s : splats) {
@@ -347,7 +347,7 @@ TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order, whatever that 
     const DeviceScene backwards = upload(scene_of(cloud_of(reversed, 1)).view().value());
     CHECK(draw(backwards, camera, options).rgb == first.rgb);
     CHECK(draw(backwards, camera, turbo_options()).rgb == turbo.rgb);
-    // Depths that tell them apart, the other way round, are another picture: the test sees order.
+    // Depths that separate them in reverse give another picture, so the test detects order.
     for (Splat& s : reversed) s.mean[2] -= 1e-4F * s.mean[0];
     const auto other = draw(upload(scene_of(cloud_of(reversed, 1)).view().value()), camera, options);
     if (order == DepthOrder::exact) CHECK(psnr(other.rgb, first.rgb) < 60);
@@ -357,7 +357,7 @@ TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order, whatever that 
 TEST_CASE("trap 8: with steps per chunk an outlier's SH does not coarsen the rest of the scene") {
   if (!device_answers()) return;
   auto splats = random_splats(705, 4000);
-  splats[17].sh[0] = 60, splats[17].mean[2] = 30, splats[17].mean[0] = 500;  // bright and far aside
+  splats[17].sh[0] = 60, splats[17].mean[2] = 30, splats[17].mean[0] = 500;  // bright and far off to the side
   const auto cloud = cloud_of(splats, 3);
   const Camera camera = race_sizes() ? front_camera(80, 50) : front_camera(320, 200);
   const auto exact = draw(upload(scene_of(cloud).view().value()), camera, Arithmetic());
@@ -379,7 +379,7 @@ TEST_CASE("trap 9: coefficients lie before channels in device memory, in every d
     std::vector<Splat> splats(static_cast<std::size_t>(n), splat_at(0, 0, 3, 1, 0.5));
     for (int k = 0; k < n; ++k) {
       Splat& s = splats[static_cast<std::size_t>(k)];
-      s.mean[0] = 0.7F, s.mean[1] = -0.4F;  // a direction in which no basis function vanishes
+      s.mean[0] = 0.7F, s.mean[1] = -0.4F;  // a direction where no basis function vanishes
       s.sh[0] = 0;
       s.sh[k] = -0.25F;
     }
@@ -444,5 +444,5 @@ TEST_CASE("trap 10: activated FP16 scales keep small Gaussians' size to 2^-11") 
     worst = std::max(worst, std::abs(std::sqrt(1.0 * fp32[i].conic.a / fp16[i].conic.a) - 1));
   }
   MESSAGE("largest relative error of a size: ", worst);
-  CHECK(worst <= 0x1p-11 + 1e-5);  // log-scales in FP16 would be off by 2^-7 here: 0.4%
+  CHECK(worst <= 0x1p-11 + 1e-5);  // FP16 log-scales would be off by 2^-7 here: 0.4%
 }

@@ -1,4 +1,4 @@
-// orbit_test.cpp - a moving camera on the device: no mode pops where baseline does not.
+// orbit_test.cpp - a moving camera on the device: no mode pops more than baseline.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -17,7 +17,7 @@ using namespace rgs::test;
 
 namespace {
 
-/// The generated scene as an .rgs file on the device, and pictures of it.
+/// The generated scene on the device as an .rgs file, and pictures of it.
 class OrbitStage {
  public:
   OrbitStage(std::uint64_t n, int width, int height)
@@ -33,7 +33,7 @@ class OrbitStage {
     renderer_.emplace(*std::move(renderer));
   }
 
-  /// Rows of baseline, turbo with and without tensor cores, and baseline with a depth key of 10 bits, which pops.
+  /// Rows of baseline, of turbo with and without tensor cores, and of baseline with a depth key of 10 bits, which pops.
   std::vector<bench::OrbitRow> follow(int frames) {
     RenderOptions coarse{.pipeline = Pipeline::paper, .paper = steps_of(baseline_options(), Backend::cuda)};
     coarse.paper.depth_order = math::DepthOrder::quantized;
@@ -82,11 +82,11 @@ TEST_CASE("turbo pops no more than baseline on an orbit of 60 frames; a coarse d
   CHECK(baseline.step.p999 > 0.02);  // the camera does move
   for (const bench::OrbitRow& turbo : {rows[1], rows[2]}) {
     CAPTURE(turbo.mode);
-    // Turbo rounds colours, and with tensor cores exponents, to FP16 and goes on a little where baseline stops: noise of
-    // parts in 255, which adds less than 3 % to differences of tens. A Gaussian out of order shows as tens.
+    // Turbo rounds colours (and exponents, with tensor cores) to FP16 and continues slightly beyond baseline's stop:
+    // noise of a few 1/255, which adds less than 3 % to differences of tens. A Gaussian out of order causes tens.
     CHECK(bench::unsteadiness(turbo, baseline) <= 1.03);
     CHECK(turbo.added.worst_p999 <= 4.0 / 255);
-    // The same measures do see popping.
+    // The same measures detect popping.
     CHECK(bench::unsteadiness(coarse, baseline) > bench::unsteadiness(turbo, baseline));
   }
   CHECK(coarse.added.worst_p999 > 4.0 / 255);

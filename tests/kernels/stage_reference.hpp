@@ -1,4 +1,4 @@
-// stage_reference.hpp - one Gaussian's way through a front end on the host, and how far the device's is from it.
+// stage_reference.hpp - one Gaussian through a front end on the host, and its distance from the device's.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,7 +18,7 @@
 
 namespace rgs::test {
 
-/// What the device's logarithm may differ by. Whatever follows from it is checked from the device's own value.
+/// Tolerance of the device's logarithm. Everything that depends on it is checked from the device's own value.
 inline constexpr std::int64_t kCutoffUlps = 2;
 
 inline std::int64_t ulps(float a, float b) {
@@ -45,7 +45,7 @@ inline math::Vec3<float> color_of(const SceneView& s, std::uint64_t i, const cud
   });
 }
 
-/// What the device's colour may differ by: it rounds the sum in another order, and the direction's root is 2 ulp off.
+/// Tolerance of the device's colour: it sums in another order, and the direction's root is 2 ulp off.
 inline math::Vec3<float> color_allowance(const SceneView& s, std::uint64_t i, const cuda::ViewParameters& v) {
   const math::Vec3<float> mean{s.mean[3 * i], s.mean[3 * i + 1], s.mean[3 * i + 2]};
   const auto basis = math::sh_basis(v.sh_degree, math::view_direction(v.view, mean));
@@ -60,7 +60,7 @@ inline math::Vec3<float> color_allowance(const SceneView& s, std::uint64_t i, co
   return {kRounding * sum[0], kRounding * sum[1], kRounding * sum[2]};
 }
 
-/// Largest distances in units in the last place, and the first Gaussian that shows more than allowed.
+/// Largest distances in units in the last place, and the first Gaussian beyond the tolerance.
 struct Deviations {
   std::int64_t exact = 0, cutoff = 0;
   std::string first;
@@ -107,7 +107,7 @@ inline bool untouched(const cuda::ScreenSplat& s) {
   return std::all_of(bytes.begin(), bytes.end(), [](std::uint32_t w) { return w == ~0u; });
 }
 
-/// A cutoff that is that much nearer to 0: a Gaussian that the device did not list must have no tile with it.
+/// A cutoff that much nearer to 0: a Gaussian that the device does not list must have no tile with it.
 inline float tighter(float cutoff) {
   for (std::int64_t k = 0; k < kCutoffUlps; ++k) cutoff = std::nextafter(cutoff, 1.0F);
   return cutoff;

@@ -1,4 +1,4 @@
-// tie_order_test.cpp - ranks on the device are the CPU's order, and every pipeline draws equal depths by them.
+// tie_order_test.cpp - the device's ranks equal the CPU's order, and every pipeline draws equal depths by them.
 // SPDX-License-Identifier: Apache-2.0
 #include "common/tie_order.hpp"
 
@@ -99,7 +99,7 @@ std::vector<Mode> modes() {
 
 }  // namespace
 
-TEST_CASE("ranks on the device are places in the CPU's tie order, of FP32 and compact attributes") {
+TEST_CASE("the device's ranks are positions in the CPU's tie order, for FP32 and compact attributes") {
   if (!device_answers()) return;
   for (const int n : {0, 1, 2, 255, 257, sized(60000, 3000, 600)}) {
     CAPTURE(n);
@@ -126,13 +126,13 @@ TEST_CASE("ranks on the device are places in the CPU's tie order, of FP32 and co
   for (std::uint32_t i = 0; i < ranks.size(); ++i) REQUIRE(ranks[i] == i);
 }
 
-TEST_CASE("every pipeline draws a scene on a grid to the same bytes in whatever order its Gaussians come") {
+TEST_CASE("every pipeline draws a scene on a grid to the same bytes in any order of Gaussians") {
   if (!device_answers()) return;
   const Camera camera = front_camera(sized(640, 96, 32), sized(360, 64, 32));
   auto splats = grid_splats(1422, sized(40000, 800, 200));
-  splats.push_back(splat_at(0, 0, 3, 20, 0.2, 0.3F));  // of many tiles: turbo sets them aside
+  splats.push_back(splat_at(0, 0, 3, 20, 0.2, 0.3F));  // of many tiles: turbo treats them as large
   splats.push_back(splat_at(0.25, 0, 3, 20, 0.2, 0.9F));
-  EncodeOptions encoding;  // values that do not depend on the neighbours
+  EncodeOptions encoding;  // values independent of neighbours
   encoding.order = Order::input;
   encoding.chunk_step_sets = false;
   for (const Mode& mode : modes()) {
@@ -156,7 +156,7 @@ TEST_CASE("every pipeline draws a scene on a grid to the same bytes in whatever 
   }
 }
 
-TEST_CASE("a renderer's frames of several scenes each have their own scene's order") {
+TEST_CASE("frames of several scenes in one renderer each use their own scene's order") {
   if (!device_answers()) return;
   const Camera camera = front_camera(96, 64);
   const auto splats = grid_splats(1423, sized(3000, 3000, 300));

@@ -51,7 +51,7 @@ TEST_CASE("positive depths sort as their bits") {
   for (float z = 1e-3F; z < 1e6F; z *= 1.37F) CHECK(depth_bits(z) < depth_bits(std::nextafter(z, 1e9F)));
 }
 
-TEST_CASE("bit-built exponentials keep to their error over [-ln 255, 0]") {
+TEST_CASE("bit-built exponentials keep their error bound over [-ln 255, 0]") {
   const auto errors = [](float sigma) {
     double low = 1, high = -1, sum = 0;
     const int n = 100000;
@@ -72,7 +72,7 @@ TEST_CASE("bit-built exponentials keep to their error over [-ln 255, 0]") {
   CHECK(std::abs(zero_mean[2]) < 1e-4);
 }
 
-TEST_CASE("the exponential by a shift is the bit-built one to 2^-16 over [-ln 255, 0]") {
+TEST_CASE("the exponential by a shift equals the bit-built one to 2^-16 over [-ln 255, 0]") {
   for (const float sigma : {kSigmaPaper, kSigmaZeroMean}) {
     double worst = 0, worst_at = 0;
     const int n = 800000;
@@ -83,7 +83,7 @@ TEST_CASE("the exponential by a shift is the bit-built one to 2^-16 over [-ln 25
       if (e > worst) worst = e, worst_at = static_cast<double>(p);
     }
     CAPTURE(worst_at);
-    // Half from the rounding of the biased exponent, half from the seven bits that the shift loses.
+    // Half from rounding the biased exponent, half from the seven bits that the shift drops.
     CHECK(worst <= 0x1p-16 * 1.001);
     CHECK(worst > 0x1p-18);
   }
@@ -106,7 +106,7 @@ TEST_CASE("the exponential by a shift keeps its sign and the clamp just below, a
     // As many opaque Gaussians end a pixel as with kAlphaMax itself: two.
     CHECK((1 - kAlphaMax) * (1 - kAlphaMax) < kTransmittanceMin);
     CHECK((1 - last) * (1 - last) < kTransmittanceMin);
-    // The ends of the range: 2^-126 still has its exponent, and nothing below the cutoff is ever asked for.
+    // The ends of the range: 2^-126 still has its exponent, and values below the cutoff are never requested.
     CHECK(alpha(-120.5F) > 0);
     CHECK(alpha(-120.5F) < 0x1p-119F);
   }
@@ -132,7 +132,7 @@ TEST_CASE("opacities stay in {0} and [1/255, 0.99] whatever the exponent") {
   CHECK(alpha_folded<Exp::exact>(-INFINITY) == 0);
 }
 
-TEST_CASE("the approximations decide which pairs count as the exact exponential does") {
+TEST_CASE("the approximations count the same pairs as the exact exponential") {
   for (const float opacity : {0.01F, 0.3F, 1.0F}) {
     const float cutoff = power_cutoff(opacity);
     for (float p = -6; p <= 0; p += 0.00037F) {

@@ -34,7 +34,7 @@ bool listed(const Ellipse<float>& e, int column, int row, TileGrid grid) {
   return column >= span.first && column < span.last;
 }
 
-// Smallest d^T conic d over a rectangle of pixel centres, in double: 0 at the mean, else on the border.
+// Minimum of d^T conic d over a rectangle of pixel centres, in double: 0 at the mean, otherwise on the border.
 double smallest_form(const Footprint<float>& f, const PixelPoint<float>& mean, int x, int y, int width, int height) {
   const double det = static_cast<double>(f.cov.xx) * f.cov.yy - static_cast<double>(f.cov.xy) * f.cov.xy;
   const double a = f.cov.yy / det, b = -f.cov.xy / det, c = f.cov.xx / det;
@@ -84,7 +84,7 @@ TEST_CASE("every tile with a pixel that reaches 1/255 is listed") {
   CHECK(n_reached > 5000);
 }
 
-TEST_CASE("listed tiles are met by the ellipse, up to rounding") {
+TEST_CASE("the ellipse meets every listed tile, up to rounding") {
   Random random(8);
   const auto grid = tile_grid(400, 300);
   int n_listed = 0;
@@ -107,7 +107,7 @@ TEST_CASE("listed tiles are met by the ellipse, up to rounding") {
   CHECK(n_listed > 10000);
 }
 
-TEST_CASE("cells are those that the ellipse meets, up to rounding") {
+TEST_CASE("the cells are those that the ellipse meets, up to rounding") {
   Random random(9);
   const auto grid = tile_grid<cuda::kTurboTile>(400, 160);
   int n_touched = 0, n_missed = 0, n_superfluous = 0;
@@ -117,7 +117,7 @@ TEST_CASE("cells are those that the ellipse meets, up to rounding") {
                                  static_cast<float>(random.uniform(-60, 220))};
     const float cutoff = power_cutoff(f.opacity);
     const auto e = ellipse(mean, f, cutoff);
-    // Needles' conics are not known well enough in single precision to tell what their rounding may add.
+    // Single precision does not determine needles' conics well enough to predict the effect of rounding.
     if (!f.valid || !(e.level >= 0) || f.cov.xx * f.conic.a > 1000) continue;
     for (int row = 0; row < grid.rows; ++row) {
       const auto rows = cuda::cell_rows(e, row);
@@ -141,7 +141,7 @@ TEST_CASE("cells are those that the ellipse meets, up to rounding") {
   CHECK(n_superfluous == 0);
 }
 
-TEST_CASE("a strip's cells are those of each of its tiles, wherever it begins") {
+TEST_CASE("a strip's cells are those of each of its tiles, wherever it starts") {
   Random random(10);
   for (int i = 0; i < 300; ++i) {
     const auto f = random_footprint(random, 100);
@@ -173,7 +173,7 @@ TEST_CASE("long needles whose conic cancels in single precision lose no tile") {
     const auto e = ellipse(mean, f, power_cutoff(f.opacity));
     const float cutoff = power_cutoff(f.opacity);
     for (int y = 0; y < height; ++y) {
-      // Pixels near the axis only; the rest is far below the threshold.
+      // Only pixels near the axis; the others are far below the threshold.
       const double axis = mean.u + (y - static_cast<double>(mean.v)) * c / s;
       for (int x = static_cast<int>(std::clamp(axis - 8, 0.0, width - 1.0));
            x < std::min(width, static_cast<int>(std::max(axis + 8, 0.0))); ++x) {

@@ -1,4 +1,4 @@
-// device_math.cu - instantiates the quantiser and rgs::math in device code: it is enough that this compiles.
+// device_math.cu - instantiates the quantiser and rgs::math in device code; compiling is the test.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/math/blend.hpp"
 #include "rgs/math/camera.hpp"

@@ -21,7 +21,7 @@ TEST_CASE("unorm8 is round(255 clamp(v, 0, 1)), ties to even, for any float") {
     const float v = static_cast<float>(random.uniform(-0.1, 1.1));
     REQUIRE_MESSAGE(unorm8(v) == expected(v), v);
   }
-  // Both neighbours of every value that is half-way between two codes, and that value as near as FP32 comes to it.
+  // Both neighbours of every midpoint between two codes, and the FP32 number nearest to it.
   for (int code = 0; code < 255; ++code) {
     const float between = (static_cast<float>(code) + 0.5F) / 255;
     for (const float v : {std::nextafter(between, 0.0F), between, std::nextafter(between, 1.0F)}) {
@@ -38,7 +38,7 @@ TEST_CASE("unorm8 is round(255 clamp(v, 0, 1)), ties to even, for any float") {
   CHECK(unorm8(std::numeric_limits<float>::quiet_NaN()) == 0);
 }
 
-TEST_CASE("packed pixels lie as red, green, blue, alpha in memory") {
+TEST_CASE("packed pixels lie in memory as red, green, blue, alpha") {
   const Vec3<float> color{0.2F, 1.5F, -1};
   CHECK(pack_rgba8(color, 0.5F) == 0x8000FF33u);
   CHECK(pack_rgba16f(color, 0.5F) == 0x3800'BC00'3E00'3266u);  // 0.5, -1, 1.5, 0.2 to 11 bits

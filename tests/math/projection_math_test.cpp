@@ -114,7 +114,7 @@ TEST_CASE("projection in single precision follows double precision") {
   }
 }
 
-TEST_CASE("far from the world's origin single precision follows double precision as it does near it") {
+TEST_CASE("far from the world's origin single precision follows double precision as near it") {
   Random random(4);
   const Vec3<double> place{4.2e6, 1.7e5, 4.8e6};
   for (int i = 0; i < 500; ++i) {
@@ -128,7 +128,7 @@ TEST_CASE("far from the world's origin single precision follows double precision
     };
     const auto away = looking_from({place.x + eye.x, place.y + eye.y, place.z + eye.z});
     const auto p = to_camera(default_view<double>(looking_from(eye)), mean);
-    // Means that FP32 holds where they are: multiples of 1/2. And others, relative to an origin beside them.
+    // Means that are exact in FP32: multiples of 1/2. And others, relative to a nearby origin.
     const Vec3<float> absolute{static_cast<float>(place.x + mean.x), static_cast<float>(place.y + mean.y),
                                static_cast<float>(place.z + mean.z)};
     const auto q = to_camera(default_view<float>(away), absolute);
@@ -153,13 +153,13 @@ TEST_CASE("far from the world's origin single precision follows double precision
   }
 }
 
-TEST_CASE("a view is that of its matrix, also where the rotation has five decimals and the camera is far away") {
+TEST_CASE("a view equals its matrix, even if the rotation has five decimals and the camera is far away") {
   Random random(5);
   for (int i = 0; i < 100; ++i) {
     auto world = rigid(random.rotation(), random.vector(-1, 1));
     for (const std::size_t k : {0u, 1u, 2u, 4u, 5u, 6u, 8u, 9u, 10u}) world[k] = std::round(world[k] * 1e5) / 1e5;
     const auto far = random.vector(-4e6, 4e6);
-    // R p + t is that of the point of the picture beside `far`.
+    // R p + t equals that of the picture's point beside `far`.
     const auto t = transform({world[0], world[1], world[2], 0, world[4], world[5], world[6], 0, world[8], world[9],
                               world[10], 0, 0, 0, 0, 1},
                              far);
@@ -172,7 +172,7 @@ TEST_CASE("a view is that of its matrix, also where the rotation has five decima
   }
 }
 
-TEST_CASE("moving camera and scene together changes nothing on the image") {
+TEST_CASE("moving camera and scene together does not change the image") {
   Random random(3);
   for (int i = 0; i < 200; ++i) {
     const auto world = rigid(random.rotation(), random.vector(-3, 3));
@@ -224,7 +224,7 @@ TEST_CASE("covariances are positive semi-definite, also for flat, tiny and huge 
   CHECK_FALSE(footprint(Cov2<float>{0, 0, 0}, 1.0F, 0.0F, AntiAliasing::classic).valid);
 }
 
-TEST_CASE("beside the image the projection is linearised at the clamped slope") {
+TEST_CASE("outside the image the projection is linearised at the clamped slope") {
   const auto view = view_of<double>(kIdentity, 1000, 500, 500, 500, 400, 250);
   // Edges at slopes (0 - 400)/500 and (1000 - 400)/500, margin 0.3 * 1000 / (2 * 500).
   CHECK(view.slope_low_x == doctest::Approx(-0.8 - 0.3));

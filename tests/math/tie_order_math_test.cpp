@@ -1,4 +1,4 @@
-// tie_order_math_test.cpp - the tie order: total, the same for the same values, monotone where conversions round.
+// tie_order_math_test.cpp - the tie order is total, depends on values alone, and survives rounding.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/math/tie_order.hpp"
 
@@ -47,7 +47,7 @@ struct Gaussians {
   float sh(std::uint32_t i, int k) const { return at(i).sh[k]; }
 };
 
-// Value k of all that decide, those that decide first before the others.
+// Value k of those that decide, in their order.
 float& value(Gaussian& g, int k) {
   if (k < 3) return k == 0 ? g.mean.x : k == 1 ? g.mean.y : g.mean.z;
   if (k == 3) return g.opacity;
@@ -58,7 +58,7 @@ float& value(Gaussian& g, int k) {
 }
 constexpr int kValues = 23;
 
-// Gaussians of few different values, so that many pairs agree in most of them.
+// Gaussians with few different values, so that many pairs share most of them.
 Gaussians few_values(unsigned seed, int n) {
   Random random(seed);
   Gaussians g;
@@ -76,7 +76,7 @@ Gaussians few_values(unsigned seed, int n) {
 
 }  // namespace
 
-TEST_CASE("bits order as the numbers do, and both zeros are one") {
+TEST_CASE("bits order like the numbers, and both zeros are equal") {
   for (std::size_t i = 0; i + 1 < kAscending.size(); ++i) {
     CHECK(order_bits(kAscending[i]) < order_bits(kAscending[i + 1]));
   }
@@ -84,7 +84,7 @@ TEST_CASE("bits order as the numbers do, and both zeros are one") {
   CHECK(order_bits(std::numeric_limits<float>::quiet_NaN()) > order_bits(kInf));
 }
 
-TEST_CASE("the tie order is total: of two one is first, never both, and chains close") {
+TEST_CASE("the tie order is total: of two exactly one comes first, and it is transitive") {
   const Gaussians g = few_values(1402, 160);
   const auto n = static_cast<std::uint32_t>(g.all.size());
   int n_equal = 0;
@@ -103,7 +103,7 @@ TEST_CASE("the tie order is total: of two one is first, never both, and chains c
   CHECK(n_equal > 0);
 }
 
-TEST_CASE("every value decides, those before it more") {
+TEST_CASE("every value decides, earlier ones first") {
   for (int k = 0; k < kValues; ++k) {
     CAPTURE(k);
     Gaussians g{{Gaussian(), Gaussian()}};
@@ -115,7 +115,7 @@ TEST_CASE("every value decides, those before it more") {
   }
 }
 
-TEST_CASE("the tie order does not depend on where the Gaussians stand") {
+TEST_CASE("the tie order does not depend on the Gaussians' positions in the scene") {
   Gaussians g = few_values(1403, 2000);
   const auto ordered = [](const Gaussians& scene) {
     std::vector<std::uint32_t> order(scene.all.size());
@@ -135,7 +135,7 @@ TEST_CASE("the tie order does not depend on where the Gaussians stand") {
   }
 }
 
-TEST_CASE("what moves a scene, or rounds its values, turns no two round that still differ") {
+TEST_CASE("moving a scene or rounding its values does not swap two Gaussians that still differ") {
   Random random(1404);
   Gaussians g = few_values(1404, 300);
   for (Gaussian& one : g.all) {

@@ -24,7 +24,7 @@ bool fails() {
   return true;
 }
 
-// Draco's encoder allocates in destructors: there a failure ends the program, and nothing can be done about it.
+// Draco's encoder allocates in destructors: a failure there ends the program, which a test cannot prevent.
 bool is_draco(const void* code) {
   Dl_info info;
   return ::dladdr(code, &info) != 0 && info.dli_fname != nullptr &&
@@ -56,7 +56,7 @@ bool stop_failing() {
 
 }  // namespace rgs::test
 
-// All forms: a sanitizer has its own of those that are left out, which do not go through these.
+// All forms: a sanitizer replaces the missing ones, which would bypass these.
 void* operator new(std::size_t size) {
   return allocate(size, alignof(std::max_align_t), __builtin_return_address(0));
 }

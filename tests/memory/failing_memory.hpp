@@ -16,15 +16,15 @@
 
 namespace rgs::test {
 
-/// From now on `n` allocations succeed, of any thread; the next one fails, or all from there on.
+/// The next `n` allocations of any thread succeed; then the next one fails, or all do.
 void fail_after(std::int64_t n, bool for_good);
-/// All succeed again. Whether any failed.
+/// All succeed again. Returns whether any failed.
 bool stop_failing();
 
-/// Calls f() with every single allocation failing in turn, and everything from there on as well; from the 64th on only
-/// one in some. f gives a hash of what it makes, or its error. Each time it must be the hash that it gives undisturbed,
-/// or host_out_of_memory. Gives the number of allocations. Not for what uses nlohmann's JSON (camera JSON, glb, SOG):
-/// that allocates in destructors, where a failure ends the program. Draco's allocations never fail for the same reason.
+/// Calls f() repeatedly: each allocation fails in turn, alone and with all that follow; from the 64th on, only some do.
+/// f returns a hash of its result, or its error. Each time it must be the undisturbed hash or host_out_of_memory.
+/// Returns the number of allocations. Not for code with nlohmann's JSON (camera JSON, glb, SOG), which allocates in
+/// destructors, where a failure ends the program. Draco's allocations never fail for the same reason.
 template <class F>
 std::int64_t fail_each_allocation(const F& f) {
   const Result<std::uint64_t> undisturbed = f();

@@ -1,4 +1,4 @@
-// format_memory_test.cpp - the format library where memory runs out: a value or host_out_of_memory, nothing else.
+// format_memory_test.cpp - the format library without memory: a value or host_out_of_memory, nothing else.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -113,7 +113,7 @@ TEST_CASE("writing and reading levels of every profile") {
   }
 }
 
-TEST_CASE("an output appears whole or not at all, and nothing stays beside it") {
+TEST_CASE("an output appears whole or not at all, and leaves no other file") {
   const test::TemporaryFolder folder;
   const std::string path = folder.file("a rather long name, so that its string is on the heap");
   fail_each_allocation([&]() -> Result<std::uint64_t> {
@@ -128,7 +128,7 @@ TEST_CASE("an output appears whole or not at all, and nothing stays beside it") 
   CHECK(std::filesystem::file_size(path) == 1);
 }
 
-TEST_CASE("a worker's exception ends the loop, on the caller's thread, and not the program") {
+TEST_CASE("a worker's exception ends the loop on the caller's thread, not the program") {
   for (const unsigned threads : {1u, 4u}) {
     std::vector<int> done(1000);
     const auto run = [&](auto fail) {
@@ -144,7 +144,7 @@ TEST_CASE("a worker's exception ends the loop, on the caller's thread, and not t
     REQUIRE(run([] {}));
     CHECK(std::accumulate(done.begin(), done.end(), 0) == 1000);
   }
-  // Neither the list of threads nor a thread need be there for the work to be done.
+  // Neither the list of threads nor a thread is required to do the work.
   fail_each_allocation([]() -> Result<std::uint64_t> {
     std::atomic<std::uint64_t> sum{0};
     try {

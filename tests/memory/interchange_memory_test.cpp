@@ -1,4 +1,4 @@
-// interchange_memory_test.cpp - splat files of other formats where memory runs out.
+// interchange_memory_test.cpp - files of other formats without memory.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 

@@ -1,4 +1,4 @@
-// runtime_memory_test.cpp - camera files, sources, pictures and the CPU renderer where memory runs out.
+// runtime_memory_test.cpp - camera files, sources, pictures and the CPU renderer without memory.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -48,7 +48,7 @@ void read_source(const std::string& name, const UrlOptions& options = {}) {
 
 }  // namespace
 
-TEST_CASE("a file that is read by ranges") {
+TEST_CASE("a file read by ranges") {
   const test::TemporaryFolder folder;
   test::write_bytes(folder.file("scene.rgs"), 200000);
   read_source(folder.file("scene.rgs"));
@@ -62,7 +62,7 @@ TEST_CASE("a file behind a web server") {
 }
 #endif
 
-TEST_CASE("the CPU renderer, which draws the next frame after one that had no memory, and comparing pictures") {
+TEST_CASE("the CPU renderer, which draws the next frame after one that failed, and comparing pictures") {
   test::SplitMix random{9};
   const Scene scene = Scene::load(test::plausible_cloud(300, 1, random)).value();
   Camera camera;

@@ -1,4 +1,4 @@
-# bundle_test.py - scripts/bundle.sh makes its archive, and leaves everything else as it was: bundle_test.py PROGRAM
+# bundle_test.py - scripts/bundle.sh makes its archive and changes nothing else: bundle_test.py PROGRAM
 # SPDX-License-Identifier: Apache-2.0
 import os
 import shutil
@@ -21,7 +21,7 @@ class Bundle(unittest.TestCase):
             (root / "build/bin").mkdir(parents=True)
             (root / "temporary").mkdir()
             shutil.copy(PROGRAM, root / "build/bin/rgs-info")
-            # A build's manual, and the caller's own folders of the same names.
+            # A build's manual, and the caller's folders of the same names.
             for folder in ("build/manual/man1", *(f"build/manual/{shell}" for shell in SHELLS), *SHELLS):
                 (root / folder).mkdir(parents=True)
                 (root / folder / "rgs-info").write_text(folder)

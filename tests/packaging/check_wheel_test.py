@@ -1,4 +1,4 @@
-# check_wheel_test.py - packaging/check_wheel.py finds what is wrong with a wheel, one thing at a time: check_wheel_test.py C_COMPILER
+# check_wheel_test.py - packaging/check_wheel.py finds each defect of a wheel: check_wheel_test.py C_COMPILER
 # SPDX-License-Identifier: Apache-2.0
 import hashlib
 import subprocess
@@ -28,7 +28,7 @@ class CheckWheel(unittest.TestCase):
         return path
 
     def problems(self, *bundled, options=(), tag="manylinux_2_36_x86_64", spoil=lambda files: None, stated=None):
-        """What is said of a wheel of an extension that is linked with `options`, and bundled libraries."""
+        """The check's output for a wheel of an extension linked with `options`, and bundled libraries."""
         extension = self.library("_roofgs.cpython-311-x86_64-linux-gnu.so", "int f(void); int g(void) { return f(); }",
                                  "-Wl,--disable-new-dtags", *options)
         info = "roofgs-1.0.dist-info"

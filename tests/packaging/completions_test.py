@@ -1,4 +1,4 @@
-# completions_test.py - man and the three shells take what packaging/manual.py has made: completions_test.py FOLDER
+# completions_test.py - man and the three shells accept the output of packaging/manual.py: completions_test.py FOLDER
 # FOLDER is the build's manual/. SPDX-License-Identifier: Apache-2.0
 import os
 import pty
@@ -32,7 +32,7 @@ class Completions(unittest.TestCase):
                 self.assertRegex(shown, rf"(?m)^{heading}$", page.name)
 
     def bash(self, *words):
-        """What bash, with Debian's bash-completion, offers for a line of these words."""
+        """Bash's completions of a line, with Debian's bash-completion."""
         line = " ".join(words)
         program = words[0]
         script = f"""
@@ -51,7 +51,7 @@ class Completions(unittest.TestCase):
     def test_bash(self):
         self.assertEqual(self.bash("rgs-render", "--bac"), ["--background", "--backend"])
         self.assertEqual(self.bash("rgs-render", "--backend", "c"), ["cpu", "cuda"])
-        self.assertEqual(self.bash("rgs-render", "--out", "x"), [])  # left to names of files
+        self.assertEqual(self.bash("rgs-render", "--out", "x"), [])  # left to file names
         self.assertEqual(self.bash("rgs-convert", "--profile", ""), ["packed", "direct", "archive:high", "archive:small"])
         self.assertEqual(self.bash("rgs-convert", "--profile", "archive:s"), ["small"])
 
@@ -66,7 +66,7 @@ class Completions(unittest.TestCase):
         self.assertEqual(self.fish("rgs-convert --profile archive:s"), ["archive:small"])
 
     def zsh(self, line):
-        """What a line becomes in an interactive zsh after the tabulator's key."""
+        """A line in an interactive zsh after the Tab key."""
         program = line.split()[0]
         pid, terminal = pty.fork()
         if pid == 0:
@@ -83,7 +83,7 @@ class Completions(unittest.TestCase):
             return found
 
         try:
-            # Its own echo of this line holds no READY. Control-X shows the line that is being edited.
+            # The echo of this line contains no READY. Control-X shows the line being edited.
             os.write(terminal, f"fpath=({FOLDER}/zsh $fpath); autoload -U compinit; compinit -D -u; "
                      "show() { print -r -- \"<$BUFFER>\" }; zle -N show; bindkey '^X' show; print REA''DY\n".encode())
             read_until("READY")

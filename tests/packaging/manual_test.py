@@ -1,4 +1,4 @@
-# manual_test.py - what packaging/manual.py makes has every option that the programs' --help has: manual_test.py PROGRAM...
+# manual_test.py - packaging/manual.py covers every option of the programs' --help: manual_test.py PROGRAM...
 # SPDX-License-Identifier: Apache-2.0
 import gzip
 import re
@@ -15,7 +15,7 @@ import manual  # noqa: E402
 
 
 def options_of(help_text):
-    """Names of the options by another way than the maker's: the first word of each line that begins with two spaces and a dash."""
+    """Option names, found independently of manual.py: the first word of each line that starts with two spaces and a dash."""
     return [line.split()[0].split(",") for line in help_text.splitlines() if re.match(r"  -", line)]
 
 
@@ -57,7 +57,7 @@ class Made(unittest.TestCase):
         options = {option.names[-1]: option for option in h.options}
         self.assertEqual(options["--format"].choices, ["png", "jpg", "tif", "exr"])
         self.assertEqual(options["--format"].default, "png")
-        self.assertEqual(options["--mode"].choices, ["baseline", "paper", "turbo"])  # asked of the program
+        self.assertEqual(options["--mode"].choices, ["baseline", "paper", "turbo"])  # as the program prints it
         self.assertEqual(options["--frames"].default, "120")
         self.assertEqual(options["--frames"].rest, "Needs: --path")
         self.assertEqual(options["--alpha"].value, "")

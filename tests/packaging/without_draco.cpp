@@ -1,4 +1,4 @@
-// without_draco.cpp - a build without Draco reads files of the profile archive and says why it writes none:
+// without_draco.cpp - a build without Draco reads archives and explains why it writes none:
 // without_draco ARCHIVE.rgs
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdio>

@@ -8,11 +8,13 @@
 # A line: "GET ADDRESS range=... auth=... agent=... encoding=..."
 # SPDX-License-Identifier: Apache-2.0
 import collections
+import fcntl
 import os
 import re
 import socket
 import struct
 import sys
+import termios
 import threading
 import time
 import urllib.parse
@@ -73,6 +75,11 @@ class Request:
         body = self.body()
         self.head(status, **{"length": len(body), **fields})
         self.send(body)
+
+    def wait_until_taken(self):
+        """Until the other side has all that was sent."""
+        while struct.unpack("i", fcntl.ioctl(self.connection, termios.TIOCOUTQ, bytes(4)))[0] > 0:
+            time.sleep(0.001)
 
     def hang(self):
         """Until the other side goes."""
@@ -225,7 +232,7 @@ def reset(r):
     body = r.body()
     r.head(length=len(body))
     r.send(body[:len(body) // 2])
-    time.sleep(0.05)  # or the reset overtakes what was sent
+    r.wait_until_taken()  # or the reset overtakes what was sent
     r.reset()
 
 
@@ -321,18 +328,19 @@ def no_header_colon(r):
 
 
 def busy(r):
-    """Answers late, so that others come meanwhile; requests at work at a time: the largest number is in the log."""
-    with lock:
+    """The first requests wait until `n` are at work; the largest number at a time is in the log."""
+    with changed:
         at_work[0] += 1
         at_work[1] = max(at_work)
         print("at work", at_work[1], flush=True)
-    time.sleep(0.1)
-    with lock:
+        changed.notify_all()
+        changed.wait_for(lambda: at_work[1] >= int(r.options["n"]))
         at_work[0] -= 1
     return plain(r)
 
 
 lock = threading.Lock()
+changed = threading.Condition(lock)
 at_work = [0, 0]
 counts = collections.Counter()
 

@@ -10,6 +10,8 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstdint>
+#include <cstdlib>
 #include <functional>
 #include <stdexcept>
 #include <string>
@@ -62,6 +64,12 @@ class Program {
     siginfo_t info{};
     return ::waitid(P_PID, static_cast<id_t>(id_), &info, WEXITED | WNOHANG | WNOWAIT) == 0 && info.si_pid == 0;
   }
+  /// Waits until the child has stopped itself (true) or ended.
+  bool stops() const {
+    siginfo_t info{};
+    ::waitid(P_PID, static_cast<id_t>(id_), &info, WEXITED | WSTOPPED | WNOWAIT);
+    return info.si_code == CLD_STOPPED;
+  }
   /// Signals the child; harmless if it has ended.
   void send(int signal_number) const { ::kill(id_, signal_number); }
 
@@ -99,6 +107,13 @@ class Program {
   int out_, err_;
   pid_t id_ = -1;
 };
+
+/// For `before_exec`: the program sends itself `signal_number` once `stage` has done so many units (console.hpp).
+inline std::function<void()> failpoint(const std::string& stage, std::uint64_t units = 0, int signal_number = SIGSTOP) {
+  return [value = stage + ":" + std::to_string(units) + ":" + std::to_string(signal_number)] {
+    ::setenv("RGS_FAILPOINT", value.c_str(), 1);
+  };
+}
 
 inline ProgramResult run_program(const std::vector<std::string>& arguments,
                                  const std::function<void()>& before_exec = {}) {

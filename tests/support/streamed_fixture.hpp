@@ -18,6 +18,7 @@
 #include <utility>
 #include <vector>
 
+#include "await.hpp"
 #include "renderer_fixture.hpp"
 #include "rgs/byte_source.hpp"
 #include "rgs/decode.hpp"
@@ -69,8 +70,8 @@ inline Bytes town(const TownOptions& o = {}) {
   return bytes;
 }
 
-/// Bound of waits that end by themselves, seconds: no assertion about time.
-inline constexpr double kLong = 600;
+/// Seconds, for waits that end by themselves.
+inline constexpr double kLong = 1e7;
 
 /// Bytes in memory, with what can be wrong with a source.
 struct Script {
@@ -161,17 +162,6 @@ class ScriptedSource final : public ByteSource {
   std::shared_ptr<Script> script_;
   Traits traits_;
 };
-
-/// Looks until a condition holds; false after kLong.
-template <class Condition>
-bool comes(const Condition& condition) {
-  const auto start = std::chrono::steady_clock::now();
-  while (!condition()) {
-    if (std::chrono::steady_clock::now() - start > std::chrono::duration<double>(kLong)) return false;
-    std::this_thread::sleep_for(std::chrono::milliseconds(1));
-  }
-  return true;
-}
 
 struct OpenOptions {
   std::uint64_t memory = std::uint64_t{256} << 20;

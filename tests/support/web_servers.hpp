@@ -7,7 +7,6 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include <chrono>
 #include <cstdint>
 #include <cstdlib>
 #include <filesystem>
@@ -17,9 +16,9 @@
 #include <sstream>
 #include <stdexcept>
 #include <string>
-#include <thread>
 #include <vector>
 
+#include "await.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 
@@ -30,15 +29,40 @@ inline void use_no_proxy() {
   ::setenv("no_proxy", "127.0.0.1,localhost", 1);
 }
 
+/// A port of the loopback address at which nobody else listens, nor does anybody before the test says so.
+class ReservedPort {
+ public:
+  ReservedPort() : socket_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+    const int yes = 1;
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    socklen_t size = sizeof address;
+    // A program of this user may listen there that asks for the same.
+    if (::setsockopt(socket_, SOL_SOCKET, SO_REUSEPORT, &yes, sizeof yes) != 0 ||
+        ::bind(socket_, reinterpret_cast<sockaddr*>(&address), size) != 0 ||
+        ::getsockname(socket_, reinterpret_cast<sockaddr*>(&address), &size) != 0)
+      throw std::runtime_error("no free port");
+    number_ = ntohs(address.sin_port);
+  }
+  ~ReservedPort() { ::close(socket_); }
+  ReservedPort(const ReservedPort&) = delete;
+  ReservedPort& operator=(const ReservedPort&) = delete;
+
+  int number() const { return number_; }
+  int socket() const { return socket_; }
+
+ private:
+  int socket_, number_ = 0;
+};
+
 /// hostile_server.py, which says what addresses do.
 class HostileServer {
  public:
   HostileServer() : program_({RGS_PYTHON, "-B", RGS_SOURCE_DIR "/tests/support/hostile_server.py"}) {
     use_no_proxy();
-    for (int i = 0; i < 1000 && port_ == 0; ++i) {
-      std::istringstream(log()).ignore(5) >> port_;
-      if (port_ == 0) std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    }
+    await([&] { return log().find('\n') != std::string::npos || !program_.running(); });
+    std::istringstream(log()).ignore(5) >> port_;
     if (port_ == 0) throw std::runtime_error("the hostile server does not start: " + program_.wait().err);
   }
 
@@ -80,29 +104,23 @@ class Nginx {
           folder_.file("key.pem") + " -out " + certificate());
       if (made.exit_code != 0) throw std::runtime_error("openssl: " + made.err);
     }
-    // The port is free when it is chosen; another process may take it before nginx does.
-    for (int attempt = 0; attempt < 5; ++attempt) {
-      port_ = free_port();
-      write_configuration(directives);
-      if (start()) return;
-    }
-    throw std::runtime_error("nginx does not start: " + text_of(folder_.file("error.log")));
+    write_configuration(directives);
+    start();
   }
 
   /// Ends it, with all connections.
   void end() { program_.reset(); }
   /// Starts it again at the same address.
-  void start_again() {
-    if (!start()) throw std::runtime_error("nginx does not start again: " + text_of(folder_.file("error.log")));
-  }
+  void start_again() { start(); }
   /// Connections stand, and nothing comes over them, until resume().
   void freeze() const { program_->send(SIGSTOP); }
   void resume() const { program_->send(SIGCONT); }
 
+  int port() const { return port_.number(); }
   std::string file(const std::string& name) const { return folder_.file("files/" + name); }
   std::string certificate() const { return folder_.file("certificate.pem"); }
   std::string url(const std::string& name) const {
-    return (ssl_ ? "https://127.0.0.1:" : "http://127.0.0.1:") + std::to_string(port_) + "/" + name;
+    return (ssl_ ? "https://127.0.0.1:" : "http://127.0.0.1:") + std::to_string(port_.number()) + "/" + name;
   }
   /// A line for each request that is over: protocol, number of the connection, status, bytes of the body, range.
   std::vector<std::string> log() const {
@@ -118,38 +136,19 @@ class Nginx {
     return {std::istreambuf_iterator<char>(in), {}};
   }
 
-  static sockaddr_in address(int port) {
-    sockaddr_in a{};
-    a.sin_family = AF_INET;
-    a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    a.sin_port = htons(static_cast<std::uint16_t>(port));
-    return a;
-  }
-
-  static int free_port() {
-    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    sockaddr_in a = address(0);
-    socklen_t size = sizeof a;
-    const bool found = ::bind(fd, reinterpret_cast<sockaddr*>(&a), size) == 0 &&
-                       ::getsockname(fd, reinterpret_cast<sockaddr*>(&a), &size) == 0;
-    ::close(fd);
-    if (!found) throw std::runtime_error("no free port");
-    return ntohs(a.sin_port);
-  }
-
-  bool start() {
+  void start() {
     program_ = std::make_unique<Program>(std::vector<std::string>{
         kProgram, "-p", folder_.path().string(), "-c", folder_.file("nginx.conf"), "-e", folder_.file("error.log")});
-    for (int i = 0; i < 1000 && program_->running(); ++i) {
-      if (answers()) return true;
-      std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    }
-    return false;
+    await([&] { return answers() || !program_->running(); });
+    if (!program_->running()) throw std::runtime_error("nginx does not start: " + text_of(folder_.file("error.log")));
   }
 
   bool answers() const {
     const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    const sockaddr_in a = address(port_);
+    sockaddr_in a{};
+    a.sin_family = AF_INET;
+    a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    a.sin_port = htons(static_cast<std::uint16_t>(port_.number()));
     const bool connected = ::connect(fd, reinterpret_cast<const sockaddr*>(&a), sizeof a) == 0;
     ::close(fd);
     return connected;
@@ -165,14 +164,14 @@ class Nginx {
     for (const char* kind : {"client_body", "proxy", "fastcgi", "uwsgi", "scgi"}) {
       out << kind << "_temp_path " << at << "/" << kind << ";\n";
     }
-    out << "server {\nlisten 127.0.0.1:" << port_ << (ssl_ ? " ssl http2" : "") << ";\n";
+    out << "server {\nlisten 127.0.0.1:" << port_.number() << (ssl_ ? " ssl http2" : "") << " reuseport;\n";
     if (ssl_) out << "ssl_certificate " << certificate() << "; ssl_certificate_key " << at << "/key.pem;\n";
     out << "root " << at << "/files;\n" << directives << "\n}\n}\n";
   }
 
   TemporaryFolder folder_;
   bool ssl_;
-  int port_ = 0;
+  ReservedPort port_;
   std::unique_ptr<Program> program_;
 };
 

@@ -1,4 +1,4 @@
-// api.hpp - marks what shared libraries export: `namespace RGS_API rgs {` in a public header exports what it declares.
+// api.hpp - `namespace RGS_API rgs {` in a public header exports its declarations from shared libraries.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -21,7 +21,7 @@ class Hasher {
   std::uint64_t digest() const;
 
  private:
-  alignas(64) std::array<std::byte, 1024> state_;  // xxHash's, in place so that nothing has to be allocated
+  alignas(64) std::array<std::byte, 1024> state_;  // xxHash's, in place to avoid an allocation
 };
 
 }  // namespace rgs

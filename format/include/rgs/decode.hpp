@@ -1,4 +1,4 @@
-// decode.hpp - reading .rgs files: open a view, read ranges of Gaussians, validate.
+// decode.hpp - reads .rgs files: opens a view, reads ranges of Gaussians, validates.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -15,18 +15,18 @@
 
 namespace RGS_API rgs {
 
-/// Bounds that a caller puts on files he does not trust; more is limit_exceeded.
+/// A caller's bounds for files that it does not trust; more is limit_exceeded.
 struct DecodeLimits {
   std::uint64_t max_file_bytes = std::uint64_t{1} << 40;
   std::uint64_t max_gaussians = std::uint64_t{1} << 33;
-  /// What is compressed in a file decodes to at most this many times the file's size (and 1 MiB): what a small file can
-  /// make a reader allocate. The default is what DEFLATE cannot exceed; SceneWriter and the writers of other formats
-  /// keep to it whatever the scene.
+  /// Compressed data may decode to at most this many times the file's size (plus 1 MiB), which bounds what a small file
+  /// makes a reader allocate. The default is DEFLATE's maximum; SceneWriter and the writers of other formats stay below
+  /// it for any scene.
   std::uint64_t max_expansion = 1032;
-  /// And to at most this many bytes, whatever its size: what any file can make a reader allocate.
+  /// And to at most this many bytes, which bounds what any file makes a reader allocate.
   std::uint64_t max_decoded_bytes = std::uint64_t{1} << 40;
 
-  /// The smaller of the two for a file of `file_bytes`.
+  /// The smaller of both for a file of `file_bytes`.
   std::uint64_t decoded_bytes(std::uint64_t file_bytes) const {
     constexpr std::uint64_t kAlways = std::uint64_t{1} << 20, kMost = ~std::uint64_t{0} - kAlways;
     const bool fits = max_expansion == 0 || file_bytes <= kMost / max_expansion;
@@ -35,7 +35,7 @@ struct DecodeLimits {
   }
 };
 
-/// One Gaussian as the renderer wants it.
+/// One Gaussian, ready to render.
 struct ActivatedSplat {
   float mean[3];      ///< world units
   float rotation[4];  ///< unit quaternion w, x, y, z
@@ -45,7 +45,7 @@ struct ActivatedSplat {
 };
 
 struct LoadOptions {
-  bool validate = true;  ///< as validate(); without, values of a damaged file may be anything, and are safe to read
+  bool validate = true;  ///< as validate(); without it values of a damaged file may be anything, but are safe to read
   unsigned threads = 0;  ///< 0: as many as the machine runs at once
 };
 
@@ -53,7 +53,7 @@ struct LoadOptions {
 struct FileRange {
   std::uint64_t offset = 0, bytes = 0;
 };
-/// Bytes of a file that are in memory, and where in the file they are.
+/// Bytes of a file that are in memory, and their offset in the file.
 struct FilePart {
   std::uint64_t offset = 0;
   std::span<const std::byte> bytes;
@@ -67,26 +67,26 @@ struct ArchiveTables;
 const ArchiveTables* archive_tables(const FileView& view);
 }  // namespace detail
 
-/// An opened file: its parsed head over the caller's bytes, which must outlive the view. Reading is thread-safe.
+/// An opened file: its parsed head and the caller's bytes, which must outlive the view. Thread-safe to read.
 class FileView {
  public:
-  /// Parses and checks the head of a file: everything but the payload of the large sections, which is not touched, so
-  /// that opening a mapped file costs a few pages. Safe on untrusted bytes. A file with levels of detail is
-  /// unsupported_feature: PagedFile opens such, see has_levels(). Errors: truncated, bad_magic,
-  /// unsupported_version, reserved_bits, bad_header, bad_section, section_overlap, section_gap, trailing_bytes,
-  /// checksum_mismatch, missing_section, duplicate_section, unknown_required, unsupported_codec, size_mismatch,
-  /// limit_exceeded, bad_value; the offset says where.
+  /// Parses and checks all but the payload of the large sections, which is not touched, so opening a mapped file reads
+  /// a few pages. Safe on untrusted bytes. A file with levels of detail is unsupported_feature: see has_levels() and
+  /// PagedFile. Errors: truncated, bad_magic, unsupported_version, reserved_bits, bad_header, bad_section,
+  /// section_overlap, section_gap, trailing_bytes, checksum_mismatch, missing_section, duplicate_section,
+  /// unknown_required, unsupported_codec, size_mismatch, limit_exceeded, bad_value; the offset says where.
   static Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
 
-  // For who reads a file in pieces and wants to know what it is before all of it is there; of a file with levels of detail
-  // PagedFile::needs(). `size`: bytes of the whole file. `parts` are what is in memory of it; the first has its beginning.
-  /// What open_head() needs beyond `parts`: the head, then DECL and PROV. Empty if nothing is. No range is larger than 66 KiB.
-  /// Errors: those of open_head() for what is there.
+  // For readers that fetch a file in pieces and want its head first; for a file with levels of detail see
+  // PagedFile::needs(). `size`: bytes of the whole file. `parts`: what is in memory; the first has the file's first
+  // bytes.
+  /// What open_head() needs besides `parts`: the head, then DECL and PROV; empty if nothing. A range has at most 66
+  /// KiB. Errors: those of open_head() for the bytes so far.
   static Result<std::vector<FileRange>> head_needs(std::span<const FilePart> parts, std::uint64_t size,
                                                    const DecodeLimits& limits = {});
-  /// Header, declarations, provenance and sections. Only these may be asked for: no bytes of the file are there, and nothing of
-  /// the others has been checked. Nothing of `parts` is needed afterwards. Where only PROV is missing, there is no provenance().
-  /// Errors: those of open() for what is read; truncated if the head or DECL is missing.
+  /// Header, declarations, provenance and sections; nothing else may be used, since no other bytes are in memory or
+  /// checked. `parts` may be freed afterwards. If only PROV is missing, there is no provenance(). Errors: those of
+  /// open() for what is read; truncated if the head or DECL is missing.
   static Result<FileView> open_head(std::span<const FilePart> parts, std::uint64_t size,
                                     const DecodeLimits& limits = {});
 
@@ -97,18 +97,18 @@ class FileView {
   std::span<const std::byte> bytes() const { return bytes_; }
 
   const SectionEntry* find(SectionType type) const;
-  /// Stored bytes of a section, coded or not; empty if the file has none of that type.
+  /// Stored bytes of a section, coded or not; empty if the file has no such section.
   std::span<const std::byte> stored(SectionType type) const;
   std::span<const std::byte> stored(const SectionEntry& entry) const {
     return bytes_.subspan(entry.offset, entry.stored_bytes);
   }
-  /// Frames of a section of a type that the file has; none if it is stored as is.
+  /// Frames of a section that the file has; none if it is stored as is.
   const FrameTable& frames(SectionType type) const;
-  /// Steps and bounds of a file of Profile::archive; null for others.
+  /// Steps and bounds of a file of Profile::archive; otherwise null.
   const ArchiveParameters* archive() const;
-  /// Some section is coded: its Gaussians are decoded a frame at a time.
+  /// Whether a section is coded, so that Gaussians decode a frame at a time.
   bool coded() const;
-  /// Where byte `byte` of row `row` of a section is in the file: itself if the section is stored as is, else its frame.
+  /// Offset in the file of byte `byte` of row `row` of a section; of its frame if the section is coded.
   std::uint64_t place(SectionType type, std::uint64_t row, std::uint64_t byte = 0) const;
   /// Decoded bytes of the chunk table [n_chunks, 48] or the SH steps [n_step_sets, 48].
   std::span<const std::byte> chunk_table() const { return table(SectionType::chunks); }
@@ -120,17 +120,17 @@ class FileView {
   Result<ShStepSet> step_set(std::uint64_t i) const;
   /// SH steps of the Gaussians of chunk `i` < n_chunks. Errors: those of chunk() and step_set().
   Result<ShStepSet> chunk_steps(std::uint64_t i) const;
-  /// Position in the source of Gaussian `i`; `i` itself if the file keeps no permutation.
+  /// Position of Gaussian `i` in the source; `i` if the file keeps no permutation.
   std::uint64_t source_index(std::uint64_t i) const;
 
   /// Gaussians first .. first + out.size() - 1 in the parameters of training. Stored opacities of 0 and 1 and scales of
-  /// 0 get finite logits and logarithms that encode to the same codes again. In a coded file this decodes every frame
-  /// that has some of them: read a frame at a time, or from load_direct().
-  /// Errors: those of chunk(), step_set() and read_chunks(); values are not checked otherwise, see validate().
+  /// 0 get finite logits and logarithms that encode to the same codes. In a coded file this decodes every frame with
+  /// some of them: read a frame at a time, or from load_direct(). Errors: those of chunk(), step_set() and
+  /// read_chunks(); values are not checked otherwise, see validate().
   Status read(std::uint64_t first, std::span<Splat> out) const;
   Status read(std::uint64_t first, std::span<ActivatedSplat> out) const;
-  /// Decodes what is coded into memory that this view shares with copies made from now on, for readers of single
-  /// Gaussians: read() then costs what it does in a file stored as is. Checks and errors: those of load_direct().
+  /// Decodes coded sections into memory that this view shares with later copies, for readers of single Gaussians:
+  /// read() is then as fast as in a file stored as is. Checks and errors: those of load_direct().
   Status preload(const LoadOptions& options = {});
 
  private:
@@ -156,18 +156,18 @@ class FileView {
   struct Tables {
     std::vector<std::byte> chunks, scales;
   };
-  std::shared_ptr<const Tables> tables_;  // what is coded of them, decoded
+  std::shared_ptr<const Tables> tables_;  // decoded tables, if coded
   std::shared_ptr<const detail::ArchiveTables> archive_;
   std::shared_ptr<const DirectData> preloaded_;  // all attributes, after preload()
 };
 
-/// Attributes of consecutive chunks in the layout that a GPU reads, whatever the profile of the file: spans over the
-/// file's bytes where a section is stored as is, over memory of this object where it had to be decoded. Move-only; the
-/// file's bytes must outlive it. Reading is thread-safe.
+/// Attributes of consecutive chunks in the layout that a GPU reads, whatever the file's profile: spans over the file's
+/// bytes if a section is stored as is, else over decoded bytes in this object. Move-only; the file's bytes must outlive
+/// it. Thread-safe to read.
 class DirectData {
  public:
   const Header& header() const { return view_.header(); }  ///< of the file
-  const FileView& file() const { return view_; }           ///< the view that it comes from
+  const FileView& file() const { return view_; }           ///< the view that it was read from
   std::uint64_t first_chunk() const { return first_chunk_; }
   std::uint64_t n_chunks() const { return n_chunks_; }  ///< of this range
   std::uint64_t first() const { return first_; }        ///< first Gaussian
@@ -198,20 +198,20 @@ class DirectData {
   std::vector<std::unique_ptr<std::byte[], Free>> memory_;
 };
 
-/// Chunks first_chunk .. first_chunk + n_chunks - 1 <= n_chunks of the file. Only frames that hold some of them are
-/// read, on all threads. Every frame's checksum is checked, nothing else of sections that are stored as is; with
-/// LoadOptions::validate also the values of these Gaussians. Errors: checksum_mismatch, corrupt_data (the offset is the
-/// frame's), those of FileView::chunk() and step_set(), bad_value.
+/// Chunks first_chunk .. first_chunk + n_chunks - 1 <= n_chunks of the file. Reads only frames with some of them, on
+/// all threads. Checks every frame's checksum, but nothing of sections stored as is; with LoadOptions::validate also
+/// the values of these Gaussians. Errors: checksum_mismatch, corrupt_data (the offset is the frame's), those of
+/// FileView::chunk() and step_set(), bad_value.
 Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
                                const LoadOptions& options = {});
 
-/// The whole file: with LoadOptions::validate all that validate() checks, on all threads; without, what read_chunks()
-/// checks. Errors: those of read_chunks() and validate().
+/// The whole file, on all threads: with LoadOptions::validate makes all checks of validate(), else those of
+/// read_chunks(). Errors: those of read_chunks() and validate().
 Result<DirectData> load_direct(const FileView& view, const LoadOptions& options = {});
 
-/// Checks the payload: every checksum, every stored value against its legal range, tables against what they describe.
-/// After success read() cannot fail. Reads the whole file; takes 8 bytes a Gaussian if there is a permutation, and a
-/// few frames of memory if sections are coded. Uses all threads.
+/// Checks the payload: every checksum, every stored value against its legal range, and tables against what they
+/// describe. Then read() cannot fail. Reads the whole file; takes 8 bytes a Gaussian for a permutation, and a few
+/// frames for coded sections. Uses all threads.
 Status validate(const FileView& view);
 
 namespace detail {
@@ -219,18 +219,18 @@ struct ValueTotals;
 }
 
 /// validate() in steps, for callers that use what it decodes: begin(), check() with every chunk of the file in order, a
-/// range at a time from read_chunks() without LoadOptions::validate, then finish(). Same checks, same errors, same order.
-/// Move-only; the view must outlive it.
+/// range at a time from read_chunks() without LoadOptions::validate, then finish(). The same checks and errors in the
+/// same order. Move-only; the view must outlive it.
 class Validation {
  public:
   static Result<Validation> begin(const FileView& view);
-  /// For who decodes a file while it comes: of the large sections FileView::open() and begin_early() need the frame tables, and
-  /// check() the frames or rows of its chunks. finish(), by when all is there, compares the hashes of sections. The same checks,
-  /// but of several defects another one may be found first.
+  /// For decoding a file while it is being received: FileView::open() and begin_early() need the frame tables of the
+  /// large sections, check() the frames or rows of its chunks. finish(), with the whole file, compares the sections'
+  /// hashes. The same checks, but of several defects another may be found first.
   static Result<Validation> begin_early(const FileView& view);
   Status check(const DirectData& next);
   Status finish() const;
-  /// Chunks to read at a time, so that what is coded is never in memory as a whole.
+  /// Chunks to read at a time, so that decoded data is never in memory as a whole.
   std::uint64_t chunks_at_a_time() const;
 
   Validation(Validation&&) noexcept;
@@ -244,8 +244,8 @@ class Validation {
   bool hashes_last_ = false;
 };
 
-/// FileView::open(), validate() and all Gaussians in memory; of a file with levels of detail PagedFile::open(), validate()
-/// and its leaves, with pages_missing if some of them are.
+/// FileView::open(), validate() and all Gaussians; of a file with levels of detail PagedFile::open(), validate() and
+/// its leaves, or pages_missing.
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
 
 }  // namespace rgs

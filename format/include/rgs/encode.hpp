@@ -1,4 +1,5 @@
-// encode.hpp - from Gaussians in memory to an .rgs file in one call. Scenes that do not fit: rgs/scene_writer.hpp.
+// encode.hpp - encodes Gaussians in memory as an .rgs file in one call. For scenes that do not fit:
+// rgs/scene_writer.hpp.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -22,19 +23,19 @@ struct DepthRange {
   DepthSource source = DepthSource::by_hand;
 };
 
-/// The range if nobody gives one: from the near plane of 3DGS to ten diagonals of the robust box, or one if linear.
+/// The default range: from the near plane of 3DGS to ten diagonals of the robust box, or one if linear.
 DepthRange depth_range_from_extent(const Box& robust, DepthMapping mapping);
 
 /// How sections are stored. direct and packed decode to the same bytes.
 enum class Profile : std::uint8_t {
   direct,  ///< as the GPU reads them
   packed,  ///< Codec::planes: about two thirds of the size
-  archive  ///< Codec::archive: lossy within stated bounds, a sixth of the size and less; same layout once decoded
+  archive  ///< Codec::archive: lossy within stated bounds, a sixth of the size or less; the same layout once decoded
 };
 
-/// What Profile::archive may lose. Steps are those of a Gaussian of median importance (opacity^2 times area, over squared
-/// distance where that is large); a Gaussian of x times its importance gets steps x^(-slope / 2) times as large, x limited
-/// to 2^-8 .. 2^8. Defaults are archive_high().
+/// Losses that Profile::archive may cause. Steps are for a Gaussian of median importance (opacity^2 times area, over
+/// squared distance where that is large); a Gaussian of x times that importance gets steps x^(-slope / 2) times as
+/// large, x limited to 2^-8 .. 2^8. Defaults are archive_high().
 struct ArchiveOptions {
   int mean_cells = 15;    ///< 4 to 20: 2^mean_cells cells between centre and half width of the robust box, on each axis
   float sh_step = 0.11f;  ///< of SH above degree 0, after decorrelation; 2^-20 to 2^20
@@ -47,7 +48,7 @@ struct ArchiveOptions {
 
   bool operator==(const ArchiveOptions&) const = default;
 };
-/// Presets; what they cost is in docs/user/PROFILES.md.
+/// Presets; costs in docs/user/PROFILES.md.
 ArchiveOptions archive_high();
 ArchiveOptions archive_small();
 inline constexpr int kMaxLevel = 19;
@@ -55,54 +56,55 @@ inline constexpr int kMaxLevel = 19;
 struct EncodeOptions {
   Profile profile = Profile::direct;
   ArchiveOptions archive;
-  int level = 1;                   ///< packed: effort, 1 to kMaxLevel; see docs/user/PROFILES.md
+  int level = 1;                   ///< packed: effort, 1 to kMaxLevel; docs/user/PROFILES.md
   std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^16]
   bool chunk_step_sets = true;     ///< SH steps per chunk; false: one set for the file (the paper's scheme)
   Order order = Order::morton;
   bool keep_permutation = false;  ///< store each Gaussian's position in the source
   int sh_degree = kMaxShDegree;   ///< higher degrees are stripped
   BadPolicy on_bad = BadPolicy::drop;
-  double max_bad_fraction = 0.01;   ///< more damaged Gaussians than this share is too_many_bad; not under repair/refuse
-  std::optional<DepthRange> depth;  ///< absent: from the extent of the scene
+  double max_bad_fraction = 0.01;  ///< a larger share of damaged Gaussians is too_many_bad; ignored under repair/refuse
+  std::optional<DepthRange> depth;                         ///< absent: from the extent of the scene
   DepthMapping depth_mapping = DepthMapping::logarithmic;  ///< about 4.5 bits better than linear, the paper's
   std::array<Axis, 3> axes{Axis::right, Axis::down, Axis::forward};
   ColourSpace colour_space = ColourSpace::srgb_display;
   AaMode aa_mode = AaMode::classic;
   std::optional<float> low_pass_px2 = std::nullopt;  ///< absent: default_low_pass_px2(aa_mode)
   float metres_per_unit = 0;
-  Origin origin = kNoOrigin;  ///< that the means are relative to; |x| <= kMaxOrigin
+  /// of the means; |x| <= kMaxOrigin
+  Origin origin = kNoOrigin;
   float cutoff_sigma = 3.f;
   float alpha_threshold = 1.f / 255.f;
   float alpha_max = 0.99f;
   float transmittance_min = 1e-4f;
   std::optional<Provenance> provenance;
-  /// For Gaussians that were loaded or filtered before, so that a file speaks of the source that they come from:
-  std::uint64_t n_source = 0;    ///< Gaussians in it; 0, or less than are given: those that are given
-  std::uint64_t n_repaired = 0;  ///< mended before
-  /// keep_permutation: position in the source of each Gaussian that is given, [n], all different and below n_source. Must
+  /// For Gaussians that were loaded or filtered before, so that the file describes their original source:
+  std::uint64_t n_source = 0;    ///< Gaussians in it; 0 or fewer than given: those given
+  std::uint64_t n_repaired = 0;  ///< repaired before
+  /// keep_permutation: each given Gaussian's position in the source, [n], all different and below n_source. Must
   /// outlive the call, or the SceneWriter. Empty: 0, 1, 2, ..., which needs n_source = 0.
   std::span<const std::uint32_t> source_index = {};
 };
 
-/// `options` with all that `declared` states of a scene: axes, colours, anti-aliasing, low-pass, units, origin, depth range
-/// and its mapping, thresholds, n_source and n_repaired. What encode() needs so that a scene which was loaded and filtered
-/// keeps its declarations. Provenance and positions are no declarations: see FileView::provenance() and source_index().
+/// `options` with all that `declared` states of a scene: axes, colours, anti-aliasing, low-pass, units, origin, depth
+/// range and mapping, thresholds, n_source and n_repaired; so encode() keeps the declarations of a scene that was
+/// loaded and filtered. Provenance and positions are no declarations: see FileView::provenance() and source_index().
 EncodeOptions keep_declarations(EncodeOptions options, const Declarations& declared);
 
-/// Whether a scene with this scan can be encoded with these options; an empty scan has the options alone checked.
-/// Errors: bad_argument (options out of range), unavailable (Profile::archive in a build without Draco), bad_value
+/// Whether a scene with this scan can be encoded with these options; an empty scan checks the options alone. Errors:
+/// bad_argument (options out of range), unavailable (Profile::archive in a build without Draco), bad_value
 /// (BadPolicy::refuse), too_many_bad.
 Status check_encodable(const SceneScan& scan, const EncodeOptions& options);
 
-/// The file for `splats`. Deterministic (packed and archive: for one version of Zstandard and Draco; archive: and of the C
-/// library's exp() and log() on one kind of processor). Single-threaded but for Profile::archive.
-/// Errors: bad_argument (options out of range, sizes of the view or of source_index disagree), bad_value (BadPolicy::refuse; offset is the
-/// Gaussian's index), unavailable (see check_encodable()), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort); those
-/// of SceneWriter::finish().
+/// The file for `splats`. Deterministic (packed and archive: for a version of Zstandard and Draco; archive: also for a
+/// C library's exp() and log() on a kind of processor). Single-threaded except Profile::archive. Errors: bad_argument
+/// (options out of range, contradicting sizes of the view or source_index), bad_value (BadPolicy::refuse; offset is the
+/// Gaussian's index), unavailable (see check_encodable()), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians
+/// to sort); those of SceneWriter::finish().
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
 
-/// The mean that a file with these parameters decodes to where its source has `mean`: finds Gaussians again that Draco has
-/// put into its own order. Those in one cell of the grid cannot be told apart so.
+/// The mean that a file with these parameters decodes for a source mean `mean`: finds Gaussians again after Draco's
+/// reordering. It does not tell apart Gaussians in one cell of the grid.
 std::array<float, 3> archive_mean(const ArchiveParameters& parameters, const float mean[3]);
 
 }  // namespace rgs

@@ -1,4 +1,4 @@
-// file.hpp - files as the tools need them: mapped for reading, all-or-nothing for writing (POSIX).
+// file.hpp - files for the programs: mapped for reading, all-or-nothing for writing (POSIX).
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,7 +12,7 @@
 
 namespace RGS_API rgs {
 
-/// A whole regular file mapped read-only. Pages are read when touched. Move-only.
+/// A whole regular file mapped read-only. The system reads pages when they are touched. Move-only.
 class MappedFile {
  public:
   /// Errors: open_failed (missing, unreadable, a directory), read_failed (cannot be mapped).
@@ -26,11 +26,11 @@ class MappedFile {
   ~MappedFile();
 
   std::span<const std::byte> bytes() const { return {data_, size_}; }
-  /// read_failed if the file has another size than the one that was mapped, or has been written to since: by its times of
-  /// modification and of change, the latter unless a name was given or taken meanwhile. What is cut off reads as zeros up
-  /// to the end of a page, and raises SIGBUS beyond it.
+  /// read_failed if the file's size differs from the mapped one, or if it has been written to: by its times of
+  /// modification and of change, the latter unless links were made or removed meanwhile. A truncated file reads as
+  /// zeros up to the end of a page, and raises SIGBUS beyond.
   Status check_unchanged() const;
-  /// Tells the kernel how [offset, offset + length) will be read next; a hint, never an error.
+  /// Tells the kernel how [offset, offset + length) will be read; a hint, never an error.
   enum class Access { normal, sequential, random, will_need, done };
   void advise(Access access, std::uint64_t offset = 0, std::uint64_t length = ~std::uint64_t{0}) const;
 
@@ -45,19 +45,19 @@ class MappedFile {
 };
 
 /// An output that appears under its name complete or not at all. Bytes go to `PATH.tmp-XXXXXX` in the same folder;
-/// commit() syncs and renames. Destruction without commit, SIGINT, SIGTERM, SIGHUP and SIGPIPE (after
-/// remove_temporaries_on_signal()) remove the temporary file; SIGKILL and a loss of power leave it behind, for the user to
-/// delete. A symbolic link is followed: its target is what is written and replaced, with the temporary file beside it. What
-/// replaces a file takes over its permissions, and its owner and group where the process may give them; access control
-/// lists, extended attributes and further hard links stay with the old file. Path "-" is standard output: bytes are
-/// collected in an unlinked file in $TMPDIR (/tmp if unset) and copied out by commit(). No descriptor is that of a standard
-/// stream, so that messages cannot end up in a file. Move-only; writes may come from several threads.
+/// commit() syncs and renames. Destruction without commit, and SIGINT, SIGTERM, SIGHUP and SIGPIPE (after
+/// remove_temporaries_on_signal()), remove the temporary file; SIGKILL and power loss leave it behind. A symbolic link
+/// is followed: its target is replaced, with the temporary file beside it. The new file takes over the old one's
+/// permissions, and owner and group if the process may set them; access control lists, extended attributes and other
+/// hard links stay with the old file. Path "-" is standard output: commit() copies out an unlinked file in $TMPDIR
+/// (/tmp if unset). No descriptor is a standard stream's number, so messages cannot end up in a file. Move-only;
+/// several threads may write.
 class AtomicFile {
  public:
   struct Options {
-    bool overwrite = false;  ///< replace an existing file; otherwise commit() and create() refuse with output_exists
+    bool overwrite = false;  ///< replace an existing file; otherwise create() and commit() fail with output_exists
     bool sync = true;        ///< fsync file and folder before commit() returns
-    std::vector<const MappedFile*> inputs = {};  ///< commit() asks each of them for check_unchanged() first
+    std::vector<const MappedFile*> inputs = {};  ///< commit() first calls check_unchanged() of each
   };
   /// Errors: output_exists, output_unusable (a directory), write_failed.
   static Result<AtomicFile> create(const std::string& path, const Options& options);
@@ -67,14 +67,14 @@ class AtomicFile {
   AtomicFile& operator=(AtomicFile&& other) noexcept;
   ~AtomicFile();
 
-  /// Reserves `size` bytes so that a full disk shows now (write_failed, errno ENOSPC) and not at the end.
+  /// Reserves `size` bytes, so that a full disk fails now (write_failed, errno ENOSPC) and not at the end.
   Status reserve(std::uint64_t size);
   Status write_at(std::uint64_t offset, std::span<const std::byte> bytes);
-  /// Bytes that have been written. Errors: read_failed.
+  /// Reads written bytes back. Errors: read_failed.
   Status read_at(std::uint64_t offset, std::span<std::byte> bytes) const;
-  /// Makes the output end at `size`.
+  /// Sets the output's size.
   Status truncate(std::uint64_t size);
-  /// Syncs if asked for, then renames. Seconds spent in fsync are returned.
+  /// Syncs if requested, then renames. Returns the seconds spent in fsync.
   Result<double> commit();
   int descriptor() const { return fd_; }
 
@@ -86,16 +86,15 @@ class AtomicFile {
   std::string path_, temporary_;
   Options options_;
   int fd_ = -1;
-  int slot_ = -1;  // entry in the table that the signal handler walks
+  int slot_ = -1;  // entry in the signal handler's table
 };
 
-/// Installs handlers for SIGINT, SIGTERM, SIGHUP and SIGPIPE, unless ignored (nohup), that remove unfinished outputs and then
-/// die of the same signal, and for SIGBUS, which a mapped input raises when another process truncates it: outputs are
-/// removed, exit code 3. SIGXFSZ is ignored, so that writes beyond a size limit are write_failed.
+/// Installs handlers for SIGINT, SIGTERM, SIGHUP and SIGPIPE, unless ignored (nohup), that remove unfinished outputs
+/// and then die of the same signal; and for SIGBUS, raised when another process truncates a mapped input: it removes
+/// outputs and exits with code 3. Ignores SIGXFSZ, so that writes beyond a size limit are write_failed.
 void remove_temporaries_on_signal();
 
-/// What `path` stands for: the target of a symbolic link, and of the links that this leads to, whether it exists or not;
-/// anything else as it is.
+/// The final target of a symbolic link, through further links, whether it exists or not; any other path unchanged.
 std::string follow_links(const std::string& path);
 
 }  // namespace rgs

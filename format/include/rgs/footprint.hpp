@@ -1,5 +1,5 @@
-// footprint.hpp - what a pixel covers where a page is nearest, and whether the page will do there: for host and device, to
-// the bit the same. docs/format/FORMAT.md "Error and cut".
+// footprint.hpp - a pixel's footprint at a page, and whether the page is fine enough there; the same bits on host and
+// device. docs/format/FORMAT.md "Error and cut".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,8 +9,8 @@
 
 namespace rgs::lod {
 
-/// World units that a pixel covers where the box `low` [3] to `high` [3] is nearest to `position` [3], but at a distance of at
-/// least `z_near`; `focal_px` > 0.
+/// World units that a pixel covers at the point of the box `low` [3] to `high` [3] nearest to `position` [3], at a
+/// distance of at least `z_near`; `focal_px` > 0.
 RGS_HD inline double pixel_footprint(const float* low, const float* high, const double* position, double focal_px,
                                      double z_near) {
   double squared = 0;
@@ -24,8 +24,8 @@ RGS_HD inline double pixel_footprint(const float* low, const float* high, const 
   return (distance < z_near ? z_near : distance) / focal_px;
 }
 
-/// Whether a page of such an error may be drawn for what is below it. Without an error it always may: where the footprint is
-/// infinite, a detail of 0 times it is not a number.
+/// Whether a page of this error may be drawn in place of its descendants. Tests an error of 0 first: with an infinite
+/// footprint, a detail of 0 gives NaN.
 RGS_HD inline bool is_fine_enough(float error, float detail_px, double footprint) {
   return error <= 0 || static_cast<double>(error) <= static_cast<double>(detail_px) * footprint;
 }

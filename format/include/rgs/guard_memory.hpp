@@ -1,4 +1,4 @@
-// guard_memory.hpp - where the library's exceptions end: memory that runs out becomes a value at the edge of the API.
+// guard_memory.hpp - turns exceptions of failed allocations into values at the edge of the API.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,11 +10,11 @@
 namespace rgs::detail {
 
 inline tl::unexpected<Error> out_of_memory() {
-  return make_error(Errc::host_out_of_memory, Error::kNone, "the process gets no more memory");
+  return make_error(Errc::host_out_of_memory, Error::kNone, "memory has run out");
 }
 
-/// f(), a Result or Status, or host_out_of_memory if it cannot allocate: around the body of every public function that
-/// allocates. Where exceptions are switched off, as for WebAssembly, an allocation that fails ends the program.
+/// f(), a Result or Status, or host_out_of_memory if an allocation fails: wraps the body of every public function that
+/// allocates. Without exceptions, as for WebAssembly, a failed allocation ends the program.
 template <class F>
 auto guard_memory(const F& f) -> decltype(f()) {
 #if defined(__cpp_exceptions)
@@ -22,7 +22,7 @@ auto guard_memory(const F& f) -> decltype(f()) {
     return f();
   } catch (const std::bad_alloc&) {
     return out_of_memory();
-  } catch (const std::length_error&) {  // of a container that cannot be as large
+  } catch (const std::length_error&) {  // a container cannot be this large
     return out_of_memory();
   }
 #else

@@ -1,8 +1,8 @@
-// layout.hpp - what an .rgs file holds, in the terms of a program: the sizes and numbers of the file's layout (magic,
-// versions, record sizes, section types, codecs, limits), and a struct for each of its records as parsed (header, section
-// and frame tables, declarations, chunks, SH steps, archive parameters, provenance). The structs are not the bytes:
-// file/layout_io.cpp reads and writes those field by field. Gaussians are in splat_cloud.hpp, their quantisation in
-// quantize.hpp. docs/format/FORMAT.md is the specification; where they differ, it wins.
+// layout.hpp - the contents of an .rgs file: sizes and numbers of its layout (magic, versions, record sizes, section
+// types, codecs, limits), and a struct for each parsed record (header, section and frame tables, declarations, chunks,
+// SH steps, archive parameters, provenance). The structs are not the bytes: file/layout_io.cpp reads and writes those
+// field by field. Gaussians are in splat_cloud.hpp, their quantisation in quantize.hpp. docs/format/FORMAT.md is the
+// specification and wins over the code.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,8 +18,8 @@ namespace RGS_API rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
-/// Newest that this library knows. A file states the lowest that describes it: 4 with levels of detail, 3 with an origin, 2
-/// with Codec::archive, 1 with Codec::planes, else 0.
+/// The newest known. A file states the lowest that describes it: 4 with levels of detail, 3 with an origin, 2 with
+/// Codec::archive, 1 with Codec::planes, else 0.
 inline constexpr std::uint16_t kVersionMinor = 4;
 
 inline constexpr std::uint64_t kHeaderBytes = 128;
@@ -36,13 +36,13 @@ inline constexpr std::uint64_t kDeclarationBytes = 256;
 
 inline constexpr std::uint64_t kLevelsHeadBytes = 64;     ///< of LODS, before its records
 inline constexpr std::uint64_t kPageRecordBytes = 112;    ///< of LODS, one a page
-inline constexpr std::uint64_t kPageAlignment = 256;      ///< of pages that are stored as they are
+inline constexpr std::uint64_t kPageAlignment = 256;      ///< of pages stored as is
 inline constexpr std::uint64_t kPageArrayAlignment = 16;  ///< of each array within a page, as decoded
 
 inline constexpr std::uint32_t kMinChunkSize = 32;
 inline constexpr std::uint32_t kMaxChunkSize = 1u << 16;
 
-/// Bytes of SH per Gaussian: 3 * (degree + 1)^2 INT8, padded to a multiple of 4: 4, 12, 28, 48.
+/// Bytes of SH a Gaussian: 3 * (degree + 1)^2 INT8, padded to a multiple of 4: 4, 12, 28, 48.
 constexpr std::uint64_t sh_bytes(int degree) {
   return (3 * static_cast<std::uint64_t>(sh_coefficients(degree)) + 3) / 4 * 4;
 }
@@ -71,7 +71,7 @@ enum class SectionType : std::uint32_t {
 
 enum class Codec : std::uint32_t {
   none = 0,    ///< stored bytes are the decoded bytes
-  planes = 1,  ///< a frame table and frames: rows transformed into byte planes, Zstandard; for those of coded_type()
+  planes = 1,  ///< a frame table and frames: byte planes of transformed rows, Zstandard; for coded_type()
   archive = 2  ///< a frame table and frames: lossy codes, docs/format/ARCHIVE.md; MEAN, GEOM and SHI8 together
 };
 
@@ -81,23 +81,23 @@ constexpr bool coded_type(SectionType type) {
          type == SectionType::geometry || type == SectionType::sh;
 }
 
-/// Section types that have Codec::archive, all or none. The pages of a file with levels may have it too, and Codec::planes.
+/// Section types that have Codec::archive, all or none. Pages of a file with levels may have it, or Codec::planes.
 constexpr bool archive_type(SectionType type) {
   return type == SectionType::means || type == SectionType::geometry || type == SectionType::sh;
 }
 
-/// One independently decodable piece of a coded section.
+/// An independently decodable piece of a coded section.
 struct CodedFrame {
   std::uint64_t offset = 0;  ///< in the file
   std::uint32_t stored_bytes = 0;
   std::uint64_t xxh3 = 0;  ///< of the stored bytes
 };
 
-/// Frame i of a section holds rows i * rows .. min(n, (i + 1) * rows) - 1; a row is a Gaussian, a chunk, or a
-/// set of SH steps.
+/// Frame i of a section has rows i * rows .. min(n, (i + 1) * rows) - 1; a row is a Gaussian, a chunk or an SH step
+/// set.
 struct FrameTable {
   std::uint32_t rows = 0;
-  std::vector<CodedFrame> frames;  ///< empty in a section that is stored as is
+  std::vector<CodedFrame> frames;  ///< empty in a section stored as is
 };
 inline constexpr std::uint32_t kMaxFrameRows = 1u << 16;
 inline constexpr std::uint64_t kFrameTableBytes = 8;  ///< without its entries and hash
@@ -128,7 +128,7 @@ struct Header {
   std::int16_t scale_exponent = 0;  ///< stored scale = scale * 2^scale_exponent
 };
 
-/// Direction that an axis of the scene points in; `undeclared` says that nobody stated it.
+/// Direction of a scene's axis; `undeclared`: not known.
 enum class Axis : std::uint8_t { undeclared = 0, right = 1, left = 2, up = 3, down = 4, forward = 5, backward = 6 };
 enum class ColourSpace : std::uint8_t { undeclared = 0, srgb_display = 1, linear_display = 2 };
 enum class ShBasis : std::uint8_t { real_3dgs = 1 };    ///< constants and signs of Kerbl et al. 2023, +0.5
@@ -139,18 +139,18 @@ enum class DepthMapping : std::uint8_t { linear = 1, logarithmic = 2 };
 enum class DepthSource : std::uint8_t { cameras = 1, scene_extent = 2, by_hand = 3 };
 enum class Order : std::uint8_t { input = 1, morton = 2 };
 
-/// The low-pass of a scene that does not state its own, in square pixels: 0.1 as Mip-Splatting has it, else 0.3 as 3DGS.
+/// Low-pass of a scene that does not declare one, square pixels: 0.1 for Mip-Splatting, else 0.3 as in 3DGS.
 constexpr float default_low_pass_px2(AaMode mode) {
   return mode == AaMode::mip_splatting ? 0.1f : 0.3f;
 }
 
-/// Of means, which are relative to the origin.
+/// Of means, relative to the origin.
 struct Box {
   std::array<float, 3> min{0, 0, 0};
   std::array<float, 3> max{0, 0, 0};
 };
 
-/// What a reader must not have to guess. Defaults are those of the original 3DGS code.
+/// Facts of a scene that a reader must not guess. Defaults are the original 3DGS code's.
 struct Declarations {
   std::array<Axis, 3> axes{Axis::right, Axis::down, Axis::forward};  ///< where +x, +y, +z point
   ColourSpace colour_space = ColourSpace::srgb_display;
@@ -170,10 +170,10 @@ struct Declarations {
   float low_pass_px2 = 0.3f;  ///< added to the diagonal of the screen-space covariance, square pixels
   float transmittance_min = 1e-4f;
   Box full;                       ///< of all means
-  Box robust;                     ///< of the means without the outermost on each axis
+  Box robust;                     ///< of the means without outliers on each axis
   float robust_fraction = 0.99f;  ///< share of the means inside `robust` on each axis, at least
   std::uint64_t n_source = 0;     ///< Gaussians in the source
-  std::uint64_t n_dropped = 0;    ///< left out: damaged, or filtered out
+  std::uint64_t n_dropped = 0;    ///< left out: damaged or filtered
   std::uint64_t n_repaired = 0;
   std::uint64_t n_scale_subnormal = 0;  ///< stored scales below the normal range of FP16, not zero
   std::uint64_t n_scale_zero = 0;       ///< stored scales that are zero
@@ -182,7 +182,7 @@ struct Declarations {
   Origin origin = kNoOrigin;            ///< of all means and boxes of the file; |x| <= kMaxOrigin
 };
 
-/// One entry of the chunk table: what can be asked of a chunk without reading its Gaussians.
+/// One entry of the chunk table: answers questions about a chunk without reading its Gaussians.
 struct ChunkEntry {
   Box means;                   ///< exact bounds of the means
   float radius = 0;            ///< largest 3-sigma extent of a Gaussian of the chunk, world units
@@ -198,7 +198,7 @@ struct ShStepSet {
   constexpr float of_value(int i) const { return step[sh_degree_of(i / 3)][i % 3]; }
 };
 
-/// How finely Codec::archive stores the Gaussians of one class, and what its writer verified of their errors.
+/// Steps of Codec::archive for the Gaussians of a class, and the error bounds that its writer verified.
 struct ArchiveClass {
   float rotation_step = 0;       ///< of quaternion components
   std::uint32_t scale_step = 1;  ///< of log2(scale), 1/65536
@@ -206,13 +206,13 @@ struct ArchiveClass {
   std::uint32_t dc_step = 1;     ///< of SH degree 0, 1/65536
   float sh_step = 0;             ///< of the other degrees
   float bound_rotation = 0;      ///< angle, radians
-  float bound_scale = 0;         ///< of ln(scale), where it is a normal FP16 number as stored
+  float bound_scale = 0;         ///< of ln(scale), if it is stored as a normal FP16 number
   float bound_dc = 0;            ///< of each coefficient of degree 0; half the chunk's SH step comes on top
   float bound_sh = 0;            ///< of the other coefficients, likewise
 };
 inline constexpr std::uint32_t kMaxArchiveClasses = 32;
 
-/// What section ARCH tells people; the steps asked for are those of the middle class.
+/// Informative contents of section ARCH; requested steps are those of the middle class.
 struct ArchiveParameters {
   std::uint32_t mean_cells = 4;  ///< 2^mean_cells cells between centre and half width on each axis
   std::uint32_t mean_bits = 1;   ///< of a coordinate

@@ -1,4 +1,4 @@
-// levels_writer.hpp - a scene with its levels of detail to one .rgs file.
+// levels_writer.hpp - writes a scene with its levels of detail to an .rgs file.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -17,37 +17,37 @@
 
 namespace RGS_API rgs {
 
-/// Writes one file, pages coarse to fine, of which none needs to be in memory before it is its turn. The steps:
+/// Writes one file, pages coarse to fine, with only the current page in memory. The steps:
 ///   1. SceneScan::add() for every Gaussian of the source.
-///   2. The tree of pages: counts, errors and who replaces whom. Leaves are the source's Gaussians in the order in which a
-///      file without levels would hold them (EncodeOptions::order), in whole chunks.
+///   2. The tree of pages: counts, errors, parents. Leaves are the source's Gaussians in the order of a file without
+///      levels (EncodeOptions::order), in whole chunks.
 ///   3. create().
-///   4. Page 0, 1, ...: encoded by a LevelsWriter::Encoder on a thread of its own if one likes, and add()ed in order.
+///   4. Pages 0, 1, ...: encoded by a LevelsWriter::Encoder, on a thread of its own if you like, and add()ed in order.
 ///   5. finish().
-/// write_levels() is this for levels in memory. The bytes do not depend on threads. Memory: 190 bytes a page, and encoders;
-/// Profile::archive takes all Gaussians as a whole, with about 300 bytes of each on top, as SceneWriter does.
+/// write_levels() does this for levels in memory. The bytes do not depend on threads. Memory: 190 bytes a page, and
+/// encoders; Profile::archive takes all Gaussians at once and about 300 bytes each on top, as SceneWriter does.
 class LevelsWriter {
  public:
   class Encoder;
 
-  /// `leaves`: the scan of the source. `pages`: see lod::check_pages(); boxes may be smaller than they must be, those that
-  /// are written hold what is stored. With EncodeOptions::keep_permutation options.source_index [n leaves] (or none: 0, 1,
-  /// 2, ...) says where each leaf was, in the order of the leaves. quality_db: see lod::Levels.
-  /// Errors: check_encodable()'s, bad_argument (no Gaussians; pages that are no tree, have other leaves than the scan, or are
-  /// larger than lod::kMaxPageRows; one set of SH steps for the file with Profile::archive).
+  /// `leaves`: the scan of the source. `pages`: see lod::check_pages(); boxes may be smaller than they must be, since
+  /// the written ones are recomputed from what is stored. With EncodeOptions::keep_permutation, options.source_index [n
+  /// leaves] (or none: 0, 1, 2, ...) holds each leaf Gaussian's position in the source, in the order of the leaves.
+  /// quality_db: see lod::Levels. Errors: check_encodable()'s, bad_argument (no Gaussians; pages that are no tree, have
+  /// other leaves than the scan, or exceed lod::kMaxPageRows; one set of SH steps for the file with Profile::archive).
   static Result<LevelsWriter> create(Sink sink, const SceneScan& leaves, const EncodeOptions& options,
                                      std::vector<lod::Page> pages, float quality_db = 0);
   LevelsWriter(LevelsWriter&& other) noexcept;
   ~LevelsWriter();
 
   const std::vector<lod::Page>& pages() const;
-  /// Writes an encoded page: 0, then 1, ... Errors: those of Encoder::encode(), Sink::write_at(), bad_argument (another page
-  /// is next). After an error the file is of no use: later calls give the same one.
+  /// Writes an encoded page: 0, then 1, ... Errors: those of Encoder::encode(), Sink::write_at(), bad_argument (another
+  /// page is next). After an error the file is useless, and later calls return the same error.
   Status add(const Encoder& page);
-  /// The same with a page that a PageEncoder for the same scan and options encoded, here or in another process. Errors too:
+  /// The same for a page from a PageEncoder with the same scan and options, here or in another process. Errors also:
   /// truncated, checksum_mismatch (the record is damaged).
   Status add(std::span<const std::byte> record);
-  /// Tables, head and end of the file, once all pages are there. Errors: as SceneWriter::finish().
+  /// Writes tables, head and end of the file after the last page. Errors: as SceneWriter::finish().
   Result<WrittenScene> finish();
 
  private:
@@ -56,7 +56,7 @@ class LevelsWriter {
   std::unique_ptr<State> state_;
 };
 
-/// One page being encoded; keeps its memory for the next. Encoders of one writer may be used side by side.
+/// Encodes one page at a time, reusing its memory. Encoders of one writer may run side by side.
 class LevelsWriter::Encoder {
  public:
   /// The writer must outlive it, but may be moved.
@@ -64,9 +64,9 @@ class LevelsWriter::Encoder {
   Encoder(Encoder&& other) noexcept;
   ~Encoder();
 
-  /// `splats`: the Gaussians of page `page`. Errors: bad_argument (not as many as the page has), bad_value (one above the
-  /// leaves is damaged, see find_defects(); offset is its index in the page), read_failed (a leaf is damaged: the source
-  /// changed), host_out_of_memory.
+  /// `splats`: the Gaussians of page `page`. Errors: bad_argument (not the page's number), bad_value (one above the
+  /// leaves is damaged, see find_defects(); offset is its index in the page), read_failed (a leaf is damaged: the
+  /// source changed), host_out_of_memory.
   Status encode(std::uint32_t page, const SplatView& splats);
 
  private:
@@ -77,8 +77,8 @@ class LevelsWriter::Encoder {
   Status status_;
 };
 
-/// Pages encoded before there is a writer, or in another process: a record each, for LevelsWriter::add(). Its bytes are of this
-/// version of the library alone.
+/// Encodes pages without a writer, or in another process, as records for LevelsWriter::add(). Records are valid for
+/// this version of the library alone.
 class PageEncoder {
  public:
   /// `leaves` and `options`: as for LevelsWriter::create(). Errors: check_encodable()'s, bad_argument (Profile::archive).
@@ -86,7 +86,7 @@ class PageEncoder {
   PageEncoder(PageEncoder&& other) noexcept;
   ~PageEncoder();
 
-  /// Of the page its level, count and error are looked at. The record is there until the next call. Errors: those of
+  /// Uses the page's level, count and error. The record is valid until the next call. Errors: those of
   /// LevelsWriter::Encoder::encode().
   Result<std::span<const std::byte>> encode(const lod::Page& page, const SplatView& splats);
 
@@ -97,8 +97,8 @@ class PageEncoder {
 };
 
 /// The file for `levels`, whose leaves are sound (see find_defects()) and in the order of options.order, on `threads`
-/// threads (0: as many as the machine runs at once). What was dropped or mended before is stated by options.n_source and
-/// n_repaired. Errors: LevelsWriter's.
+/// threads (0: as many as the machine runs at once). options.n_source and n_repaired state what was dropped or repaired
+/// before. Errors: LevelsWriter's.
 Result<WrittenScene> write_levels(const lod::Levels& levels, const EncodeOptions& options, Sink sink,
                                   unsigned threads = 0);
 

@@ -1,7 +1,7 @@
 // page.hpp - levels of detail: a scene as a tree of pages, in memory. docs/format/FORMAT.md "Levels of detail".
 //
-// Leaves are the scene's Gaussians in the order in which a file without levels holds them. Every other page is a simpler
-// picture of its children, up to one root. A page that is drawn replaces all that is below it.
+// Leaves are the scene's Gaussians in the order of a file without levels. Every other page approximates its children,
+// up to one root. A drawn page replaces all its descendants.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -20,38 +20,38 @@ namespace lod {
 
 inline constexpr std::uint32_t kNoPage = std::numeric_limits<std::uint32_t>::max();
 
-/// Chunks a page unless a writer is told otherwise: 1,536 Gaussians, 114 KiB as a GPU reads them at SH degree 3.
+/// Chunks a page by default: 1,536 Gaussians, 114 KiB in the GPU's layout at SH degree 3.
 inline constexpr std::uint32_t kPageChunks = 6;
-inline constexpr std::uint32_t kMaxPageChunks = 1024;    ///< that a file may state
+inline constexpr std::uint32_t kMaxPageChunks = 1024;    ///< in a file
 inline constexpr std::uint32_t kMaxPageRows = 1u << 16;  ///< Gaussians a page
 inline constexpr std::uint32_t kMaxLevels = 64;
 inline constexpr std::uint32_t kMaxChildren = 255;
 
-/// What the tree says of a page. Pages are ordered coarse to fine: the root is page 0, then all pages of the level below
-/// it, and so on; within a level they are in the order of their leaves. So the children of a page are consecutive, and the
-/// pages of one level are the children of the level above, one after the other.
+/// A node of the tree. Pages are ordered coarse to fine: the root is page 0, then come the pages of the level below it,
+/// and so on; within a level they are in the order of their leaves. So a page's children are consecutive, and the pages
+/// of a level are the children of the level above, in order.
 struct Page {
-  std::uint32_t level = 0;         ///< 0: leaves; a child's is one less than its parent's
+  std::uint32_t level = 0;         ///< 0: leaves; a child's level is one less than its parent's
   std::uint32_t parent = kNoPage;  ///< kNoPage: the root
   std::uint32_t first_child = 0;   ///< 0 in a leaf
   std::uint32_t n_children = 0;    ///< 0 in a leaf, else 1 to kMaxChildren
-  std::uint64_t first = 0;         ///< first Gaussian, counted over all pages in their order
+  std::uint64_t first = 0;         ///< first Gaussian, counted over all pages in order
   std::uint32_t count = 0;         ///< Gaussians of the page itself, at least 1
-  /// Holds every Gaussian of the page and of all below it out to 3 standard deviations. Relative to the origin.
+  /// Holds every Gaussian of the page and its descendants out to 3 standard deviations. Relative to the origin.
   Box bounds;
-  /// Holds most of what shows of the page and of all below it: footprints are measured to it. Inside the bounds, and inside the
-  /// parent's core, so that footprints do not grow towards the root.
+  /// Holds most of what shows of the page and its descendants; footprints are measured to it. Inside the bounds and
+  /// inside the parent's core, so that footprints do not grow towards the root.
   Box core;
-  /// Footprint of a pixel, world units, from which on the page may be drawn for what is below it: 0 in a leaf, elsewhere
-  /// finite and greater than in each child.
+  /// Footprint of a pixel, world units, from which on the page may replace its descendants: 0 in a leaf, else finite
+  /// and greater than in each child.
   float error = 0;
 };
 
 /// A scene with all its levels.
 struct Levels {
-  SplatCloud splats;        ///< of all pages in their order: page i is rows first .. first + count - 1
+  SplatCloud splats;        ///< of all pages in order: page i is rows first .. first + count - 1
   std::vector<Page> pages;  ///< coarse to fine
-  /// Quality that Page::error promises, dB: PSNR of the page's picture against what is below it. 0: not stated.
+  /// Quality that Page::error promises, dB: PSNR of the page's picture against its descendants'. 0: not stated.
   float quality_db = 0;
 
   std::uint64_t n_leaves() const {  ///< Gaussians of the leaves, which are the last rows of `splats`
@@ -61,45 +61,44 @@ struct Levels {
   }
 };
 
-// Of a tree of which only the first pages are known (PagedFile::open_beginning()), `pages` may be these: others count as not
-// present.
+// `pages` may be the known first pages of a tree (PagedFile::open_beginning()); the others then count as absent.
 
-/// Pages of one level, in their order: all that is drawn where that level is. Level 0: the leaves.
+/// Pages of one level, in order: what is drawn at that level. Level 0: the leaves.
 std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level);
 
-/// The finest cut of at most `max_count` Gaussians: pages whose error is at most some e, and whose parent's is more. They
-/// replace all leaves, each once, and are given in the order of their leaves. Empty if the root alone has more.
-/// `n_present`: pages that may be used, from the root on.
+/// The finest cut of at most `max_count` Gaussians, by a threshold e: pages with error at most e whose parent's exceeds
+/// it. In the order of leaves. Empty if the root alone exceeds max_count. `n_present`: pages that may be used, from the
+/// root on.
 std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint64_t max_count,
                                       std::uint32_t n_present = kNoPage);
 
-/// Where a scene is looked at from, for what a pixel covers there.
+/// A viewpoint, for footprints.
 struct Eye {
   std::array<double, 3> position;  ///< relative to the scene's origin, world units
-  double focal_px = 1;             ///< focal length, the larger of both
-  double z_near = 0;               ///< no page counts as nearer, world units
+  double focal_px = 1;             ///< the larger focal length
+  double z_near = 0;               ///< nearer pages count as this near, world units
 };
-/// World units that a pixel covers where a page's core is nearest to the eye.
+/// World units that a pixel covers at the point of a page's core nearest to the eye.
 double footprint(const Box& core, const Eye& eye);
-/// The pages that a view draws at a detail of `detail_px` >= 0, in the order of their leaves: those whose error is at most
-/// detail_px times the footprint of their core, while their parent's is more. 0: the leaves. They replace all leaves, each once. A page whose
-/// children are not all among the first `n_present` is drawn in their place.
+/// The cut of a view at a detail of `detail_px` >= 0, in the order of leaves: pages whose error is at most detail_px
+/// times the footprint of their core, while their parent's exceeds it. 0: the leaves. A page whose children are not all
+/// among the first `n_present` is drawn instead of them.
 std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
                                        std::uint32_t n_present = kNoPage);
 
-/// What is wrong with a page, and in which of its fields; no fault: `what` is null.
+/// A defect of a page and its field; without a defect `what` is null.
 enum class PageField : std::uint8_t { count, level, parent, children, bounds, core, error };
 struct PageFault {
   PageField field = PageField::count;
   const char* what = nullptr;
 };
-/// Checks page `index` against the pages before it and its parent. A tree is sound if all its pages are. `n_pages`: of the
-/// whole tree, where `pages` are the first of it; kNoPage: there are no more.
+/// Checks page `index` against the pages before it and its parent; a tree is sound if all its pages are. `n_pages`: of
+/// the whole tree, if `pages` are the first of it; kNoPage: there are no more.
 PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size,
                      std::uint32_t n_pages = kNoPage);
 
-/// Checks all pages, and Page::first. `chunk_size`: leaves but the last are whole chunks. Errors: bad_value; `offset` is the
-/// page's index.
+/// Checks all pages, and Page::first. `chunk_size`: leaves but the last are whole chunks. Errors: bad_value; `offset`
+/// is the page's index.
 Status check_pages(const std::vector<Page>& pages, std::uint32_t chunk_size);
 
 }  // namespace lod

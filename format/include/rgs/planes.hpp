@@ -1,6 +1,5 @@
-// planes.hpp - what Codec::planes makes of words, of geometry and of SH, on values, for host and device;
-// docs/format/FORMAT.md "Coded sections". The loops over whole frames are elsewhere: in format/src/packed for the host, in
-// kernels/src/common/unpack.cu for the device.
+// planes.hpp - Codec::planes on values, for words, geometry and SH, on host and device; docs/format/FORMAT.md "Coded
+// sections". Loops over frames: format/src/packed on the host, kernels/src/common/unpack.cu on the device.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,7 +12,7 @@
 #include "rgs/layout.hpp"
 #include "rgs/quantize.hpp"
 
-// Arrays that a device keeps in registers are indexed by numbers known at compile time.
+// For arrays in device registers, whose indices must be compile-time constants.
 #if defined(__CUDA_ARCH__)
 #define RGS_UNROLL _Pragma("unroll")
 #else
@@ -24,7 +23,7 @@ namespace RGS_API rgs {
 
 // ---- words ----------------------------------------------------------------------------------------------------------
 
-/// Bits of an FP32 number to an integer that orders like it, and back.
+/// Bits of an FP32 number to an integer of the same order, and back.
 RGS_HD constexpr std::uint32_t ordered_key(std::uint32_t bits) {
   return (bits & 0x80000000u) != 0 ? ~bits : bits | 0x80000000u;
 }
@@ -32,7 +31,7 @@ RGS_HD constexpr std::uint32_t bits_of_key(std::uint32_t key) {
   return (key & 0x80000000u) != 0 ? key & 0x7FFFFFFFu : ~key;
 }
 
-/// Small differences of either sign to small numbers, and back; mod 2^32 and 2^16.
+/// Maps small differences of either sign to small numbers, and back; mod 2^32 and 2^16.
 RGS_HD constexpr std::uint32_t fold(std::uint32_t difference) {
   return difference << 1 ^ (0u - (difference >> 31));
 }
@@ -48,9 +47,9 @@ RGS_HD constexpr std::uint16_t unfold16(std::uint16_t folded) {
 
 // ---- geometry --------------------------------------------------------------------------------------------------------
 
-/// w of the unit quaternion whose other components are FP16 x, y, z, as FP16; 0 where there is none. Every operation is
-/// rounded once: code that calls it is compiled without contraction. Infinity and NaN count as numbers of 2^16 and above,
-/// which no unit quaternion has either. The root is 0 or from 2^-12 to 1, a normal FP16 number.
+/// w of the unit quaternion with the FP16 components x, y, z, as FP16; 0 if there is none. Every operation is rounded
+/// once: compile callers without contraction. Infinity and NaN count as numbers of 2^16 and above, which no unit
+/// quaternion has either. The root is 0 or from 2^-12 to 1, a normal FP16 number.
 RGS_HD inline std::uint16_t unit_w(std::uint16_t x, std::uint16_t y, std::uint16_t z) {
   const auto squared = [](std::uint16_t half) {
     const float value = detail::float_of(static_cast<std::uint32_t>(half & 0x7FFF) << 13) * 0x1p112f;
@@ -73,31 +72,31 @@ RGS_HD constexpr int sh_channel(int i) {
   return i % 3 == 0 ? 1 : (i % 3 == 1 ? 0 : 2);
 }
 
-/// 2^16 / step, rounded down; 0 for steps below 3, of which nothing is predicted.
+/// 2^16 / step, rounded down; 0 for steps below 3, which predict nothing.
 RGS_HD constexpr std::int16_t sh_inverse_step(std::int16_t step) {
   return static_cast<std::int16_t>(step < 3 ? 0 : 65536 / step);
 }
 
-/// Bytes of the weights that a frame's content begins with: n (n - 1) / 2 + n.
+/// Bytes of the weights at the start of a frame's content: n (n - 1) / 2 + n.
 RGS_HD constexpr std::uint32_t sh_weight_bytes(int n_codes) {
   return static_cast<std::uint32_t>(n_codes * (n_codes + 1) / 2);
 }
 
-/// Steps of one chunk by degree and channel, in 1/256 of the frame's largest of the degree: 0 to 256.
+/// A chunk's steps by degree and channel, in 1/256 of the frame's largest step of the degree: 0 to 256.
 struct RelativeShSteps {
   std::int16_t step[12];
 };
 
-/// The predictor of a frame in the form in which the device keeps it, in 32-bit words: times 2^8, so that the high half
-/// of its product with a 16-bit number times 2^16 is the product of the specification.
+/// A frame's predictor as the device keeps it, in 32-bit words: times 2^8, so that the high half of its product with a
+/// 16-bit number times 2^16 is the specification's product.
 template <int kDegree>
 struct alignas(16) ShPredictor {  // four entries are one load
   static constexpr int kCodes = 3 * (kDegree + 1) * (kDegree + 1);
   static constexpr std::size_t kSlots = static_cast<std::size_t>((kCodes + 3) / 4 * 4);
-  std::int32_t weight[kSlots][kSlots];  ///< [i][j]: what code j > i takes from code i; 0 elsewhere
-  std::int32_t carry[kSlots];           ///< what a code takes from its own error on the Gaussian before
+  std::int32_t weight[kSlots][kSlots];  ///< [i][j]: contribution of code i to the prediction of code j > i; 0 elsewhere
+  std::int32_t carry[kSlots];           ///< contribution of a code's own error on the Gaussian before
 
-  /// Entry `at` of weight and carry, from the weights as the frame's content has them.
+  /// Entry `at` of weight and carry, from the weights of the frame's content.
   RGS_HD static std::int32_t weight_at(const std::uint8_t* content, int i, int j) {
     return i < j && j < kCodes ? widened(content[j * (j - 1) / 2 + i]) : 0;
   }
@@ -121,22 +120,21 @@ RGS_HD inline std::int32_t product_high(std::int32_t a, std::int32_t b) {
   return static_cast<std::int32_t>(static_cast<std::int64_t>(a) * b >> 32);
 #endif
 }
-/// What has been read from memory before is read again after it, not kept: the device has fewer registers than a frame
-/// has weights.
+/// Forces loads to be repeated instead of kept: the device has fewer registers than a frame has weights.
 RGS_HD inline void forget_loads() {
 #if defined(__CUDA_ARCH__)
   asm volatile("" ::: "memory");
 #endif
 }
-/// The lower 16 bits as a number.
+/// The lower 16 bits, sign-extended.
 RGS_HD inline std::int32_t wrap16(std::int32_t value) {
   return static_cast<std::int16_t>(static_cast<std::uint16_t>(value));
 }
 
 }  // namespace detail
 
-/// Codes of one Gaussian. residual(i): that of code i; error: of the Gaussian before in the same lane, 0 without one, and
-/// of this one on return; row: the codes as SHI8 has them, four to a word.
+/// Codes of one Gaussian. residual(i): of code i; error: of the lane's Gaussian before, 0 if none, replaced by this
+/// one's; row: the codes as in SHI8, four to a word.
 template <int kDegree, class Residual>
 RGS_HD inline void decode_sh_row(const ShPredictor<kDegree>& predictor, const Residual& residual,
                                  const std::int16_t step[12], const std::int16_t inverse[12], std::int32_t* error,
@@ -145,7 +143,7 @@ RGS_HD inline void decode_sh_row(const ShPredictor<kDegree>& predictor, const Re
   using detail::wrap16;
   constexpr int kCodes = ShPredictor<kDegree>::kCodes;
   constexpr std::size_t kSlots = ShPredictor<kDegree>::kSlots, kWords = kSlots / 4;
-  std::int32_t base[kSlots];  // half of what the codes before predict
+  std::int32_t base[kSlots];  // half of what earlier codes predict
   RGS_UNROLL
   for (int i = 0; i < kCodes; ++i) base[i] = i / 2;
   RGS_UNROLL
@@ -166,15 +164,15 @@ RGS_HD inline void decode_sh_row(const ShPredictor<kDegree>& predictor, const Re
   }
 }
 
-/// A frame of SHI8 without its Zstandard.
+/// A frame of SHI8 after Zstandard.
 struct ShPlanes {
-  const std::uint8_t* planes;    ///< [codes, n_rows] residuals, behind the weights
-  const RelativeShSteps* steps;  ///< of each chunk that the frame touches
+  const std::uint8_t* planes;    ///< [codes, n_rows] residuals, after the weights
+  const RelativeShSteps* steps;  ///< of each chunk in the frame
   std::uint32_t n_rows;
   std::uint32_t chunk_rows;  ///< Gaussians a chunk
 };
 
-/// The Gaussians of one of the kShLanes lanes, to rows [n_rows, sh_bytes].
+/// Decodes the Gaussians of one of the kShLanes lanes to rows [n_rows, sh_bytes].
 template <int kDegree>
 RGS_HD inline void decode_sh_lane(const ShPredictor<kDegree>& predictor, const ShPlanes& frame, std::uint32_t lane,
                                   std::uint32_t* rows) {
@@ -187,7 +185,7 @@ RGS_HD inline void decode_sh_lane(const ShPredictor<kDegree>& predictor, const S
   RGS_UNROLL
   for (int i = 0; i < kCodes; ++i) error[i] = 0;
   std::int16_t step[12] = {}, inverse[12] = {};
-  std::uint32_t chunk_end = 0;  // of the chunk that they are of
+  std::uint32_t chunk_end = 0;  // of their chunk
   for (std::uint32_t k = 0; k < n_steps; ++k) {
     detail::forget_loads();
     const std::uint32_t position = k * kLanes + lane, row = k < rows_a_lane ? lane * rows_a_lane + k : position;

@@ -1,4 +1,4 @@
-// scene_scan.hpp - what there is to know of a scene before it is written: damage, bounds, ranges.
+// scene_scan.hpp - facts about a scene before it is written: damage, bounds, ranges.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,7 +18,7 @@ namespace RGS_API rgs {
 enum class BadPolicy : std::uint8_t {
   refuse,  ///< any damaged Gaussian is an error
   drop,    ///< leave damaged Gaussians out
-  repair   ///< mend what has an obvious meaning, leave out the rest
+  repair   ///< repair what has an obvious meaning, drop the rest
 };
 
 /// Kinds of damage, each counted once per Gaussian that has it.
@@ -34,12 +34,14 @@ inline constexpr int kDefectKinds = 6;
 /// "mean", "scale", "rotation_nan", ...
 const char* defect_name(Defect defect);
 
-/// Bit i is set if the Gaussian has Defect i; coefficients above `sh_degree` are not looked at.
+/// Bit i is set if the Gaussian has Defect i; coefficients above `sh_degree` are ignored.
 std::uint32_t find_defects(const Splat& splat, int sh_degree);
-/// Mends `splat` as listed at Defect; false if it has to be dropped.
+/// Repairs `splat` as listed at Defect; false if it must be dropped.
 bool repair(Splat& splat, std::uint32_t defects);
 
-/// Largest |SH| of each coefficient over the Gaussians added.
+/// Largest
+/// SH
+/// of each coefficient over the added Gaussians.
 class ShMagnitudes {
  public:
   void add(const float* sh, int sh_degree);  ///< sh: [16, 3] as in Splat
@@ -50,25 +52,25 @@ class ShMagnitudes {
   ShStepSet steps() const;
 
  private:
-  friend class SceneScan;                // which writes all of itself
+  friend class SceneScan;                // writes all of it
   std::array<std::int32_t, 48> bits_{};  // magnitudes as integers, which order alike and vectorise on any x86-64
 };
 
-/// What a first pass over a scene learns. Every field is independent of the order in which Gaussians are added, and of how
-/// they are split between scans that are merged.
+/// The result of a first pass over a scene. No field depends on the order in which Gaussians are added, or on how they
+/// are split between merged scans.
 class SceneScan {
  public:
-  /// `sh_degree` that the file will have; coefficients above it do not count.
+  /// `sh_degree` of the future file; higher coefficients do not count.
   explicit SceneScan(int sh_degree, BadPolicy on_bad = BadPolicy::drop);
 
-  /// Examines one Gaussian, mends it under BadPolicy::repair, and says whether it is kept.
+  /// Examines one Gaussian, repairs it under BadPolicy::repair, and returns whether it is kept.
   bool add(Splat& splat);
   void merge(const SceneScan& other);
-  /// Of the Gaussians that were kept alone, as they are after being mended.
+  /// The scan of the kept Gaussians alone, as repaired.
   SceneScan of_kept() const;
-  /// All of it, for another process with this version of the library.
+  /// Serialises it for another process with this version of the library.
   std::vector<std::byte> to_bytes() const;
-  /// Errors: truncated, bad_value, trailing_bytes (not what to_bytes() gives).
+  /// Errors: truncated, bad_value, trailing_bytes (not from to_bytes()).
   static Result<SceneScan> from_bytes(std::span<const std::byte> bytes);
 
   int sh_degree() const { return sh_degree_; }
@@ -76,9 +78,9 @@ class SceneScan {
   std::uint64_t n_kept() const { return n_kept_; }
   std::uint64_t n_repaired() const { return n_repaired_; }
   std::uint64_t defects(Defect defect) const { return defects_[static_cast<std::size_t>(defect)]; }
-  /// Of the kept Gaussians; boxes and ranges are zero if there are none. Log-scales and logits may be infinite.
+  /// Of the kept Gaussians; boxes and ranges are zero without any. Log-scales and logits may be infinite.
   Box full() const { return n_kept_ == 0 ? Box() : full_; }
-  /// Bounds that at least 99 of 100 means lie within on each axis; see FORMAT.md "Robust box".
+  /// Bounds of at least 99 of 100 means on each axis; see FORMAT.md "Robust box".
   Box robust() const;
   float min_log_scale() const { return n_kept_ == 0 ? 0 : min_log_scale_; }
   float max_log_scale() const { return n_kept_ == 0 ? 0 : max_log_scale_; }
@@ -94,7 +96,7 @@ class SceneScan {
   Box full_;
   float min_log_scale_, max_log_scale_, min_opacity_logit_, max_opacity_logit_;
   ShMagnitudes sh_magnitudes_;
-  std::vector<std::uint64_t> histogram_;  // [3, 65536] of the top 16 bits of each coordinate, order-preserving
+  std::vector<std::uint64_t> histogram_;  // [3, 65536] by the top 16 bits of each coordinate, order-preserving
 };
 
 }  // namespace rgs

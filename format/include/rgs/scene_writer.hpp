@@ -1,4 +1,5 @@
-// scene_writer.hpp - a scene of any size to one .rgs file, in two passes over its source and on any number of threads.
+// scene_writer.hpp - writes a scene of any size to an .rgs file, in two passes over its source and on any number of
+// threads.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,19 +19,18 @@ namespace RGS_API rgs {
 
 class AtomicFile;
 
-/// Where a file's bytes go: to a file on disk, which is the caller's to commit, or into memory. A view: what it is made of
-/// must outlive it.
+/// Where a file's bytes go: a file on disk, which the caller commits, or memory. A view: its target must outlive it.
 class Sink {
  public:
   Sink(AtomicFile& file) : file_(&file) {}                    // NOLINT: a file is a sink
   Sink(std::vector<std::byte>& memory) : memory_(&memory) {}  // NOLINT: and so is memory
-  /// Sets `size` bytes aside, so that a full disk shows now. Errors: write_failed, host_out_of_memory.
+  /// Reserves `size` bytes, so that a full disk fails now. Errors: write_failed, host_out_of_memory.
   Status reserve(std::uint64_t size);
   /// Errors: write_failed; offset is the file's. host_out_of_memory.
   Status write_at(std::uint64_t offset, std::span<const std::byte> bytes);
-  /// Bytes that have been written. Errors: read_failed.
+  /// Reads written bytes back. Errors: read_failed.
   Status read_at(std::uint64_t offset, std::span<std::byte> bytes) const;
-  /// Makes the output end at `size`. Errors: write_failed.
+  /// Sets the output's size. Errors: write_failed.
   Status truncate(std::uint64_t size);
 
  private:
@@ -38,7 +38,7 @@ class Sink {
   std::vector<std::byte>* memory_ = nullptr;
 };
 
-/// What is in a file that has been written.
+/// Contents of a written file.
 struct WrittenScene {
   Header header;
   Declarations declarations;
@@ -47,34 +47,32 @@ struct WrittenScene {
 
 /// Writes one file. The steps:
 ///   1. SceneScan::add() for every Gaussian of the source, in any split.                          (first pass)
-///   2. The order of those that were kept, for Order::morton by MortonKey(scan.robust()).
+///   2. The order of the kept ones, for Order::morton by MortonKey(scan.robust()).
 ///   3. create().
-///   4. Batches, each filled on a thread of its own if one likes, and add()ed in order.           (second pass)
+///   4. Batches, filled on threads of their own if you like, and add()ed in order.                (second pass)
 ///   5. finish().
-/// encode() is this in a single thread. The bytes do not depend on threads. Memory: tables of 100 bytes a chunk, and
-/// batches; Profile::archive takes the scene as a whole, with about 300 bytes a Gaussian on top of it.
+/// encode() does this in a single thread. The bytes do not depend on threads. Memory: 100 bytes a chunk for tables, and
+/// batches; Profile::archive takes the whole scene and about 300 bytes a Gaussian on top.
 class SceneWriter {
  public:
   class Batch;
 
-  /// `source_index` [scan.n_kept()]: positions in the source of the Gaussians in the order in which they are written (the
-  /// archive profile chooses its own); a permutation section and errors name them. Must outlive the writer.
-  /// Reserves space where the file's size is known. Errors: check_encodable()'s, Sink::reserve()'s.
+  /// `source_index` [scan.n_kept()]: positions in the source of the Gaussians in the order of writing (the archive
+  /// profile chooses its own); a permutation section and errors state them. Must outlive the writer. Reserves space if
+  /// the file's size is known. Errors: check_encodable()'s, Sink::reserve()'s.
   static Result<SceneWriter> create(Sink sink, const SceneScan& scan, const EncodeOptions& options,
                                     std::span<const std::uint32_t> source_index);
   SceneWriter(SceneWriter&& other) noexcept;
   ~SceneWriter();
 
   std::uint64_t n_batches() const;
-  /// Writes a complete batch: number 0, then 1, ... Errors: Sink::write_at()'s, bad_argument (another batch
-  /// is next, or this one is not complete), read_failed (a Gaussian that the scan cannot have seen: the source changed
-  /// between the passes), host_out_of_memory. After an error the file is of no use: later calls give
-  /// the same one.
+  /// Writes a complete batch: number 0, then 1, ... Errors: Sink::write_at()'s, bad_argument (another batch is next, or
+  /// this one is incomplete), read_failed (a Gaussian that the scan cannot have seen: the source changed between the
+  /// passes), host_out_of_memory. After an error the file is useless, and later calls return the same error.
   Status add(const Batch& batch);
-  /// Tables, head and end of the file, once all batches are there. Errors: add()'s (read_failed too), bad_argument if one is missing, the
-  /// sink's; for Profile::archive bad_value (a
-  /// value too large for the steps asked for; `found` is the Gaussian's source_index) and internal (the file, decoded
-  /// again, is not within the bounds that it states).
+  /// Writes tables, head and end of the file after the last batch. Errors: add()'s (read_failed too), bad_argument if a
+  /// batch is missing, the sink's; for Profile::archive bad_value (a value too large for the requested steps; `found`
+  /// is the Gaussian's source_index) and internal (the file, decoded again, violates the bounds that it states).
   Result<WrittenScene> finish();
 
  private:
@@ -83,9 +81,9 @@ class SceneWriter {
   std::unique_ptr<State> state_;
 };
 
-/// Some consecutive chunks of the file, being encoded one after the other:
+/// Encodes consecutive chunks of the file:
 ///   for (batch.begin(i); !batch.complete(); batch.encode_chunk()) gather(batch.source_index(), batch.splats());
-/// Takes a few MB, which the next begin() uses again. Batches of one writer may be filled side by side.
+/// Takes a few MB, which the next begin() reuses. Batches of one writer may be filled side by side.
 class SceneWriter::Batch {
  public:
   /// The writer must outlive it, but may be moved.
@@ -93,15 +91,14 @@ class SceneWriter::Batch {
   Batch(Batch&& other) noexcept;
   ~Batch();
 
-  /// Starts on batch `index` of n_batches(). A batch that gets no memory is complete at once, and add()
-  /// says so.
+  /// Starts batch `index` of n_batches(). If memory runs out the batch is complete at once, and add() reports it.
   void begin(std::uint64_t index);
   std::uint64_t n_gaussians() const;
   bool complete() const;
-  /// Positions in the source of the next chunk's Gaussians, and where they have to be put.
+  /// Positions in the source of the next chunk's Gaussians, and where to put these.
   std::span<const std::uint32_t> source_index() const;
   std::span<Splat> splats();
-  /// Encodes what is in splats(), mended as the scan has mended it.
+  /// Encodes splats(), repaired as the scan does.
   void encode_chunk();
 
  private:

@@ -11,8 +11,8 @@
 
 namespace RGS_API rgs {
 
-/// 63-bit Morton key of a point: 21 bits an axis, x lowest. Each axis is mapped linearly inside `robust` and contracted
-/// outside it (t -> 1 - 1/(2t) beyond half-width 1), so that a distant background does not coarsen the scene.
+/// 63-bit Morton key of a point: 21 bits an axis, x lowest. Each axis is linear inside `robust` and contracted outside
+/// (t -> 1 - 1/(2t) beyond half-width 1), so that a distant background does not coarsen the scene.
 class MortonKey {
  public:
   explicit MortonKey(const Box& robust);
@@ -22,13 +22,13 @@ class MortonKey {
   double centre_[3], inverse_half_width_[3];
 };
 
-/// Sorts `indices` by `keys` (same length), stable, in place; `keys` end up sorted too.
-/// Scratch memory: 12 bytes an element, 16 if most keys are alike.
+/// Sorts `indices` and `keys` (same length) by key, stable, in place. Scratch memory: 12 bytes an element, 16 if most
+/// keys are alike.
 void sort_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices);
 
-/// The two steps of sort_by_key, for callers with several threads. partition_by_key brings elements into buckets by the
-/// keys' upper bits, stable, and returns where each bucket starts, with the end as last element; then each bucket is
-/// sorted on its own, on any thread.
+/// The two steps of sort_by_key, for several threads. partition_by_key moves elements into buckets by the keys' upper
+/// bits, stable, and returns where each bucket starts, then the end; each bucket is then sorted on its own, on any
+/// thread.
 std::vector<std::size_t> partition_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices);
 void sort_bucket(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices);
 

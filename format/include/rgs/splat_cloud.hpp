@@ -1,4 +1,4 @@
-// splat_cloud.hpp - 3D Gaussian splats as values in memory, in the parameters they are trained in.
+// splat_cloud.hpp - 3D Gaussian splats in memory, in the parameters of training.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -19,14 +19,14 @@ constexpr int sh_coefficients(int degree) {
   return (degree + 1) * (degree + 1);
 }
 
-/// SH degree that coefficient 0..15 belongs to.
+/// SH degree of coefficient 0..15.
 constexpr int sh_degree_of(int coefficient) {
   return coefficient < 1 ? 0 : coefficient < 4 ? 1 : coefficient < 9 ? 2 : 3;
 }
 
-/// Where the FP32 means of a scene are measured from: world position = origin + mean, in the scene's axes, world units. Zero
-/// but for scenes so far away that FP32 would round them, such as georeferenced ones. It is stated beside a scene, as in
-/// Declarations, SplatFile and Scene; what holds Gaussians alone does not know it.
+/// Origin of a scene's FP32 means: world position = origin + mean, in the scene's axes, world units. Zero except for
+/// scenes so far away that FP32 would round them, such as georeferenced ones. Declarations, SplatFile and Scene state
+/// it; plain Gaussians do not know it.
 using Origin = std::array<double, 3>;
 inline constexpr Origin kNoOrigin{0, 0, 0};
 /// Largest coordinate of an origin.

@@ -1,5 +1,5 @@
-// stored_values.hpp - which stored values are legal, and those at the ends of their range, which the declarations count;
-// for host and device. docs/format/FORMAT.md "Attributes".
+// stored_values.hpp - which stored values are legal, and counts of those at the ends of their range, for the
+// declarations; on host and device. docs/format/FORMAT.md "Attributes".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,13 +12,13 @@
 
 namespace RGS_API rgs {
 
-/// Stored quaternions have a squared norm within 2^-8 of 1: twice what the encoder lets through unnormalised.
+/// Stored quaternions have a squared norm within 2^-8 of 1: twice the encoder's tolerance for unnormalised ones.
 inline constexpr double kStoredNormTolerance = 0x1p-8;
 
 RGS_HD inline bool is_finite(float value) {
   return (detail::bits_of(value) & 0x7F800000u) != 0x7F800000u;
 }
-/// Of FP16 w, x, y, z. Exact: squares of FP16 numbers and their sums fit into 53 bits.
+/// Of FP16 w, x, y, z. Exact: squares of FP16 numbers and their sums fit 53 bits.
 RGS_HD inline bool is_unit_quaternion(const std::uint16_t codes[4]) {
   double squared = 0;
   for (int i = 0; i < 4; ++i) {
@@ -38,9 +38,9 @@ RGS_HD constexpr bool is_stored_scale(std::uint16_t code) {
 RGS_HD constexpr bool is_stored_opacity(std::uint16_t code) {
   return code <= 0x3C00u;
 }
-/// Four bytes of an SH row: none is -128, and none has a bit that `mask` has not.
+/// Four bytes of an SH row: none is -128 or has a bit outside `mask`.
 RGS_HD constexpr bool are_stored_codes(std::uint32_t codes, std::uint32_t mask) {
-  const std::uint32_t flipped = codes ^ 0x80808080u;  // a byte of 0 where a code is -128
+  const std::uint32_t flipped = codes ^ 0x80808080u;  // a byte is 0 where a code is -128
   return ((flipped - 0x01010101u) & ~flipped & 0x80808080u) == 0 && (codes & ~mask) == 0;
 }
 

@@ -1,4 +1,4 @@
-// version.hpp - the version of libraries and programs; CMake reads it here. Promises: CONTRIBUTING.md, "Versions and ABI".
+// version.hpp - the version of libraries and programs; CMake reads it. Promises: CONTRIBUTING.md, "Versions and ABI".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

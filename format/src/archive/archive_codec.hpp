@@ -1,4 +1,4 @@
-// archive_codec.hpp - frames of Codec::archive: codes of Gaussians, their contexts, and the rows that they stand for;
+// archive_codec.hpp - frames of Codec::archive: codes of Gaussians, their contexts, and the rows that they decode to;
 // docs/format/ARCHIVE.md.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
@@ -17,7 +17,7 @@
 
 namespace rgs::detail {
 
-/// Codes of one frame's Gaussians, planes of n numbers one after the other.
+/// Codes of a frame's Gaussians: planes of n numbers, one after the other.
 struct FrameCodes {
   std::size_t n = 0;
   std::vector<std::uint8_t> classes, largest;  ///< [n]
@@ -28,7 +28,7 @@ struct FrameCodes {
   void resize(std::size_t n_rows, std::size_t n_sh);
 };
 
-/// How large the codes of each row were so far: the context of the next plane.
+/// Magnitudes of each row's codes so far: the context of the next plane.
 class CodeSizes {
  public:
   void reset(std::size_t n);
@@ -43,7 +43,7 @@ constexpr std::size_t scale_bucket(std::int16_t code) {
   return static_cast<std::size_t>(std::clamp((code >> 2) + 8, 0, 15));
 }
 
-/// Every plane of GEOM with its contexts, in the order of the stream, to coder.plane().
+/// Passes every plane of GEOM with its contexts to coder.plane(), in stream order.
 template <class Coder>
 void walk_geometry(FrameCodes& f, const ArchiveTables& t, Coder& coder) {
   const std::size_t n = f.n, n_classes = t.parameters.classes.size();
@@ -69,7 +69,7 @@ void walk_geometry(FrameCodes& f, const ArchiveTables& t, Coder& coder) {
   });
 }
 
-/// The same for SHI8; classes are there.
+/// The same for SHI8, once classes are known.
 template <class Coder>
 void walk_sh(FrameCodes& f, const ArchiveTables& t, CodeSizes& sizes, Coder& coder) {
   const std::size_t n = f.n, n_classes = t.parameters.classes.size();
@@ -88,25 +88,24 @@ void walk_sh(FrameCodes& f, const ArchiveTables& t, CodeSizes& sizes, Coder& cod
 
 // ---- what codes stand for --------------------------------------------------------------------------------------------
 
-/// Mean on one axis by its coordinate.
+/// Mean on one axis from its coordinate.
 float grid_mean(const ArchiveParameters& p, std::size_t axis, std::uint32_t coordinate);
-/// log2 of a scale in 1/65536, limited as the format says; and the scale, of which only `exponent` is not in the result.
+/// log2 of a scale in 1/65536, limited as the format prescribes; and the scale without `exponent`.
 std::int32_t scale_octaves(const ArchiveClass& c, std::int16_t code);
 struct OctaveScale {
   float significand;  ///< about 1 to 2
   int exponent;
 };
 OctaveScale scale_of_octaves(std::int32_t octaves);
-/// Row of GEOM.
 void geometry_row(const ArchiveParameters& p, const FrameCodes& f, std::size_t i, int scale_exponent,
                   std::uint16_t row[8]);
-/// (2 g + S) div (2 S) of docs/format/ARCHIVE.md "DC": the code that is expected after two values.
+/// (2 g + S) div (2 S) of docs/format/ARCHIVE.md "DC": the predicted code after two values.
 std::int64_t expected_dc(const std::int16_t weights[2], std::int64_t before, std::int64_t before_that,
                          std::int64_t step);
-/// DC's values [3, n] in 1/65536.
+/// DC values [3, n] in 1/65536.
 void dc_values(const ArchiveTables& t, const FrameCodes& f, std::vector<std::int32_t>& values);
 
-/// SH of 64 consecutive Gaussians: value [48][64], coefficient-major as a row is.
+/// SH of 64 consecutive Gaussians: value [48][64], coefficient-major as in a row.
 struct alignas(64) ShBlock {
   std::int16_t pairs[(kShMaxCodes / 2) * kShLanes * 2];
   std::int32_t sums[kShMaxCodes][kShLanes];
@@ -114,32 +113,31 @@ struct alignas(64) ShBlock {
   float factor[kShLanes];
   ShLanes lanes;
 };
-/// Matrix of t with rows padded to an even number, for sh_block().
+/// Matrix of t with rows padded to an even length, for sh_block().
 std::vector<std::int16_t> paired_matrix(const ArchiveTables& t);
 /// Values of rows first .. first + count - 1, count <= 64.
 void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, const FrameCodes& f,
               std::span<const std::int32_t> dc, std::size_t first, std::size_t count, ShBlock& block);
 
-/// Decodes frames, one at a time. Safe on untrusted bytes. Errors: corrupt_data at `offset`, the frame's place.
+/// Decodes frames, one at a time. Safe on untrusted bytes. Errors: corrupt_data at `offset`, the frame's.
 class ArchiveDecoder {
  public:
   explicit ArchiveDecoder(const ArchiveTables& tables) : tables_(tables), matrix_(paired_matrix(tables)) {}
-  /// Rows [n, 12] of MEAN; coordinates are relative to `corner`.
+  /// Rows [n, 12] of MEAN; `corner` is added to coordinates.
   Status means(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n, std::span<std::byte> out,
                const GridPoint& corner = {});
-  /// Codes of GEOM; needed by the others.
+  /// Codes of GEOM; call before the others.
   Status geometry_codes(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n);
   /// Rows [n, 16] of GEOM.
   void geometry(int scale_exponent, std::span<std::byte> out);
-  /// Codes of SHI8.
   Status sh_codes(std::span<const std::byte> stored, std::uint64_t offset);
-  /// Rows [n, sh_bytes] of SHI8; steps of each chunk of chunk_rows that the frame touches.
+  /// Rows [n, sh_bytes] of SHI8; steps of each chunk of chunk_rows in the frame.
   void sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ShStepSet> chunk_steps, std::span<std::byte> out);
 
-  /// The same where chunks take the steps that their values need: those of the chunks, [n_chunks, 48] bytes, become `steps`.
+  /// The same if chunks take the steps that their values need, which are written to `steps` [n_chunks, 48] bytes.
   void sh_and_steps(int sh_degree, std::uint32_t chunk_rows, std::span<std::byte> steps, std::span<std::byte> out);
 
-  /// The same for codes that are there already.
+  /// For codes that are known already.
   FrameCodes& codes() { return codes_; }
 
  private:
@@ -152,8 +150,8 @@ class ArchiveDecoder {
   std::vector<std::int32_t> dc_;
   void store_block(std::size_t first, std::size_t count, std::size_t stride, std::span<std::byte> out);
   std::vector<float> values_;  // of a chunk's blocks, one after the other
-  ShBlock block_{};            // zeros: what a short block leaves there is computed with too
-  GeometryLanes lanes_{};      // the same
+  ShBlock block_{};            // zeros, since computations include the unused lanes of a short block
+  GeometryLanes lanes_{};      // likewise
 };
 
 }  // namespace rgs::detail

@@ -1,8 +1,8 @@
-// archive_decode.cpp - codes of Codec::archive to the rows that a GPU reads, the same on every machine.
+// archive_decode.cpp - decodes codes of Codec::archive to rows, identically on every machine.
 //
-// Whatever could differ between compilers is avoided: transforms and predictions are integers, the exponential of scales
-// is a polynomial evaluated in a fixed order, the rest are IEEE operations rounded one by one. The formulas are in
-// archive_formulas.hpp, loops over them in archive_kernels.cpp.
+// Avoids whatever could differ between compilers: transforms and predictions are integers, the exponential of scales is
+// a polynomial evaluated in a fixed order, the rest are IEEE operations rounded one by one. archive_formulas.hpp has
+// the formulas, archive_kernels.cpp the loops.
 // SPDX-License-Identifier: Apache-2.0
 #include <cassert>
 #include <cmath>
@@ -82,7 +82,7 @@ void dc_values(const ArchiveTables& t, const FrameCodes& f, std::vector<std::int
   std::int64_t before[3] = {}, before_that[3] = {};
   for (std::size_t i = 0; i < f.n; ++i) {
     const std::int64_t step = t.parameters.classes[f.classes[i]].dc_step;
-    for (std::size_t m = 0; m < 3; ++m) {  // which do not wait for each other's divisions
+    for (std::size_t m = 0; m < 3; ++m) {  // the three divisions overlap
       const std::int64_t code = f.dc[m * f.n + i] + expected_dc(&t.dc_weights[2 * m], before[m], before_that[m], step);
       before_that[m] = before[m];
       before[m] = std::clamp(code * step, -kMaxDc, kMaxDc);
@@ -143,7 +143,8 @@ Status ArchiveDecoder::means(std::span<const std::byte> stored, std::uint64_t of
 Status ArchiveDecoder::geometry_codes(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n) {
   codes_.resize(n, tables_.n_sh);
   RansReader reader(tables_.rans, tables_.map);
-  if (!reader.begin(stored)) return make_error(Errc::corrupt_data, offset, "a frame of geometry has no whole stream");
+  if (!reader.begin(stored))
+    return make_error(Errc::corrupt_data, offset, "a frame of geometry has an incomplete stream");
   walk_geometry(codes_, tables_, reader);
   if (!reader.ok() || !reader.finished())
     return make_error(Errc::corrupt_data, offset, "a frame of geometry does not decode");
@@ -174,7 +175,7 @@ void ArchiveDecoder::geometry(int scale_exponent, std::span<std::byte> out) {
 
 Status ArchiveDecoder::sh_codes(std::span<const std::byte> stored, std::uint64_t offset) {
   RansReader reader(tables_.rans, tables_.map);
-  if (!reader.begin(stored)) return make_error(Errc::corrupt_data, offset, "a frame of SH has no whole stream");
+  if (!reader.begin(stored)) return make_error(Errc::corrupt_data, offset, "a frame of SH has an incomplete stream");
   walk_sh(codes_, tables_, sizes_, reader);
   if (!reader.ok() || !reader.finished())
     return make_error(Errc::corrupt_data, offset, "a frame of SH does not decode");
@@ -183,7 +184,7 @@ Status ArchiveDecoder::sh_codes(std::span<const std::byte> stored, std::uint64_t
 
 void ArchiveDecoder::sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ShStepSet> chunk_steps,
                         std::span<std::byte> out) {
-  constexpr std::size_t kPart = kMinChunkSize;  // of one chunk: chunks begin at its multiples
+  constexpr std::size_t kPart = kMinChunkSize;  // of one chunk: chunks start at its multiples
   static_assert(kShLanes % kPart == 0);
   const std::size_t stride = sh_bytes(sh_degree), n_values = 3 + tables_.n_sh;
   if (stride != n_values) std::memset(out.data(), 0, out.size());

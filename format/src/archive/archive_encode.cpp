@@ -1,11 +1,11 @@
-// archive_encode.cpp - Gaussians to a file of Codec::archive, frames side by side on all threads.
+// archive_encode.cpp - encodes Gaussians as a file of Codec::archive, frames side by side on all threads.
 //
-// Order: Draco decides the order of each frame's means, everything else follows it.
+// Order: Draco decides the order of each frame's means; everything else follows it.
 // Fit:   classes, steps, transforms from the whole scene.
 // Codes: each frame's attributes on the grids of their classes.
 // Tables and streams: distributions of all frames together, then each frame's bytes.
-// Rows:  what a reader will decode; from these come the step sets, the chunk table and the bounds that are stated.
-// The finished file is decoded once more and compared with its source.
+// Rows:  what a reader will decode; they give the step sets, the chunk table and the stated bounds.
+// Finally the file is decoded and compared with its source.
 // SPDX-License-Identifier: Apache-2.0
 #include "archive/archive_encode.hpp"
 
@@ -51,10 +51,10 @@ namespace {
 
 using namespace detail;
 
-constexpr float kClassOctaves = 2;     // finer ones cost more than their steps gain: docs/records/EXPERIMENTS.md
-constexpr float kLargestSh = 0x1p30f;  // one beyond would carry the centre of all away with it
+constexpr float kClassOctaves = 2;  // finer classes cost more than their finer steps save: docs/records/EXPERIMENTS.md
+constexpr float kLargestSh = 0x1p30f;  // one beyond it would shift the centre of all
 
-// Consecutive Gaussians that are coded together: of a page, where there are pages.
+// Consecutive Gaussians that are coded together; with levels, a page.
 struct Frame {
   std::uint64_t first = 0, count = 0;
   std::uint32_t level = 0;
@@ -67,16 +67,16 @@ struct Frame {
   std::int32_t max_octaves = std::numeric_limits<std::int32_t>::min();
 };
 
-// What one thread sums up over chunks.
+// One thread's sums over chunks.
 struct Totals {
   ValueCounts counts;
   ShMagnitudes magnitudes;
 };
 
-// Cell of a mean on one axis, counted from the centre: the inverse of grid_mean().
+// Cell of a mean on one axis, from the centre: the inverse of grid_mean().
 std::int64_t grid_cell(const ArchiveParameters& p, std::size_t axis, float mean) {
   const double t = (static_cast<double>(mean) - p.centre[axis]) / p.half_width[axis];
-  const double u = std::min(std::abs(t), 0x1p255);  // far beyond any grid, and still a number
+  const double u = std::min(std::abs(t), 0x1p255);  // beyond any grid, but finite
   const auto scaled = [&p](double x) {
     return static_cast<std::int64_t>(std::floor(std::ldexp(x, static_cast<int>(p.mean_cells))));
   };
@@ -91,7 +91,7 @@ std::int64_t grid_cell(const ArchiveParameters& p, std::size_t axis, float mean)
   return t < 0 ? -1 - n : n;
 }
 
-// A cell as the file has it.
+// A cell as stored in the file.
 std::uint32_t grid_coordinate(const ArchiveParameters& p, std::size_t axis, float mean) {
   return static_cast<std::uint32_t>(grid_cell(p, axis, mean) + (std::int64_t{1} << (p.mean_bits - 1)));
 }
@@ -126,7 +126,7 @@ class Encoder {
   }
 
   Result<WrittenScene> run(Sink sink, std::span<const std::uint32_t> source_index) {
-    // Leaves first: what stands above them has it from there, and no place in the source.
+    // Leaves first: pages above take over their values, and have no position in the source.
     const std::size_t stride = 3 + tables_.n_sh;
     const auto is_huge = [](float x) { return !(std::abs(x) <= kLargestSh); };
     for (const auto& sh : {splats_.sh.subspan(stride * first_leaf_), splats_.sh.first(stride * first_leaf_)}) {
@@ -151,7 +151,7 @@ class Encoder {
     if (const Status& s = verified; !s) {
       if (s.error().code == Errc::host_out_of_memory || s.error().code == Errc::limit_exceeded)
         return tl::unexpected(s.error());
-      // Whatever is wrong with it is this encoder's fault, and no place in the source.
+      // An internal error has no position in the source.
       return make_error(Errc::internal, Error::kNone, s.error().what, Error::kNone, s.error().offset);
     }
     if (Status s = sink.write_at(0, bytes); !s) return tl::unexpected(s.error());
@@ -162,12 +162,12 @@ class Encoder {
  private:
   unsigned n_threads() const { return plan_.options.archive.threads; }
 
-  // What an error names a Gaussian by: those above the leaves have no place in the source.
+  // A Gaussian's number in errors; those above the leaves have no position in the source.
   std::uint64_t name_in_source(std::span<const std::uint32_t> source_index, std::uint64_t i) const {
     return i < first_leaf_ ? Error::kNone : source_index[i - first_leaf_];
   }
 
-  // Rows of the leaves: all, where there are no levels.
+  // Rows of the leaves; without levels, all.
   SplatView leaves() const {
     SplatView view = splats_;
     view.n -= first_leaf_;
@@ -193,8 +193,8 @@ class Encoder {
         full.min[i % 3] = std::min(full.min[i % 3], splats_.mean[i]);
         full.max[i % 3] = std::max(full.max[i % 3], splats_.mean[i]);
       }
-      // A quarter of the Gaussians have four times the area, and are drawn where that is a quarter of the picture; half an
-      // octave more for what is but a likeness of the scene.
+      // A level has a quarter of the Gaussians with four times the area, and is drawn where that area looks a quarter
+      // as large; another half octave, since they only approximate the scene.
       farther.resize(splats_.n);
       for (const Frame& f : frames_) {
         std::fill_n(farther.begin() + static_cast<std::ptrdiff_t>(f.first), f.count,
@@ -214,7 +214,7 @@ class Encoder {
     p.mean_bits = static_cast<std::uint32_t>(std::bit_width(largest)) + 1;
   }
 
-  // Draco's stream of the frame's means, and its order. Points in one cell keep the source's.
+  // Draco's stream of the frame's means, and its order. Points in one cell keep the source's order.
   Status order_frame(Frame& f) {
     const ArchiveParameters& p = tables_.parameters;
     std::vector<GridPoint> points(f.count), decoded(f.count);
@@ -249,7 +249,7 @@ class Encoder {
     const std::vector<std::uint32_t> from = sorted(points), to = sorted(decoded);
     for (std::size_t i = 0; i < f.count; ++i) {
       if (points[from[i]] != decoded[to[i]]) {
-        return make_error(Errc::internal, Error::kNone, "Draco decodes other points than it has encoded");
+        return make_error(Errc::internal, Error::kNone, "Draco decodes other points than it encoded");
       }
       order_[f.first + to[i]] = static_cast<std::uint32_t>(f.first + from[i]);
     }
@@ -265,7 +265,7 @@ class Encoder {
         Error::kNone, index);
   }
 
-  // The nearest code, if there is one that fits.
+  // The nearest code, if it is in range.
   static bool code_of(double value, std::int16_t& code) {
     const double rounded = std::nearbyint(value);
     if (!(std::abs(rounded) <= 32767)) return false;
@@ -342,13 +342,13 @@ class Encoder {
     const float per_step = 0x1p-14f / c.sh_step;
     double size = 0;
     for (std::size_t k = 0; k < n; ++k) {
-      // No dead zone: what it saves costs more than a larger step would (docs/records/EXPERIMENTS.md).
+      // No dead zone: it costs more than it saves compared with a larger step (docs/records/EXPERIMENTS.md).
       const float level = std::floor(std::abs(y[k]) * per_step + 0.5f);
       if (!(level <= 32767)) return false;
       codes.sh[k * codes.n + i] = static_cast<std::int16_t>(y[k] < 0 ? -level : level);
       size += static_cast<double>(level) * static_cast<double>(level);
     }
-    // Rows of the matrix are nearly unit vectors: no sum of the inverse leaves 32 bits.
+    // Rows of the matrix are nearly unit vectors, so no sum of the inverse exceeds 32 bits.
     return size < 0x1p32;
   }
 
@@ -429,14 +429,14 @@ class Encoder {
     return {};
   }
 
-  // What is stated was measured: that it is no more than half steps can do is what keeps a mistake from being stated too.
+  // The stated bounds are measured; checking them against half a step catches mistakes in what is measured.
   bool steps_explain_bounds() const {
     const ArchiveParameters& p = tables_.parameters;
     float largest_sh = 1;
     for (const float x : splats_.sh) largest_sh = std::max(largest_sh, std::abs(x));
     const double rounding = static_cast<double>(largest_sh) * 0x1p-11;  // matrices have 14 bits
-    // Half a cell, and what rounding to f32 adds to it far from the origin or next to nothing from it. It adds no more than
-    // that again: the source's mean is an f32, and none is nearer to what was rounded than the one that it became.
+    // Half a cell, plus rounding to FP32 far from the origin or very near to it. Twice that at most: the source's mean
+    // is an FP32 number, and none is nearer to the rounded value than the one it became.
     const double half_cell = std::ldexp(0.501, -static_cast<int>(p.mean_cells));
     double rounding_mean = 0;
     for (std::size_t k = 0; k < 3; ++k) {
@@ -447,7 +447,7 @@ class Encoder {
                      p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11;
     for (const ArchiveClass& c : p.classes) {
       const double side = std::sqrt(0.75), reached = side * (1 + static_cast<double>(c.rotation_step));
-      // Smaller components of a unit quaternion have at most the length `side`, where its angle changes fastest.
+      // The smaller components of a unit quaternion have at most the length `side`, where its angle changes fastest.
       const double turned = reached < 1 ? 2 * (std::asin(reached) - std::asin(side)) : std::numbers::pi;
       explained =
           explained && c.bound_rotation <= turned + 0x1p-8 &&
@@ -496,7 +496,7 @@ class Encoder {
     return {};
   }
 
-  // Entry and SH steps of a chunk by its decoded Gaussians.
+  // Entry and SH steps of a chunk, from its decoded Gaussians.
   void describe_chunk(std::uint64_t index, std::span<const StoredSplat> splats, Totals& totals) {
     ChunkSummary summary;
     ShMagnitudes magnitudes;
@@ -548,7 +548,7 @@ class Encoder {
     return finish_file(file, plan_, scene_);
   }
 
-  // Pages, of which the tables outside hold all that readers cannot compute from the decoded rows.
+  // Pages, and the tables outside them that readers cannot compute from decoded rows.
   Result<WrittenScene> assemble_pages(std::vector<std::byte>& bytes, std::span<const std::uint32_t> source_index) {
     describe_scene();
     LevelsFile file(bytes, plan_, *pages_, write_archive_tables(tables_));
@@ -580,7 +580,7 @@ class Encoder {
   Classes classes_;
   std::vector<Frame> frames_;
   std::vector<std::uint32_t> order_;  // position in splats_ of each Gaussian of the file
-  std::vector<float> means_;          // [n, 3] decoded, in the order of the file
+  std::vector<float> means_;          // [n, 3] decoded, in file order
   SceneTables scene_;
 };
 
@@ -592,15 +592,15 @@ Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const Spla
                                    std::span<const std::uint32_t> source_index) {
   assert(plan.options.profile == Profile::archive && splats.n == plan.header.n_gaussians && splats.n != 0);
   assert(source_index.size() == splats.n && splats.sh_degree == plan.header.sh_degree);
-  // Equal Gaussians may shrink to so little that no reader would take the file for what it is: smaller frames are larger.
+  // Equal Gaussians may compress so well that readers reject the file for its expansion; smaller frames make it larger.
   EncodePlan smaller = plan;
   for (;; smaller.archive_rows /= 8) {
     auto written = Encoder(smaller, splats, nullptr).run(sink, source_index);
     if (written || written.error().code != Errc::limit_exceeded) return written;
     if (smaller.frame_rows() == plan.header.chunk_size) {
       return make_error(Errc::limit_exceeded, Error::kNone,
-                        "the scene's Gaussians are so alike that readers would refuse its archive for what it decodes "
-                        "to: use smaller chunks or profile packed");
+                        "the scene's Gaussians are so alike that readers would reject its archive for its expansion: "
+                        "use smaller chunks or profile packed");
     }
   }
 }

@@ -1,4 +1,4 @@
-// archive_encode.hpp - files of Profile::archive, which look at the scene as a whole.
+// archive_encode.hpp - writes files of Profile::archive, which needs the whole scene at once.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -15,21 +15,21 @@
 namespace rgs::detail {
 
 /// Writes the whole file. `splats`: the plan's Gaussians, sound and in Morton order (frames are cut along it);
-/// `source_index` [n]: their positions in the source. Draco's order becomes the file's. Takes about 300 bytes a Gaussian
-/// beside them. What is written has been decoded again and compared with `splats`: see verify_archive().
-/// Errors: bad_value (a value too large for the steps asked for; `found` is the Gaussian's source_index), those of
-/// verify_archive() and the sink.
+/// `source_index` [n]: their positions in the source. Draco's order becomes the file's. Takes about 300 bytes a
+/// Gaussian on top. The result has been decoded and compared with `splats`: see verify_archive(). Errors: bad_value (a
+/// value too large for the requested steps; `found` is the Gaussian's source_index), those of verify_archive() and the
+/// sink.
 Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const SplatView& splats,
                                    std::span<const std::uint32_t> source_index);
 
-/// The same for a file with levels: `splats` are those of all pages of `table` in their order, of which the leaves are the
-/// plan's and `source_index` [n leaves] says where these were.
+/// The same for a file with levels: `splats` are the Gaussians of all pages of `table` in order; its leaves are the
+/// plan's Gaussians, and `source_index` [n leaves] holds their positions in the source.
 Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, const SplatView& splats,
                                           const PageTable& table, std::span<const std::uint32_t> source_index);
 
-/// Opens and decodes `file`, a file of Profile::archive, and compares Gaussian i with Gaussian order[i] of `splats`
-/// against the bounds that the file states. Errors: internal (a bound does not hold; the offset is the Gaussian's index
-/// in the file), those of FileView::open() and load_direct().
+/// Opens and decodes `file`, of Profile::archive, and checks Gaussian i against Gaussian order[i] of `splats` by the
+/// bounds that the file states. Errors: internal (a bound does not hold; the offset is the Gaussian's index in the
+/// file), those of FileView::open() and load_direct().
 Status verify_archive(std::span<const std::byte> file, const SplatView& splats, std::span<const std::uint32_t> order,
                       unsigned threads = 0);
 /// The same for a file with levels.

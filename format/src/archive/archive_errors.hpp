@@ -1,4 +1,4 @@
-// archive_errors.hpp - how far decoded Gaussians are from their source: what ARCH states and verify_archive() checks.
+// archive_errors.hpp - errors of decoded Gaussians against their source, which ARCH states and verify_archive() checks.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,7 +10,7 @@
 
 namespace rgs::detail {
 
-/// One Gaussian as stored: the row of GEOM, and SH before or after the codes of SHI8.
+/// A Gaussian as stored: the row of GEOM, and SH before or after quantisation for SHI8.
 struct StoredSplat {
   float mean[3];
   std::uint16_t geometry[8];
@@ -24,7 +24,7 @@ struct SplatErrors {
   double scale = 0;     ///< of ln(scale)
   double dc = 0, sh = 0;
 };
-/// `sh_slack` [48] is taken off each coefficient's error.
+/// `sh_slack` [48] is subtracted from each coefficient's error.
 SplatErrors splat_errors(const ArchiveParameters& p, int scale_exponent, int sh_degree, const Splat& source,
                          const StoredSplat& stored, const float* sh_slack = nullptr);
 
@@ -34,7 +34,7 @@ class ErrorMaxima {
   explicit ErrorMaxima(std::size_t n_classes) : by_class_(n_classes) {}
   void add(std::size_t class_index, const SplatErrors& errors);
   void merge(const ErrorMaxima& other);
-  /// Writes the bounds of `p`, rounded up.
+  /// Writes them as the bounds of `p`, rounded up.
   void state(ArchiveParameters& p) const;
 
  private:
@@ -42,7 +42,7 @@ class ErrorMaxima {
   std::vector<SplatErrors> by_class_;
 };
 
-/// All errors within the bounds that `p` states for the class.
+/// Whether all errors are within the class's bounds in `p`.
 bool within_bounds(const ArchiveParameters& p, std::size_t class_index, const SplatErrors& errors);
 
 }  // namespace rgs::detail

@@ -15,7 +15,7 @@ namespace {
 
 constexpr double kMaxOctaves = 8;              // of importance on either side of the median
 constexpr std::size_t kSample = 1u << 17;      // Gaussians that transforms are fitted to
-constexpr std::size_t kMinForTransform = 512;  // fewer do not tell 45 directions apart
+constexpr std::size_t kMinForTransform = 512;  // fewer do not determine 45 directions
 
 double median(std::vector<double> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>((values.size() - 1) / 2);
@@ -24,7 +24,7 @@ double median(std::vector<double> values) {
 }
 
 // Eigenvectors of a symmetric matrix [n, n] by cyclic Jacobi rotations (Golub and Van Loan, 8.5), as columns in
-// descending order of eigenvalue. `a` is used up.
+// descending order of eigenvalue. Destroys `a`.
 std::vector<double> eigenvectors(std::vector<double>& a, std::size_t n) {
   std::vector<double> v(n * n, 0.0);
   for (std::size_t i = 0; i < n; ++i) v[i * n + i] = 1;
@@ -98,7 +98,8 @@ Transform fit_transform(const SplatView& splats, std::span<const double> weights
   return t;
 }
 
-// Least squares of each transformed DC value by the two before it in the source's order, which Draco's resembles.
+// Least-squares prediction of each transformed DC value from the two before it, in the source's order, which Draco's
+// resembles.
 std::array<std::int16_t, 6> fit_dc_weights(const SplatView& splats, const ArchiveTables& t) {
   const std::size_t width = static_cast<std::size_t>(3 * sh_coefficients(splats.sh_degree));
   std::array<std::int16_t, 6> weights{};
@@ -126,7 +127,7 @@ std::array<std::int16_t, 6> fit_dc_weights(const SplatView& splats, const Archiv
 
 using Counts = std::array<std::uint64_t, kRansTokens>;
 
-// Frequencies of sum kRansTotal, none 0 where there is a count.
+// Frequencies with sum kRansTotal, nonzero where a count is.
 void normalise(const Counts& counts, std::uint16_t* frequencies) {
   const std::uint64_t total = std::accumulate(counts.begin(), counts.end(), std::uint64_t{0});
   std::uint32_t sum = 0;
@@ -138,7 +139,7 @@ void normalise(const Counts& counts, std::uint16_t* frequencies) {
     }
     sum += frequencies[s];
   }
-  while (sum != kRansTotal) {  // the rest to or from the largest: it loses least
+  while (sum != kRansTotal) {  // the largest absorbs the rest: it loses least
     std::uint16_t& largest = *std::max_element(frequencies, frequencies + kRansTokens);
     if (sum < kRansTotal) {
       largest = static_cast<std::uint16_t>(largest + (kRansTotal - sum));
@@ -151,7 +152,7 @@ void normalise(const Counts& counts, std::uint16_t* frequencies) {
   }
 }
 
-// Lloyd's algorithm with code length as distance; all sums are integers.
+// Lloyd's algorithm with code length as distance, in integer sums.
 class Clusters {
  public:
   Clusters(std::span<const std::uint32_t> counts, std::size_t first, std::size_t end, std::size_t n)
@@ -194,7 +195,6 @@ class Clusters {
     }
   }
 
-  // Appends what is used of the distributions.
   void append_to(ArchiveTables& t) {
     sum();
     std::vector<std::uint8_t> index(sums_.size());
@@ -229,8 +229,8 @@ void fit_grid(const Box& robust, const Box& full, ArchiveParameters& p) {
     p.centre[k] = (low + high) / 2;
     const double reach =
         std::max(static_cast<double>(full.max[k]) - p.centre[k], p.centre[k] - static_cast<double>(full.min[k]));
-    // At most 100 octaves outside, for which coordinates have room. Half a cell of the least is lost in any f32: an axis
-    // on which all means are equal decodes to what it was.
+    // At most 100 octaves outside, within the range of coordinates. Half a cell of the minimum vanishes in FP32: an
+    // axis with equal means decodes exactly.
     p.half_width[k] = std::max({(high - low) / 2, std::ldexp(reach, -100), 0x1p-200});
   }
 }
@@ -323,7 +323,7 @@ void fit_transforms(const SplatView& splats, std::span<const float> importance, 
   t.sh_matrix = std::move(sh.matrix);
 }
 
-// GEOM and SHI8 have distributions of their own, so that the tables that one of them decodes with stay in the cache.
+// GEOM and SHI8 have separate distributions, so that the tables of either fit in the cache.
 void fit_distributions(std::span<const std::uint32_t> counts, ArchiveTables& t) {
   constexpr std::size_t kGeometry = 96, kSh = 64, kRefinements = 6;
   const ArchiveContexts at = t.contexts();

@@ -1,4 +1,5 @@
-// archive_formulas.hpp - docs/format/ARCHIVE.md "From codes to rows", number by number, without branches: loops over them become vectors.
+// archive_formulas.hpp - docs/format/ARCHIVE.md "From codes to rows", number by number, without branches, so that loops
+// vectorise.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -19,7 +20,8 @@ inline double power_of_two(std::int32_t k) {
   return std::bit_cast<double>(static_cast<std::uint64_t>(std::int64_t{1023} + k) << 52);
 }
 
-/// Mean on one axis by its coordinate below 2^mean_bits. mean_bits <= min(mean_cells + 9, 28): no octave is above 2^255.
+/// Mean on one axis from its coordinate below 2^mean_bits. mean_bits <= min(mean_cells + 9, 28), so no octave exceeds
+/// 2^255.
 inline float grid_mean(std::uint32_t coordinate, std::uint32_t mean_bits, std::uint32_t mean_cells, double centre,
                        double half_width) {
   const auto cells = std::int32_t{1} << mean_cells;
@@ -34,7 +36,7 @@ inline float grid_mean(std::uint32_t coordinate, std::uint32_t mean_bits, std::u
   return static_cast<float>(low > kMax ? kMax : low) + 0.f;
 }
 
-/// Unit quaternion w x y z, w not negative, by the three components that are stored; component `largest` is the fourth.
+/// Unit quaternion w x y z, w not negative, from the three stored components; component `largest` is the fourth.
 inline void unit_quaternion(double r0, double r1, double r2, std::int32_t largest, float out[4]) {
   const double s = (r0 * r0 + r1 * r1) + r2 * r2, rest = s < 1 ? 1 - s : 0;
   const double w = std::sqrt(rest), length = std::sqrt(s + w * w);
@@ -62,7 +64,7 @@ inline std::int32_t scale_octaves(std::int32_t base, std::uint32_t step, std::in
   const double low = octaves < -kMostOctaves ? -kMostOctaves : octaves;
   return static_cast<std::int32_t>(low > kMostOctaves ? kMostOctaves : low);
 }
-/// 2^(octaves / 65536) without its exponent, octaves >> 16: about 1 to 2.
+/// 2^(octaves / 65536) without its exponent octaves >> 16: about 1 to 2.
 inline float scale_significand(std::int32_t octaves) {
   const double y = static_cast<double>(octaves & 0xFFFF) * 0x1p-16;
   return static_cast<float>(
@@ -80,7 +82,7 @@ inline float stored_opacity(std::uint16_t code, std::uint32_t levels) {
   return level / static_cast<float>(static_cast<std::int32_t>(levels));
 }
 
-/// Row of GEOM from its numbers: w x y z, scales, opacity.
+/// A value of a row of GEOM: w x y z, scales, opacity.
 inline std::uint16_t geometry_half(int k, float value) {
   const std::uint16_t half = half_from_float(value);
   if (k == 0) return static_cast<std::uint16_t>(half & 0x7FFFu);
@@ -88,8 +90,8 @@ inline std::uint16_t geometry_half(int k, float value) {
   return half < 0x7BFF ? half : std::uint16_t{0x7BFF};
 }
 
-/// Size of a row's codes so far: 16 bits each, so that vectors hold many. (13 h + 128 m) div 16 is h - (3 h + 15) div 16 + 8 m,
-/// and h at most 10880.
+/// History of a row's code magnitudes, in 16 bits so that vectors hold many. (13 h + 128 m) div 16 is h - (3 h + 15)
+/// div 16 + 8 m, and h is at most 10880.
 inline std::uint16_t next_history(std::uint16_t history, std::int16_t code) {
   const std::int16_t limited = std::clamp<std::int16_t>(code, -255, 255);
   const auto magnitude = static_cast<std::uint16_t>(limited < 0 ? -limited : limited);

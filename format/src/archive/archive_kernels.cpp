@@ -1,8 +1,8 @@
-// archive_kernels.cpp - the loops of archive_kernels.hpp, compiled for each instruction set and chosen at run time.
+// archive_kernels.cpp - the loops of archive_kernels.hpp, compiled for each instruction set and dispatched at run time.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Vectors are the compiler's own, of the formulas that hold one number at a time: operations are rounded one by one, so every
-// instruction set gives the same bits.
+// The compiler vectorises formulas for single numbers: operations are rounded one by one, so every instruction set
+// gives the same bits.
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "archive/archive_kernels.cpp"  // NOLINT
@@ -66,7 +66,7 @@ void pair(const std::int16_t* even, const std::int16_t* odd, int count, std::int
   for (int i = 0; i < count; ++i) pairs[2 * i] = even[i], pairs[2 * i + 1] = odd[i];
 }
 
-// Integers below 2^53 throughout: sums are exact in any order.
+// Integers below 2^53 throughout, so sums are exact in any order.
 void dc(const std::int16_t* matrix, const std::int32_t* values, std::size_t stride, float centre, int count,
         float* __restrict out) {
   const double m0 = matrix[0], m1 = matrix[1], m2 = matrix[2], c = static_cast<double>(centre);
@@ -84,7 +84,7 @@ void sh(const std::int32_t* sums, const float* factor, const float* centre, int 
   }
 }
 
-// Of finite numbers: magnitudes are in the order of their representations.
+// Of finite numbers, whose magnitudes order as their bits do.
 void largest(const float* value, int n, int count, float* most) {
   for (int k = 0; k < n; ++k, value += kShLanes) {
     std::int32_t bits = 0;

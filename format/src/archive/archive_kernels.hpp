@@ -1,4 +1,5 @@
-// archive_kernels.hpp - inner loops of the archive's decoder, compiled for several instruction sets; docs/format/ARCHIVE.md "From codes to rows".
+// archive_kernels.hpp - inner loops of the archive decoder, compiled for several instruction sets;
+// docs/format/ARCHIVE.md "From codes to rows".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,7 +10,7 @@
 
 namespace rgs::detail {
 
-/// What 64 Gaussians' geometry is made of, with the steps of each one's class.
+/// Codes of 64 Gaussians' geometry, with the steps of their classes.
 struct alignas(64) GeometryLanes {
   std::int16_t rotation[3][kShLanes], scale[3][kShLanes];
   std::uint16_t opacity[kShLanes];
@@ -24,27 +25,27 @@ struct MeanGrid {
 };
 
 struct ArchiveKernels {
-  /// history [n] and sizes [n] of rows, after one code more of each.
+  /// Updates history [n] and sizes [n] of rows by one more code each.
   void (*note)(const std::int16_t* codes, std::size_t n, std::uint16_t* history, std::uint16_t* sizes);
-  /// means[i * stride] by coordinates[i * stride].
+  /// means[i * stride] from coordinates[i * stride].
   void (*means)(const MeanGrid& grid, const std::uint32_t* coordinates, std::size_t n, std::size_t stride,
                 float* means);
   /// rows [64][8]; opacity_levels as in ARCH.
   void (*geometry)(const GeometryLanes& lanes, std::uint32_t opacity_levels, int scale_exponent, std::uint16_t* rows);
-  /// pairs [64][2] of `count` codes each; `odd` may be null.
+  /// pairs [64][2] from `count` codes each; `odd` may be null.
   void (*pair)(const std::int16_t* even, const std::int16_t* odd, int count, std::int16_t* pairs);
-  /// DC: value [64] of the sum of matrix[m] * dc[m * stride + i] over 3 m.
+  /// DC: value [64] from the sum of matrix[m] * dc[m * stride + i] over 3 m.
   void (*dc)(const std::int16_t* matrix, const std::int32_t* dc, std::size_t stride, float centre, int count,
              float* value);
   /// value [n][64] = sums [n][64] * factor [64] + centre [n].
   void (*sh)(const std::int32_t* sums, const float* factor, const float* centre, int n, float* value);
-  /// most [n]: at least the largest magnitude of `count` of value [n][64].
+  /// most [n]: at least the largest magnitude of the first `count` of value [n][64].
   void (*largest)(const float* value, int n, int count, float* most);
-  /// codes [n][64] of value [n][64] with step [n].
+  /// codes [n][64] from value [n][64] with step [n].
   void (*quantize)(const float* value, const float* step, int n, std::int8_t* codes);
 };
 
-/// For the machine that this runs on. All give the same bits.
+/// For this machine. All give the same bits.
 const ArchiveKernels& archive_kernels();
 
 }  // namespace rgs::detail

@@ -1,4 +1,4 @@
-// archive_tables.cpp - section ARCH from bytes.
+// archive_tables.cpp - parses section ARCH.
 // SPDX-License-Identifier: Apache-2.0
 #include "archive/archive_tables.hpp"
 
@@ -12,13 +12,13 @@
 namespace rgs::detail {
 namespace {
 
-// Bytes of the frame of tables once decoded.
+// Decoded bytes of the frame of tables.
 std::size_t content_bytes(std::size_t n_classes, std::size_t n_sh, std::size_t n_distributions) {
   return 4 * (3 + n_sh) + 2 * (9 + 6 + n_sh * n_sh) + ArchiveContexts(n_classes, n_sh).count +
          2 * kRansTokens * n_distributions;
 }
 
-// One field after the other; remembers the first that is out of range.
+// Reads field after field; keeps the first failure.
 class Fields {
  public:
   explicit Fields(ByteReader& in) : in_(in) {}

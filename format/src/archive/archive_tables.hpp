@@ -14,7 +14,7 @@
 
 namespace rgs::detail {
 
-/// Where the contexts of each group of planes begin.
+/// Where the contexts of each group of planes start.
 struct ArchiveContexts {
   explicit ArchiveContexts(std::size_t n_classes, std::size_t n_sh)
       : opacity(n_classes),
@@ -29,9 +29,9 @@ struct ArchiveContexts {
   std::size_t opacity, largest, rotation, scale0, scale1, scale2, dc, sh, count;
 };
 
-/// Bytes of ARCH before its classes, and of each of them.
+/// Bytes of ARCH before its classes, and of a class.
 inline constexpr std::size_t kArchiveFixedBytes = 128, kArchiveClassBytes = 36;
-inline constexpr int kMatrixBits = 14;  ///< matrices are times 2^14
+inline constexpr int kMatrixBits = 14;  ///< matrices are multiplied by 2^14
 
 struct ArchiveTables {
   ArchiveParameters parameters;
@@ -39,7 +39,7 @@ struct ArchiveTables {
   std::array<float, 3> dc_centre{};
   std::vector<float> sh_centre;              ///< [n_sh]
   std::array<std::int16_t, 9> dc_matrix{};   ///< [3, 3]
-  std::array<std::int16_t, 6> dc_weights{};  ///< [3, 2], times 2^8
+  std::array<std::int16_t, 6> dc_weights{};  ///< [3, 2], multiplied by 2^8
   std::vector<std::int16_t> sh_matrix;       ///< [n_sh, n_sh]
   std::vector<std::uint8_t> map;             ///< [contexts().count]
   std::vector<std::uint16_t> frequencies;    ///< [n_distributions, kRansTokens]
@@ -54,12 +54,10 @@ constexpr std::size_t archive_sh_count(int degree) {
   return static_cast<std::size_t>(3 * (sh_coefficients(degree) - 1));
 }
 
-/// Bytes that they hold.
 std::uint64_t memory_bytes(const ArchiveTables& tables);
 
-/// The section's bytes.
 std::vector<std::byte> write_archive_tables(const ArchiveTables& tables);
-/// `offset` is the section's place in the file. Safe on untrusted bytes. Errors: size_mismatch, reserved_bits, bad_value,
+/// `offset`: of the section in the file. Safe on untrusted bytes. Errors: size_mismatch, reserved_bits, bad_value,
 /// corrupt_data.
 Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std::uint64_t offset, int sh_degree);
 

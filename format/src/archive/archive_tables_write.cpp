@@ -1,4 +1,4 @@
-// archive_tables_write.cpp - section ARCH to bytes.
+// archive_tables_write.cpp - serialises section ARCH.
 // SPDX-License-Identifier: Apache-2.0
 #include <zstd.h>
 
@@ -60,7 +60,8 @@ std::vector<std::byte> write_archive_tables(const ArchiveTables& t) {
   constexpr int kLevel = 19;  // a few KB, once a file
   const std::size_t size =
       ZSTD_compress(bytes.data() + fixed, bytes.size() - fixed, content.data(), content.size(), kLevel);
-  if (ZSTD_isError(size) != 0) throw std::bad_alloc();  // the only failure with room for the worst case
+  // the only possible failure: the output has room for the worst case
+  if (ZSTD_isError(size) != 0) throw std::bad_alloc();
   bytes.resize(fixed + size);
   return bytes;
 }

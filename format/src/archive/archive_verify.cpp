@@ -1,4 +1,4 @@
-// archive_verify.cpp - a file of Codec::archive against its source and the bounds that it states.
+// archive_verify.cpp - checks a file of Codec::archive against its source and the bounds that it states.
 // SPDX-License-Identifier: Apache-2.0
 #include "archive/archive_encode.hpp"
 
@@ -64,7 +64,7 @@ SplatErrors splat_errors(const ArchiveParameters& p, int scale_exponent, int sh_
   e.rotation = rotation_angle(a, b);
   for (std::size_t k = 0; k < 3; ++k) {
     const std::uint16_t code = stored.geometry[4 + k];
-    if (code < 0x0400) continue;  // not normal: the layout's own limit
+    if (code < 0x0400) continue;  // subnormal: the layout's own limit
     const double scale = static_cast<double>(dequantize_scale(code, scale_exponent));
     e.scale = std::max(e.scale, std::abs(std::log(scale) - static_cast<double>(source.log_scale[k])));
   }
@@ -115,7 +115,7 @@ bool within_bounds(const ArchiveParameters& p, std::size_t class_index, const Sp
 
 namespace {
 
-// Half a step, rounding of the value that was coded, and values too small for any step.
+// Half a step, rounding of the coded value, and values too small for any step.
 float sh_slack(float step) {
   return step * (0.5f + 0x1p-16f) + kShFlush;
 }
@@ -135,7 +135,7 @@ Status outside(std::uint64_t index) {
   return make_error(Errc::internal, index, "a decoded Gaussian is outside the bounds that its archive states");
 }
 
-// Frame `index` of `data`, the whole file.
+// Verifies frame `index` of `data`, the whole file.
 Status verify_frame(const DirectData& data, const SplatView& splats, std::span<const std::uint32_t> order,
                     std::uint64_t index, ArchiveDecoder& decoder) {
   const FileView& view = data.file();
@@ -146,7 +146,7 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
   const auto stored_bytes = view.bytes().subspan(frame.offset, frame.stored_bytes);
   if (Status s = decoder.geometry_codes(stored_bytes, frame.offset, end - first); !s) return s;
   float step[48] = {}, slack[48] = {};
-  std::uint64_t loaded = ~std::uint64_t{0};  // chunk whose steps these are
+  std::uint64_t loaded = ~std::uint64_t{0};  // chunk of the current steps
   for (std::uint64_t i = first; i < end; ++i) {
     if (i / h.chunk_size != loaded) {
       loaded = i / h.chunk_size;
@@ -167,7 +167,6 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
   return {};
 }
 
-// Page `page`, decoded into `memory`.
 Status verify_page(const PagedFile& file, const SplatView& splats, std::span<const std::uint32_t> order,
                    std::uint32_t page, PageDecoder& pages, ArchiveDecoder& decoder, std::vector<std::byte>& memory) {
   const FileView& head = file.head();

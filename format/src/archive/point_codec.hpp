@@ -14,17 +14,17 @@ namespace rgs::detail {
 
 using GridPoint = std::array<std::uint32_t, 3>;
 
-/// Whether this build has Draco; without it nothing is encoded, see RGS_ENABLE_DRACO.
+/// Whether this build has Draco (RGS_ENABLE_DRACO), without which nothing is encoded.
 bool can_encode_points();
 
-/// A Draco stream of the points, at least one, in an order of its own. Deterministic. Errors: internal, unavailable (no Draco).
+/// A Draco stream of at least one point, in Draco's order. Deterministic. Errors: internal, unavailable (no Draco).
 Result<std::vector<std::byte>> encode_points(std::span<const GridPoint> points);
 
-/// The head of a stream of n points, coordinates of at most `max_bits` bits.
+/// Whether the stream's head is that of n points with coordinates of at most `max_bits` bits.
 bool legal_point_head(std::span<const std::byte> stream, std::uint32_t n, std::uint32_t max_bits);
 
-/// Fills `points`, in the stream's order. Allocates nothing. Safe on untrusted bytes. Errors: corrupt_data at `offset`, the
-/// frame's place in the file.
+/// Fills `points` in the stream's order. Allocates nothing. Safe on untrusted bytes. Errors: corrupt_data at `offset`,
+/// the frame's.
 Status decode_points(std::span<const std::byte> stream, std::uint64_t offset, std::uint32_t max_bits,
                      std::span<GridPoint> points);
 

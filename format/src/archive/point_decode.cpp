@@ -1,7 +1,7 @@
-// point_decode.cpp - Draco's kd-tree (Devillers and Gandoin 2000) to points, from docs/format/ARCHIVE.md "Tree".
+// point_decode.cpp - decodes Draco's kd-tree (Devillers and Gandoin 2000) by docs/format/ARCHIVE.md "Tree".
 //
-// Not through Draco's library: this takes no exceptions and no memory, believes nothing that the stream says, and one reader
-// of the format fits where that library does not.
+// Not by Draco's library: this needs no exceptions and no memory, trusts nothing in the stream, and runs where the
+// library does not.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -15,7 +15,7 @@
 namespace rgs::detail {
 namespace {
 
-// What Draco 1.5 writes before and behind the number of points.
+// What Draco 1.5 writes around the number of points.
 constexpr unsigned char kHead[11] = {'D', 'R', 'A', 'C', 'O', 2, 3, 0, 1, 0, 0};
 constexpr unsigned char kAttribute[8] = {1, 1, 0, 6, 3, 0, 0, 6};
 constexpr std::size_t kHeadBytes = sizeof kHead + 4 + sizeof kAttribute + 8;
@@ -24,7 +24,7 @@ bool has(std::span<const std::byte> stream, std::size_t at, std::span<const unsi
   return std::memcmp(stream.data() + at, bytes.data(), bytes.size()) == 0;
 }
 
-// Seven bits a byte, lowest first, in at most five; more than any stream has if there are more.
+// Seven bits a byte, lowest first, in at most five bytes; if there are more, a number beyond any stream's.
 std::uint64_t varint(ByteReader& in) {
   std::uint64_t value = 0;
   for (unsigned shift = 0; shift < 35; shift += 7) {
@@ -35,7 +35,7 @@ std::uint64_t varint(ByteReader& in) {
   return ~std::uint64_t{0};
 }
 
-// Bits of one probability: a binary range asymmetric numeral system, read from its end.
+// Bits of one probability: a binary asymmetric numeral system, read from its end.
 class CodedBits {
  public:
   bool begin(ByteReader& in) {
@@ -69,7 +69,7 @@ class CodedBits {
   std::uint32_t one_ = 0, state_ = 0;
 };
 
-// Bits in 32-bit words, from the highest down.
+// Bits in 32-bit words, highest first.
 class PlainBits {
  public:
   bool begin(ByteReader& in) {
@@ -77,7 +77,7 @@ class PlainBits {
     n_bits_ = std::uint64_t{8} * words_.size();
     return !words_.empty() && words_.size() % 4 == 0;
   }
-  /// At most 32; zeros and ok() false behind the end.
+  /// At most 32; past the end zeros and ok() false.
   std::uint32_t take(std::uint32_t count) {
     if (count > n_bits_ - at_) ok_ = false;
     if (count == 0 || !ok_) return 0;
@@ -103,7 +103,7 @@ class PlainBits {
 struct Cell {
   std::uint32_t n = 0;                   // points
   GridPoint corner{};                    // lowest
-  std::array<std::uint32_t, 3> level{};  // how often each axis was halved
+  std::array<std::uint32_t, 3> level{};  // halvings of each axis
 };
 
 class Tree {
@@ -121,7 +121,7 @@ class Tree {
 
   bool points(std::uint32_t bits, std::span<GridPoint> points) {
     constexpr std::uint32_t kMaxBits = 32;
-    std::array<Cell, 3 * kMaxBits + 2> stack;  // each halving adds one cell, and 3 * bits of them end
+    std::array<Cell, 3 * kMaxBits + 2> stack;  // each halving adds one cell, and at most 3 * bits of them nest
     std::size_t n_cells = 1;
     stack[0] = {static_cast<std::uint32_t>(points.size()), {}, {}};
     GridPoint* out = points.data();
@@ -165,7 +165,7 @@ class Tree {
     return value;
   }
 
-  std::array<CodedBits, 33> numbers_;  // by digit, from the highest on
+  std::array<CodedBits, 33> numbers_;  // by digit, highest first
   PlainBits remaining_, axes_, halves_;
 };
 

@@ -1,4 +1,4 @@
-// point_encode.cpp - Draco's kd-tree (Devillers and Gandoin 2000), written by its library.
+// point_encode.cpp - encodes Draco's kd-tree (Devillers and Gandoin 2000) with its library.
 // SPDX-License-Identifier: Apache-2.0
 #include <draco/compression/expert_encode.h>
 #include <draco/point_cloud/point_cloud.h>

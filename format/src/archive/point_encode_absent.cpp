@@ -1,4 +1,4 @@
-// point_encode_absent.cpp - stands for the encoder of points in builds without Draco.
+// point_encode_absent.cpp - replaces point_encode.cpp in builds without Draco.
 // SPDX-License-Identifier: Apache-2.0
 #include "archive/point_codec.hpp"
 

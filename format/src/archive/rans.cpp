@@ -1,4 +1,4 @@
-// rans.cpp - tables, ends and the backward pass of the entropy coder.
+// rans.cpp - the entropy coder's tables, stream ends and backward pass.
 // SPDX-License-Identifier: Apache-2.0
 #include "archive/rans.hpp"
 
@@ -45,7 +45,7 @@ RansWriter::RansWriter(std::span<const std::uint16_t> frequencies, std::span<con
   }
 }
 
-// The decoder takes from each state what was put in last: numbers go in backwards, raw bits before their token.
+// A state is a stack: numbers go in backwards, raw bits before their token.
 std::vector<std::byte> RansWriter::finish() {
   std::array<std::uint32_t, kRansStates> x;
   x.fill(kRansLow);

@@ -1,7 +1,7 @@
 // rans.hpp - entropy coder of Codec::archive: eight interleaved rANS states over one stream; docs/format/ARCHIVE.md "Streams".
 //
-// Range asymmetric numeral systems (Duda 2013) with 12-bit frequencies, 32-bit states and 16-bit words, interleaved as in
-// Giesen 2014: consecutive numbers use different states, so that the processor works on several at once.
+// Range asymmetric numeral systems (Duda 2013) with 12-bit frequencies, 32-bit states and 16-bit words, interleaved as
+// in Giesen 2014: consecutive numbers use different states, so that the processor works on several at once.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -17,22 +17,22 @@
 namespace rgs::detail {
 
 inline constexpr std::uint32_t kRansStates = 8;
-inline constexpr std::uint32_t kRansLow = 1u << 16;  ///< states are at least this between numbers
+inline constexpr std::uint32_t kRansLow = 1u << 16;  ///< lower bound of states between numbers
 inline constexpr std::uint32_t kRansTokens = 76;
 inline constexpr std::uint32_t kRansTotal = 4096;
 
-/// A number as token and raw bits behind it.
+/// A number as a token and raw bits.
 struct RansToken {
   std::uint32_t token, n_bits, bits;
 };
-/// Below 32 a token each, then four an octave. z < 2^16.
+/// A token each below 32, then four an octave. z < 2^16.
 constexpr RansToken rans_token(std::uint32_t z) {
   if (z < 32) return {z, 0, 0};
   const auto n_bits = static_cast<std::uint32_t>(std::bit_width(z)) - 3;
   return {32 + (n_bits - 3) * 4 + (z >> n_bits) - 4, n_bits, z & ((1u << n_bits) - 1)};
 }
 
-/// Codes of either sign to numbers: 0 -1 1 -2 2 to 0 1 2 3 4; and back.
+/// Signed codes to numbers, 0 -1 1 -2 2 to 0 1 2 3 4, and back.
 constexpr std::uint32_t fold_code(std::int16_t code) {
   return static_cast<std::uint16_t>(static_cast<std::uint16_t>(code << 1) ^ static_cast<std::uint16_t>(code >> 15));
 }
@@ -40,7 +40,7 @@ constexpr std::int16_t unfold_code(std::uint32_t z) {
   return static_cast<std::int16_t>(static_cast<std::uint16_t>(z >> 1 ^ (0u - (z & 1u))));
 }
 
-/// Distributions ready for decoding: 4.3 KiB each, so that those of a plane stay in the nearest cache.
+/// Distributions prepared for decoding: 4.3 KiB each, so that those of a plane stay in the first-level cache.
 class RansTables {
  public:
   /// frequencies [n, kRansTokens]; false if a row does not sum to kRansTotal.
@@ -48,7 +48,7 @@ class RansTables {
   std::uint64_t memory_bytes() const { return distributions_.capacity() * sizeof(Distribution); }
   struct Distribution {
     std::array<std::uint8_t, kRansTotal> token;          ///< of each slot
-    std::array<std::uint32_t, kRansTokens> frequency{};  ///< of each token, and from bit 16 on those before it
+    std::array<std::uint32_t, kRansTokens> frequency{};  ///< of each token, and from bit 16 on the sum before it
   };
   const Distribution& of(std::uint8_t distribution) const { return distributions_[distribution]; }
 
@@ -56,15 +56,15 @@ class RansTables {
   std::vector<Distribution> distributions_;
 };
 
-/// Decodes planes of one stream. Every word is counted: reading past the end gives zeros and ok() false.
+/// Decodes planes of one stream. Counts every word: reading past the end gives zeros and ok() false.
 class RansReader {
  public:
   RansReader(const RansTables& tables, std::span<const std::uint8_t> map) : distributions_(&tables.of(0)), map_(map) {}
   /// False if the stream is shorter than its states or has half a word.
   bool begin(std::span<const std::byte> stream);
 
-  /// values[i] for i < n, in order, so that context(i) may look at those before. Unsigned numbers above `limit` become
-  /// 0 and ok() false.
+  /// Reads values[i] for i < n, in order, so that context(i) may use earlier ones. Unsigned numbers above `limit`
+  /// become 0 and ok() false.
   template <class T, class Context>
   void plane(std::size_t n, T* values, [[maybe_unused]] std::uint32_t limit, Context context) {
     std::array<std::uint32_t, kRansStates> x = states_;
@@ -85,7 +85,7 @@ class RansReader {
   }
 
   bool ok() const { return !bad_; }
-  /// All words were read and the states are what the encoder began with.
+  /// All words were read and the states are the encoder's initial ones.
   bool finished() const;
 
  private:
@@ -105,7 +105,7 @@ class RansReader {
   }
   template <bool kAmple>
   void refill(std::uint32_t& x) {
-    if constexpr (kAmple) {  // without a branch: which state needs a word is chance
+    if constexpr (kAmple) {  // no branch: which state needs a word is unpredictable
       std::uint16_t word;
       std::memcpy(&word, at_, sizeof word);
       const bool low = x < kRansLow;
@@ -130,7 +130,7 @@ class RansReader {
   bool bad_ = false;
 };
 
-/// What a plane's number looks like to the coder.
+/// A plane's number type for the coder.
 template <class T>
 std::uint32_t rans_number(T value) {
   if constexpr (std::is_signed_v<T>) {
@@ -154,7 +154,7 @@ class RansCounter {
   std::vector<std::uint32_t> counts_;
 };
 
-/// Encodes planes given in the order of decoding. frequencies [n, kRansTokens].
+/// Encodes planes, given in decoding order. frequencies [n, kRansTokens].
 class RansWriter {
  public:
   RansWriter(std::span<const std::uint16_t> frequencies, std::span<const std::uint8_t> map);
@@ -165,7 +165,7 @@ class RansWriter {
                           static_cast<std::uint8_t>(i % kRansStates)});
     }
   }
-  /// The stream; the writer is empty afterwards.
+  /// Returns the stream and empties the writer.
   std::vector<std::byte> finish();
 
  private:
@@ -175,7 +175,7 @@ class RansWriter {
   };
   std::span<const std::uint16_t> frequencies_;
   std::span<const std::uint8_t> map_;
-  std::vector<std::uint16_t> starts_;  // [n, kRansTokens]: sum of the frequencies before
+  std::vector<std::uint16_t> starts_;  // [n, kRansTokens]: sum of earlier frequencies
   std::vector<Number> numbers_;
 };
 

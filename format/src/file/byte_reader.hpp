@@ -1,4 +1,4 @@
-// byte_reader.hpp - little-endian parsing with sticky failure: read a record, check ok() once.
+// byte_reader.hpp - little-endian parsing with sticky failure: read a record, then check ok() once.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -14,7 +14,7 @@ namespace rgs::detail {
 
 class ByteReader {
  public:
-  /// `origin` is the file offset of bytes[0], for messages.
+  /// `origin`: file offset of bytes[0], for error messages.
   explicit ByteReader(std::span<const std::byte> bytes, std::uint64_t origin = 0) : bytes_(bytes), origin_(origin) {}
 
   std::uint8_t u8() { return static_cast<std::uint8_t>(integer(1)); }
@@ -28,12 +28,12 @@ class ByteReader {
     if (!take(length)) return {};
     return {reinterpret_cast<const char*>(bytes_.data() + position_ - length), static_cast<std::size_t>(length)};
   }
-  /// The next `count` bytes; none if there are fewer.
+  /// The next `count` bytes; empty if there are fewer.
   std::span<const std::byte> bytes(std::uint64_t count) {
     if (!take(count)) return {};
     return bytes_.subspan(static_cast<std::size_t>(position_ - count), static_cast<std::size_t>(count));
   }
-  /// Consumes `count` bytes; false (and ok() still true) if they are there but not all zero.
+  /// Consumes `count` bytes; false, with ok() still true, if they are not all zero.
   bool zeros(std::uint64_t count) {
     if (!take(count)) return true;
     for (std::uint64_t i = position_ - count; i < position_; ++i) {

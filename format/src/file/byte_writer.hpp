@@ -25,7 +25,7 @@ class ByteWriter {
     for (const char c : value) u8(static_cast<std::uint8_t>(c));
   }
   void zeros(std::size_t count) { bytes_.resize(bytes_.size() + count); }
-  /// Zeros up to `size` bytes in all.
+  /// Appends zeros up to a total of `size` bytes.
   void pad_to(std::size_t size) { bytes_.resize(size); }
 
   const std::vector<std::byte>& bytes() const { return bytes_; }

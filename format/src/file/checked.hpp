@@ -1,4 +1,4 @@
-// checked.hpp - 64-bit size arithmetic that notices overflow.
+// checked.hpp - 64-bit size arithmetic that detects overflow.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -6,7 +6,7 @@
 
 namespace rgs::detail {
 
-/// a * b, or false if the product does not fit.
+/// a * b, or false on overflow.
 inline bool multiply(std::uint64_t a, std::uint64_t b, std::uint64_t& product) {
   return !__builtin_mul_overflow(a, b, &product);
 }

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/checksum.hpp"
 
-#define XXH_STATIC_LINKING_ONLY  // for the size of the state: 576 bytes in the releases of 0.8
+#define XXH_STATIC_LINKING_ONLY  // for the size of the state: 576 bytes in the 0.8 releases
 #include <xxhash.h>
 
 #include <new>

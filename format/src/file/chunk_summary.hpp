@@ -1,4 +1,4 @@
-// chunk_summary.hpp - what a file states of its Gaussians, from their stored rows.
+// chunk_summary.hpp - computes a chunk's entry from its stored rows.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -46,7 +46,7 @@ class ChunkSummary {
       add(mean, row, counts);
     }
   }
-  /// step_set is for the caller to fill in.
+  /// The caller fills in step_set.
   ChunkEntry entry(int scale_exponent) {
     entry_.radius = 3.f * dequantize_scale(largest_scale_, scale_exponent);  // exact: 11-bit times 2-bit significand
     entry_.max_opacity = float_from_half(largest_opacity_);

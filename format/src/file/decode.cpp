@@ -1,4 +1,4 @@
-// decode.cpp - Gaussians out of an opened file.
+// decode.cpp - reads Gaussians from an opened file.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/decode.hpp"
 
@@ -43,7 +43,7 @@ void RowReader::read_sh(float* sh) const {
 void RowReader::read(std::uint64_t row, Splat& s) {
   load(row);
   std::ranges::copy(mean_, s.mean);
-  // As stored, not normalised again: see kUnitNormTolerance.
+  // Not normalised again: see kUnitNormTolerance.
   for (int i = 0; i < 4; ++i) s.rotation[i] = float_from_half(geometry_[i]);
   for (int i = 0; i < 3; ++i) {
     s.log_scale[i] = log_from_scale(dequantize_scale(geometry_[4 + i], scale_exponent_), scale_exponent_);
@@ -76,7 +76,7 @@ Status read_rows(const FileView& view, const Rows& rows, std::uint64_t first, st
   assert(first >= rows.first && first - rows.first <= rows.n && out.size() <= rows.n - (first - rows.first));
   const Header& h = view.header();
   detail::RowReader reader(h.sh_degree, h.scale_exponent, {rows.means, rows.geometry, rows.sh});
-  std::uint64_t loaded = ~std::uint64_t{0};  // chunk whose steps are in use
+  std::uint64_t loaded = ~std::uint64_t{0};  // chunk of the current steps
   for (std::size_t k = 0; k < out.size(); ++k) {
     const std::uint64_t i = first + k;
     if (i / h.chunk_size != loaded) {
@@ -192,7 +192,7 @@ Status DirectData::read(std::uint64_t first, std::span<ActivatedSplat> out) cons
   return read_rows(view_, {first_, n_, means_, geometry_, sh_}, first, out);
 }
 
-// All that validate() checks, and the leaves.
+// Makes all checks of validate(), and returns the leaves.
 static Result<SplatCloud> decode_levels(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const auto file = PagedFile::open(bytes, limits);
   if (!file) return tl::unexpected(file.error());

@@ -1,4 +1,4 @@
-// encode.cpp - Gaussians in memory through a SceneWriter.
+// encode.cpp - encodes Gaussians in memory with a SceneWriter.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/encode.hpp"
 

@@ -1,4 +1,4 @@
-// encode_plan.cpp - options and a scene's scan to the shape of its file, and its small sections.
+// encode_plan.cpp - turns options and a scene's scan into the shape of its file and its small sections.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/encode_plan.hpp"
 
@@ -26,7 +26,7 @@ Status check_options(const EncodeOptions& o) {
   if (o.profile == Profile::archive) {
     if (!detail::can_encode_points()) {
       return make_error(Errc::unavailable, Error::kNone,
-                        "this build reads archive files and writes none: build it with RGS_ENABLE_DRACO=ON");
+                        "this build reads archive files but cannot write them: build it with RGS_ENABLE_DRACO=ON");
     }
     const ArchiveOptions& a = o.archive;
     if (a.mean_cells < 4 || a.mean_cells > 20) return bad("archive: mean cells must be 2^4 to 2^20");
@@ -67,7 +67,7 @@ Status check_damage(const SceneScan& scan, const EncodeOptions& options) {
   const double allowed = options.max_bad_fraction * static_cast<double>(scan.n_source());
   if (options.on_bad == BadPolicy::drop && static_cast<double>(damaged) > allowed) {
     return make_error(Errc::too_many_bad, Error::kNone,
-                      "more damaged Gaussians than may be dropped without being told to; choose a policy explicitly",
+                      "more damaged Gaussians than are dropped by default; choose a policy explicitly",
                       static_cast<std::uint64_t>(allowed), damaged);
   }
   return {};
@@ -99,7 +99,7 @@ Declarations declare(const SceneScan& scan, const EncodeOptions& options) {
   return d;
 }
 
-// What validate() would find wrong with the permutation, and what it cannot find.
+// Checks what validate() would find in the permutation, and what it could not find.
 Status check_positions(std::uint64_t n_given, const EncodeOptions& options) {
   if (!options.keep_permutation) return {};
   const auto bad = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
@@ -107,11 +107,11 @@ Status check_positions(std::uint64_t n_given, const EncodeOptions& options) {
   if (options.source_index.empty()) {
     if (options.n_source == 0 || n_given == 0) return {};
     return bad(
-        "keep_permutation: source_index must say where in their source the Gaussians were, or n_source be 0 to number "
-        "those that are given");
+        "keep_permutation: give each Gaussian's position in the source by source_index, or set n_source to 0 to number "
+        "the given ones");
   }
-  if (options.source_index.size() != n_given) return bad("source_index has not one position for each Gaussian");
-  if (n_source >> 32 != 0) return bad("positions in a source of 2^32 Gaussians and more are not written");
+  if (options.source_index.size() != n_given) return bad("source_index needs one position for each Gaussian");
+  if (n_source >> 32 != 0) return bad("positions in a source of 2^32 Gaussians or more are not supported");
   const auto& index = options.source_index;
   if (std::ranges::max(index) >= n_source) return bad("source_index names a Gaussian beyond n_source");
   if (detail::has_repeated_index(n_given, n_source, [&index](std::uint64_t i) { return index[i]; })) {
@@ -148,9 +148,9 @@ EncodeOptions keep_declarations(EncodeOptions options, const Declarations& decla
   return options;
 }
 
-// The diagonal of the robust box is what a camera at one end of the scene sees. Cameras may also stand far outside, and
-// what lies beyond the range loses its order (a crop seen from several diagonals away: 18 dB). With logarithmic bins ten
-// diagonals cost half a bit, so they are taken; linear ones would grow ten times as wide.
+// The diagonal of the robust box is what a camera at one end of the scene sees. But cameras may stand far outside, and
+// beyond the range order is lost (a crop seen from several diagonals away: 18 dB). Ten diagonals cost logarithmic bins
+// half a bit, but would make linear ones ten times as wide.
 DepthRange depth_range_from_extent(const Box& robust, DepthMapping mapping) {
   double squared = 0;
   for (std::size_t i = 0; i < 3; ++i) {
@@ -165,7 +165,7 @@ Status check_encodable(const SceneScan& scan, const EncodeOptions& options) {
   return detail::guard_memory([&]() -> Status {
     if (const Status s = check_options(options); !s) return s;
     if (const Status s = check_damage(scan, options); !s) return s;
-    // What the reader would refuse is not written: axes that do not span space, numbers that are no enumerators.
+    // Writes nothing that a reader rejects: axes that do not span space, unknown enumerators.
     const auto written = detail::write_declarations(declare(scan, options));
     if (const auto legal = detail::parse_declarations(written, 0, kVersionMinor); !legal) {
       return make_error(Errc::bad_argument, Error::kNone, legal.error().what);
@@ -177,7 +177,7 @@ Status check_encodable(const SceneScan& scan, const EncodeOptions& options) {
 namespace detail {
 
 std::uint32_t EncodePlan::frame_rows() const {
-  // Small frames suit weights and tables; smaller ones cost more than they save (docs/records/EXPERIMENTS.md).
+  // Smaller frames get better weights and tables; below this they cost more than they save (docs/records/EXPERIMENTS.md).
   constexpr std::uint32_t kPackedRows = 16384;
   const std::uint32_t rows = options.profile == Profile::archive ? archive_rows : kPackedRows;
   return std::max(1u, rows / header.chunk_size) * header.chunk_size;
@@ -206,7 +206,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   plan.declarations = declare(scan, options);
   plan.file_steps = scan.sh_magnitudes().steps();
 
-  // Small sections first: a client that fetches by chunk needs them before it can ask for anything else.
+  // Small sections first: a client that fetches chunks needs them before anything else.
   plan.sections = {section(SectionType::declarations, kDeclarationBytes),
                    section(SectionType::sh_steps, h.n_step_sets * kStepSetBytes),
                    section(SectionType::chunks, h.n_chunks * kChunkEntryBytes),

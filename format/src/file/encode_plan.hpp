@@ -1,4 +1,4 @@
-// encode_plan.hpp - what is known of a file before its Gaussians are encoded, and what completes it after them.
+// encode_plan.hpp - a file's shape before its Gaussians are encoded, and its completion afterwards.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -20,12 +20,12 @@ struct EncodePlan {
   EncodeOptions options;  ///< profile: packed instead of archive if there is nothing to fit steps to
   Header header;          ///< file_bytes and n_sections still 0
   Declarations declarations;
-  bool mends = false;                  ///< the scan has mended Gaussians
-  std::uint32_t archive_rows = 32768;  ///< wanted a frame of Profile::archive
+  bool mends = false;                  ///< the scan has repaired Gaussians
+  std::uint32_t archive_rows = 32768;  ///< preferred frame length of Profile::archive
   ShStepSet file_steps;                ///< the only set, unless chunks have their own
-  std::vector<SectionEntry> sections;  ///< in file order; stored_bytes: the most that it can take; hashes and offsets 0
+  std::vector<SectionEntry> sections;  ///< in file order; stored_bytes: upper bounds; hashes and offsets 0
 
-  /// Gaussians a frame of MEAN, GEOM and SHI8 where they are coded: whole chunks, at least one.
+  /// Gaussians a coded frame of MEAN, GEOM and SHI8: whole chunks, at least one.
   std::uint32_t frame_rows() const;
   std::uint64_t n_frames() const { return (header.n_gaussians + frame_rows() - 1) / frame_rows(); }
 };
@@ -33,10 +33,10 @@ struct EncodePlan {
 /// Errors: check_encodable()'s.
 Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options);
 
-/// Positions in the source of Gaussians that are named by their position among those given; none if they are not kept.
+/// Positions in the source of the given Gaussians; empty if they are not kept.
 std::vector<std::uint32_t> positions_in_source(std::span<const std::uint32_t> given, const EncodeOptions& options);
 
-/// What is in a file beside the rows or frames of its Gaussians.
+/// A file's contents besides the rows or frames of its Gaussians.
 struct SceneTables {
   std::vector<ChunkEntry> chunks;  ///< in file order
   std::vector<ShStepSet> steps;    ///< of each chunk

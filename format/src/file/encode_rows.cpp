@@ -1,4 +1,4 @@
-// encode_rows.cpp - Gaussians to rows, through the quantiser.
+// encode_rows.cpp - quantises Gaussians into rows.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/encode_rows.hpp"
 
@@ -22,7 +22,7 @@ ChunkEntry encode_rows(std::span<const Splat> splats, const Header& header, cons
                        std::byte* geometry, std::byte* sh, ValueCounts& counts) {
   const auto floats = static_cast<std::size_t>(3 * sh_coefficients(header.sh_degree));
   const std::size_t stride = sh_bytes(header.sh_degree);
-  float step[48];  // per coefficient and channel, so that the loop below has no look-up
+  float step[48];  // per coefficient and channel, so that the loop below needs no look-up
   for (std::size_t i = 0; i < floats; ++i) step[i] = steps.of_value(static_cast<int>(i));
   ChunkSummary summary;
   auto* codes = reinterpret_cast<std::int8_t*>(sh);
@@ -45,7 +45,7 @@ ChunkEntry encode_rows(std::span<const Splat> splats, const Header& header, cons
 
 Status source_changed() {
   return make_error(Errc::read_failed, Error::kNone,
-                    "a Gaussian is not what the first pass saw: the source changed while it was read");
+                    "a Gaussian differs from the first pass: the source changed while it was read");
 }
 
 }  // namespace rgs::detail

@@ -1,4 +1,4 @@
-// encode_rows.hpp - Gaussians to rows of MEAN, GEOM and SHI8.
+// encode_rows.hpp - encodes Gaussians as rows of MEAN, GEOM and SHI8.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,12 +12,12 @@
 
 namespace rgs::detail {
 
-/// Rows of a chunk's Gaussians, with the degree and scale exponent of `header`: means [n * 12], geometry [n * 16], sh
-/// [n * sh_bytes(degree)]. Returns the chunk's entry, but for its step_set.
+/// Writes the rows of a chunk's Gaussians, with the degree and scale exponent of `header`: means [n * 12], geometry [n
+/// * 16], sh [n * sh_bytes(degree)]. Returns the chunk's entry without step_set.
 ChunkEntry encode_rows(std::span<const Splat> splats, const Header& header, const ShStepSet& steps, std::byte* means,
                        std::byte* geometry, std::byte* sh, ValueCounts& counts);
 
-/// read_failed: a second look at the source shows what the first cannot have seen.
+/// read_failed: the second pass over the source contradicts the first.
 Status source_changed();
 
 }  // namespace rgs::detail

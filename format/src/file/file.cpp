@@ -29,10 +29,10 @@ tl::unexpected<Error> system_error(Errc code, const char* what) {
 }
 
 const char* const kStdout = "-";
-constexpr int kFirstFree = STDERR_FILENO + 1;  // a standard stream may be closed; its number is no file's
+constexpr int kFirstFree = STDERR_FILENO + 1;  // a standard stream may be closed; its number must not become the file's
 
-// Unfinished temporaries, walked by the signal handler: plain memory and lock-free flags only.
-// state: 0 free, 1 being filled, 2 live.
+// Unfinished temporaries, for the signal handler: plain memory and lock-free flags only. state: 0 free, 1 being filled,
+// 2 live.
 struct Slot {
   std::atomic<int> state{0};
   char path[PATH_MAX];
@@ -57,10 +57,10 @@ void release_slot(int slot) {
   if (slot >= 0) g_slots[slot].state.store(0, std::memory_order_release);
 }
 
-// What ends a process that does not ignore it. A pipe is closed by whoever has read enough of progress or results.
+// Signals that end a process by default. SIGPIPE: the reader of progress or results has closed the pipe.
 constexpr int kEndingSignals[] = {SIGINT, SIGTERM, SIGHUP, SIGPIPE};
 
-// Set by the first thread that reads where an input has shrunk; threads that do so at the same time wait for its exit.
+// Set by the first thread to read beyond a shrunken input; others then wait for its exit.
 std::atomic_flag g_input_shrank;
 
 extern "C" void remove_temporaries_and_die(int signal_number) {
@@ -69,12 +69,12 @@ extern "C" void remove_temporaries_and_die(int signal_number) {
     if (slot.state.load(std::memory_order_acquire) == 2) ::unlink(slot.path);
   }
   if (signal_number == SIGBUS) {
-    // A mapped page that is no longer there. Nobody but us maps files, so this is an input that shrank (or its disk).
+    // A mapped page has disappeared. Only MappedFile maps files, so an input (or its disk) shrank.
     static constexpr char kText[] = "an input file shrank or became unreadable while it was being read\n";
     if (::write(STDERR_FILENO, kText, sizeof kText - 1) >= 0) ::_exit(exit_code(Errc::read_failed));
     ::_exit(exit_code(Errc::read_failed));
   }
-  // SA_RESETHAND has restored the default action: the process dies of the signal, as its parent expects to see.
+  // SA_RESETHAND has restored the default action: the process dies of the signal, as its parent expects.
   ::raise(signal_number);
 }
 
@@ -84,8 +84,8 @@ std::string folder_of(const std::string& path) {
   return slash == 0 ? "/" : path.substr(0, slash);
 }
 
-// Opens a new file and replaces the Xs at the end of `name`; -1 and errno if none can be created. mkostemp() would give it
-// mode 0600, and a process cannot be asked for its umask without setting it; open() applies that, or the folder's ACL.
+// Creates a file, replacing the Xs at the end of `name`; -1 and errno if that fails. mkostemp() would set mode 0600,
+// and the umask cannot be read without setting it; open() applies it, or the folder's ACL.
 int create_new(std::string& name) {
   constexpr char kLetters[] = "abcdefghijklmnopqrstuvwxyz012345";
   constexpr int kAttempts = 100;
@@ -99,7 +99,7 @@ int create_new(std::string& name) {
   return -1;
 }
 
-// The descriptor under a number above those of the standard streams, or -1, errno, and `name` removed.
+// Moves the descriptor above the standard streams' numbers; on failure -1 and errno, and removes `name`.
 int beyond_standard_streams(int fd, const std::string& name) {
   if (fd < 0 || fd >= kFirstFree) return fd;
   const int moved = ::fcntl(fd, F_DUPFD_CLOEXEC, kFirstFree);
@@ -110,16 +110,16 @@ int beyond_standard_streams(int fd, const std::string& name) {
   return moved;
 }
 
-// What replaces a file is open to the same people, from before its first byte.
+// Gives a replacement the old file's permissions before its first byte.
 void take_over_rights(int fd, const struct stat& old) {
   mode_t mode = old.st_mode & 0777;
   if (::fchown(fd, old.st_uid, old.st_gid) != 0 && ::fchown(fd, static_cast<uid_t>(-1), old.st_gid) != 0) {
-    mode = (mode & 0707u) | (mode & 07u) << 3;  // another group than the old file's gets what everybody gets
+    mode = (mode & 0707u) | (mode & 07u) << 3;  // another group gets the permissions of others
   }
-  (void)::fchmod(fd, mode);  // where a file system has no permissions, there is nothing to keep
+  (void)::fchmod(fd, mode);  // ignores file systems without permissions
 }
 
-// Masks the handled signals while a temporary is created, so that none dies between the file and its table entry.
+// Masks the handled signals while a temporary is created, so that none strikes between the file and its table entry.
 class SignalGuard {
  public:
   SignalGuard() {
@@ -139,7 +139,7 @@ class SignalGuard {
 }  // namespace
 
 std::string follow_links(const std::string& path) {
-  constexpr int kMaxLinks = 40;  // as the kernel does; what goes on longer is a loop, and fails when it is opened
+  constexpr int kMaxLinks = 40;  // the kernel's limit; a longer chain is a loop, and fails when it is opened
   std::string at = path;
   std::vector<char> target(PATH_MAX);
   for (int i = 0; i < kMaxLinks; ++i) {
@@ -154,7 +154,7 @@ std::string follow_links(const std::string& path) {
 }
 
 Result<MappedFile> MappedFile::open(const std::string& path) {
-  // O_NONBLOCK: a FIFO is refused below instead of waiting here for a writer.
+  // O_NONBLOCK: a FIFO is rejected below instead of blocking here.
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
   if (fd < 0) return system_error(Errc::open_failed, "cannot open for reading");
   auto mapped = map(fd);
@@ -173,7 +173,7 @@ Result<MappedFile> MappedFile::map(int fd) {
   file.size_ = static_cast<std::size_t>(info.st_size);
   file.stamp_ = {
       {info.st_mtim.tv_sec, info.st_mtim.tv_nsec}, {info.st_ctim.tv_sec, info.st_ctim.tv_nsec}, info.st_nlink};
-  if (file.size_ == 0) return file;  // mmap refuses length 0
+  if (file.size_ == 0) return file;  // mmap rejects length 0
   void* data = ::mmap(nullptr, file.size_, PROT_READ, MAP_PRIVATE, fd, 0);
   if (data == MAP_FAILED) return system_error(Errc::read_failed, "cannot map the file");
   file.data_ = static_cast<const std::byte*>(data);
@@ -206,11 +206,11 @@ Status MappedFile::check_unchanged() const {
   const auto now = static_cast<std::uint64_t>(info.st_size);
   if (now != size_) {
     return make_error(Errc::read_failed, std::min<std::uint64_t>(now, size_),
-                      "the file changed its size while it was read", size_, now);
+                      "the file's size changed while it was read", size_, now);
   }
   const bool modified = info.st_mtim.tv_sec != stamp_.modified[0] || info.st_mtim.tv_nsec != stamp_.modified[1];
-  // Who writes may set the time of modification back, but not that of change. Links and removal of a name count as a
-  // change too, and do no harm.
+  // A writer may reset the time of modification, but not that of change. Making or removing a link changes that too,
+  // and does no harm.
   const bool changed = info.st_ctim.tv_sec != stamp_.changed[0] || info.st_ctim.tv_nsec != stamp_.changed[1];
   if (!modified && (!changed || info.st_nlink != stamp_.n_names)) return {};
   return make_error(Errc::read_failed, Error::kNone, "the file changed while it was read; run the program again");
@@ -239,10 +239,10 @@ Result<AtomicFile> AtomicFile::create(const std::string& path, const Options& op
 Result<AtomicFile> AtomicFile::begin(const std::string& name, const Options& options) {
   const std::string path = name == kStdout ? name : follow_links(name);
   struct stat info {};
-  // By the name itself: links below /proc lead to pipes as well, which have no other.
+  // Uses the name itself: links below /proc lead to pipes too, which have no other name.
   const bool replaces = path != kStdout && ::stat(name.c_str(), &info) == 0;
   if (path != kStdout && !replaces && errno == ELOOP)
-    return system_error(Errc::output_unusable, "the output's name is a link that leads to itself");
+    return system_error(Errc::output_unusable, "the output's name is a link that leads back to itself");
   if (replaces) {
     if (S_ISDIR(info.st_mode)) return make_error(Errc::output_unusable, Error::kNone, "the output is a directory");
     if (!S_ISREG(info.st_mode))
@@ -270,7 +270,7 @@ Result<AtomicFile> AtomicFile::begin(const std::string& name, const Options& opt
                                                 : "cannot create a file in the output's folder");
   }
   if (path == kStdout) {
-    // It needs no name: nothing is left behind however the process ends, by SIGPIPE or SIGKILL too.
+    // Unlinked at once, so that nothing is left behind however the process ends, SIGPIPE and SIGKILL included.
     ::unlink(file.temporary_.c_str());
     file.temporary_.clear();
     return file;
@@ -308,7 +308,8 @@ void AtomicFile::discard() {
 Status AtomicFile::reserve(std::uint64_t size) {
   if (size == 0) return {};
   const int error = ::posix_fallocate(fd_, 0, static_cast<off_t>(size));
-  if (error == 0 || error == EOPNOTSUPP || error == EINVAL) return {};  // no reservation here: writes will tell
+  // no reservation on this file system: writes will tell
+  if (error == 0 || error == EOPNOTSUPP || error == EINVAL) return {};
   return make_error(Errc::write_failed, Error::kNone, "cannot reserve space for the output", size, Error::kNone, error);
 }
 
@@ -376,7 +377,7 @@ Result<double> AtomicFile::finish() {
     if (!copied) return tl::unexpected(copied.error());
     return 0.0;
   }
-  const std::string folder_path = folder_of(path_);  // now: nothing may fail behind the renaming
+  const std::string folder_path = folder_of(path_);  // now: nothing may fail after renaming
   double seconds = 0;
   const auto timed_sync = [&seconds](int fd) {
     const auto start = std::chrono::steady_clock::now();
@@ -396,7 +397,7 @@ Result<double> AtomicFile::finish() {
       return make_error(Errc::output_exists, Error::kNone,
                         "the output appeared meanwhile; pass --overwrite to replace it");
     }
-    // File systems without RENAME_NOREPLACE: a hard link refuses an existing name just as well.
+    // For file systems without RENAME_NOREPLACE: a hard link rejects an existing name too.
     if (errno != EINVAL && errno != ENOSYS)
       return system_error(Errc::write_failed, "cannot rename the output to its name");
     if (::link(temporary_.c_str(), path_.c_str()) != 0) {
@@ -410,7 +411,7 @@ Result<double> AtomicFile::finish() {
   if (options_.sync) {
     const int folder = ::open(folder_path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder >= 0) {
-      timed_sync(folder);  // some file systems refuse to sync a folder; the file itself is on disk
+      timed_sync(folder);  // some file systems cannot sync a folder; the file itself is on disk
       ::close(folder);
     }
   }
@@ -424,10 +425,10 @@ void remove_temporaries_on_signal() {
   sigemptyset(&action.sa_mask);
   for (const int s : kEndingSignals) {
     struct sigaction inherited {};
-    // What nohup or a shell's background job ignores stays ignored.
+    // Keeps signals ignored that nohup or a shell's background job ignores.
     if (::sigaction(s, nullptr, &inherited) == 0 && inherited.sa_handler != SIG_IGN) ::sigaction(s, &action, nullptr);
   }
-  action.sa_flags = 0;  // with SA_RESETHAND a second thread's SIGBUS would end the process before the first one's exit
+  action.sa_flags = 0;  // SA_RESETHAND would let a second thread's SIGBUS end the process before the first one's exit
   ::sigaction(SIGBUS, &action, nullptr);
   ::signal(SIGXFSZ, SIG_IGN);  // a write beyond the size limit (ulimit -f) then fails with EFBIG
 }

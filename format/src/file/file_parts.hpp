@@ -1,4 +1,4 @@
-// file_parts.hpp - files of which only parts are in memory: what of the head is missing.
+// file_parts.hpp - files of which only parts are in memory: which bytes of the head are missing.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -11,10 +11,10 @@
 
 namespace rgs::detail {
 
-/// The most of the file's beginning that is one part.
+/// The longest prefix of the file that is a single part.
 std::span<const std::byte> beginning_of(std::span<const FilePart> parts);
 
-/// What header and table of sections need beyond `beginning`; nothing if they are there. Errors: those of a header.
+/// What header and section table need besides `beginning`; nothing if they are complete. Errors: those of a header.
 Result<std::optional<FileRange>> missing_head(std::span<const std::byte> beginning);
 
 }  // namespace rgs::detail

@@ -1,4 +1,4 @@
-// large_pages.cpp - the hint as Linux takes it.
+// large_pages.cpp - the hint on Linux.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/large_pages.hpp"
 

@@ -1,4 +1,4 @@
-// layout_io.cpp - header, section table and fixed records to bytes and back; see docs/format/FORMAT.md for each offset.
+// layout_io.cpp - serialises and parses header, section table and fixed records; docs/format/FORMAT.md has the offsets.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/layout_io.hpp"
 
@@ -11,7 +11,7 @@
 
 namespace rgs::detail {
 
-static_assert(std::endian::native == std::endian::little, "bulk attribute arrays are copied as they lie on disk");
+static_assert(std::endian::native == std::endian::little, "bulk attribute arrays are copied as they are on disk");
 
 std::vector<std::byte> write_head(const Header& header, std::span<const SectionEntry> sections) {
   ByteWriter out;
@@ -215,7 +215,7 @@ Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::u
   for (Axis& axis : d.axes) {
     if (!read_enum(in, axis, 0, 6)) return bad(1, "axis direction is not 0 to 6");
   }
-  // Three declared axes must be three different directions in space; (a - 1) / 2 is the pair left-right, up-down, ...
+  // Three declared axes must be different directions; (a - 1) / 2 is the pair left-right, up-down, ...
   if (std::ranges::count(d.axes, Axis::undeclared) != 0) {
     if (std::ranges::count(d.axes, Axis::undeclared) != 3) return bad(3, "either all axes are declared or none");
   } else {

@@ -1,5 +1,5 @@
-// layout_io.hpp - header, section table and fixed records to bytes and back. Parsing checks single fields; what fields
-// say about each other is checked in open.cpp.
+// layout_io.hpp - serialises and parses header, section table and fixed records. Parsing checks single fields; open.cpp
+// checks fields against each other.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -15,7 +15,7 @@
 
 namespace rgs::detail {
 
-/// Where entry `i` of the section table is in the file.
+/// Offset of entry `i` of the section table in the file.
 constexpr std::uint64_t section_entry_offset(std::uint64_t i) {
   return kHeaderBytes + i * kSectionEntryBytes;
 }
@@ -30,7 +30,7 @@ std::vector<std::byte> write_provenance(const Provenance& provenance);
 /// The first kHeaderBytes of a file.
 Result<Header> parse_header(std::span<const std::byte> bytes);
 Result<SectionEntry> parse_section_entry(std::span<const std::byte> bytes, std::uint64_t offset);
-/// `offset` is where the record lies in the file.
+/// `offset`: of the record in the file.
 Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::uint64_t offset, std::uint16_t minor);
 Result<ChunkEntry> parse_chunk_entry(std::span<const std::byte> bytes, std::uint64_t offset);
 ShStepSet parse_step_set(std::span<const std::byte> bytes);

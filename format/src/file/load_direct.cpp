@@ -1,4 +1,4 @@
-// load_direct.cpp - chunks in the layout that a GPU reads: borrowed from the file, or decoded on all threads.
+// load_direct.cpp - chunks in the GPU's layout: borrowed from the file, or decoded on all threads.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -19,7 +19,7 @@
 namespace rgs {
 namespace {
 
-// Frames of one section that hold part of the range, and where their rows go.
+// Frames of one section with part of the range, and where their rows go.
 struct CodedPart {
   SectionType type = SectionType::means;
   const FrameTable* table = nullptr;
@@ -29,7 +29,7 @@ struct CodedPart {
   std::byte* rows = nullptr;         // [end - first, row_bytes]
 };
 
-// Uninitialised, for vector loads; null if there is not as much.
+// Uninitialised, aligned for vector loads; null if memory runs out.
 std::byte* allocate(std::uint64_t bytes) {
   const std::uint64_t alignment = bytes >= 2 * detail::kLargePage ? detail::kLargePage : 64;
   if (bytes > std::numeric_limits<std::size_t>::max() - alignment) return nullptr;
@@ -65,7 +65,7 @@ Status decode_frame(const FileView& view, const CodedPart& part, std::uint64_t i
   }
 }
 
-// The frames of one index of all three sections, `parts` as read_chunks() lists them.
+// Decodes the frames of one index of all three sections; `parts` as listed by read_chunks().
 Status decode_archive_frame(const FileView& view, std::span<const CodedPart> parts, std::uint64_t index,
                             detail::ArchiveDecoder& decoder) {
   const CodedPart &sh = parts[0], &geometry = parts[1], &means = parts[2];
@@ -139,7 +139,7 @@ Result<DirectData> DirectData::load(const FileView& view, std::uint64_t first_ch
   data.first_ = std::min(first_chunk * h.chunk_size, h.n_gaussians);
   data.n_ = std::min((first_chunk + n_chunks) * h.chunk_size, h.n_gaussians) - data.first_;
 
-  // Largest first: what takes longest must not begin last.
+  // Largest first, so that the longest job does not start last.
   struct Section {
     SectionType type;
     std::uint64_t row_bytes;

@@ -1,4 +1,4 @@
-// open.cpp - the head of an .rgs file, checked before anything in it is believed.
+// open.cpp - parses the head of an .rgs file and checks it before use.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -18,9 +18,9 @@ constexpr std::array kKnown = {SectionType::declarations, SectionType::sh_steps,
                                SectionType::means,        SectionType::geometry,  SectionType::sh,
                                SectionType::permutation,  SectionType::provenance};
 constexpr std::size_t kRequired = 6;  // the first six of kKnown
-// Larger than any that is legal: what says more would make a reader fetch what it refuses.
+// More than any legal section, so that a reader does not fetch what it will reject.
 constexpr std::uint64_t kMostProvenanceBytes = std::uint64_t{1} << 16;
-// What a file with levels of detail must have, and what it must not.
+// Sections that a file with levels of detail must have, and must not have.
 constexpr std::array kRequiredWithLevels = {SectionType::declarations, SectionType::levels, SectionType::pages};
 constexpr std::array kInPages = {SectionType::sh_steps, SectionType::chunks, SectionType::means, SectionType::geometry,
                                  SectionType::sh};
@@ -45,8 +45,8 @@ bool known_codec(const SectionEntry& s, std::uint16_t minor) {
   return false;
 }
 
-// Sections lie in table order, each at the next multiple of 256, zeros between, the last one up to the end of the file,
-// of which `bytes` may be the beginning.
+// Sections lie in table order, each at the next multiple of 256, with zeros between, up to the end of the file. `bytes`
+// may be a prefix of it.
 Status check_placement(std::span<const std::byte> bytes, std::uint64_t file_bytes,
                        std::span<const SectionEntry> sections, std::uint64_t head_bytes) {
   std::uint64_t end = head_bytes;
@@ -58,10 +58,10 @@ Status check_placement(std::span<const std::byte> bytes, std::uint64_t file_byte
       return make_error(Errc::bad_section, at + 16, "a section does not start at a multiple of 256", start, s.offset);
     }
     if (s.offset < end) {
-      return make_error(Errc::section_overlap, at + 16, "a section overlaps what is before it", start, s.offset);
+      return make_error(Errc::section_overlap, at + 16, "a section overlaps the bytes before it", start, s.offset);
     }
     if (s.offset > start) {
-      return make_error(Errc::section_gap, at + 16, "bytes before a section belong to nothing", start, s.offset);
+      return make_error(Errc::section_gap, at + 16, "bytes before a section belong to no section", start, s.offset);
     }
     if (s.offset > file_bytes || s.stored_bytes > file_bytes - s.offset) {
       return make_error(Errc::bad_section, at + 24, "a section reaches beyond the end of the file", file_bytes,
@@ -73,7 +73,7 @@ Status check_placement(std::span<const std::byte> bytes, std::uint64_t file_byte
     end = s.offset + s.stored_bytes;
   }
   if (end != file_bytes) {
-    return make_error(Errc::section_gap, end, "bytes after the last section belong to nothing", file_bytes, end);
+    return make_error(Errc::section_gap, end, "bytes after the last section belong to no section", file_bytes, end);
   }
   return {};
 }
@@ -83,8 +83,8 @@ Status missing(SectionType type) {
                     static_cast<std::uint64_t>(type));
 }
 
-// All required sections, by whether the file has levels of detail. Then what a reader needs before it can use a page comes
-// before the pages: a file is of use from its beginning on.
+// Checks that all required sections are there, with or without levels of detail, and that sections that a reader needs
+// before the first page precede the pages, so that a prefix of the file is usable.
 Status check_required(std::span<const SectionEntry> sections, bool levels) {
   const auto count = [&](SectionType type) {
     return std::ranges::count(sections, static_cast<std::uint32_t>(type), &SectionEntry::type);
@@ -116,7 +116,7 @@ Status check_required(std::span<const SectionEntry> sections, bool levels) {
   return {};
 }
 
-// Sections of a file with levels, by the table alone.
+// Whether the table is that of a file with levels.
 bool names_levels(std::span<const SectionEntry> sections, std::uint16_t minor) {
   return minor >= 4 && std::ranges::any_of(
                            sections, [](const SectionEntry& s) { return of_levels(static_cast<SectionType>(s.type)); });
@@ -128,16 +128,16 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
     const std::uint64_t at = detail::section_entry_offset(i);
     if (!known(s.type, minor)) {
       if ((s.flags & kSectionMustUnderstand) != 0) {
-        return make_error(Errc::unknown_required, at, "a section that must be understood is not known to this program",
-                          Error::kNone, s.type);
+        return make_error(Errc::unknown_required, at,
+                          "this program does not know a section that readers must understand", Error::kNone, s.type);
       }
       continue;
     }
     if (std::ranges::count(sections.first(i), s.type, &SectionEntry::type) != 0) {
-      return make_error(Errc::duplicate_section, at, "a section is there twice", Error::kNone, s.type);
+      return make_error(Errc::duplicate_section, at, "a section occurs twice", Error::kNone, s.type);
     }
     if (!known_codec(s, minor)) {
-      return make_error(Errc::unsupported_codec, at + 8, "a section's codec is not known to this program", Error::kNone,
+      return make_error(Errc::unsupported_codec, at + 8, "this program does not know a section's codec", Error::kNone,
                         s.codec);
     }
     if (s.codec == static_cast<std::uint32_t>(Codec::none) && s.stored_bytes != s.decoded_bytes) {
@@ -148,16 +148,15 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
   return check_required(sections, names_levels(sections, minor));
 }
 
-// Where the entry of LODS is.
 std::uint64_t levels_entry(std::span<const SectionEntry> sections) {
   const auto entry = std::ranges::find(sections, static_cast<std::uint32_t>(SectionType::levels), &SectionEntry::type);
   return detail::section_entry_offset(static_cast<std::size_t>(entry - sections.begin()));
 }
 
-// Codec::archive is that of MEAN, GEOM and SHI8 together or of PAGE, with ARCH, or of none.
+// Codec::archive is on MEAN, GEOM and SHI8 together or on PAGE, with ARCH; or on none.
 Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor) {
   constexpr auto kArchive = static_cast<std::uint32_t>(Codec::archive);
-  // The codec of an unknown type is not looked at.
+  // Ignores the codec of unknown types.
   const bool archive = std::ranges::any_of(sections, [minor](const SectionEntry& s) {
     const auto type = static_cast<SectionType>(s.type);
     return s.codec == kArchive && (archive_type(type) || (type == SectionType::pages && minor >= 4));
@@ -178,7 +177,7 @@ Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor
   return {};
 }
 
-// Size of entry `index` of the table against `count` records of `bytes` bytes.
+// Checks the size of table entry `index` against `count` records of `bytes` bytes.
 Status check_size(const FileView& view, std::size_t index, std::uint64_t count, std::uint64_t bytes) {
   std::uint64_t size = 0;
   if (!detail::multiply(count, bytes, size)) {
@@ -193,7 +192,7 @@ Status check_size(const FileView& view, std::size_t index, std::uint64_t count, 
   return {};
 }
 
-// Sizes that the header alone implies.
+// Checks sizes that follow from the header alone.
 Status check_sizes(const FileView& view) {
   const Header& h = view.header();
   for (std::size_t i = 0; i < view.sections().size(); ++i) {
@@ -245,7 +244,7 @@ Result<FileView> FileView::open(std::span<const std::byte> bytes, const DecodeLi
   });
 }
 
-// Stored bytes of a section that lies in one of the parts, as a whole.
+// Stored bytes of a section that lies entirely in one part.
 std::optional<std::span<const std::byte>> FileView::bytes_of(const SectionEntry& entry,
                                                              std::span<const FilePart> parts) {
   for (const FilePart& part : parts) {
@@ -274,8 +273,8 @@ Status FileView::parse_declarations(std::span<const FilePart> parts) {
   return {};
 }
 
-// Header and table of sections. With `levels` of a file that must have levels of detail, and may be its beginning. The file has
-// `size` bytes, of which `bytes` may be the first.
+// Parses header and section table. `levels`: the file must have levels of detail. The file has `size` bytes; `bytes`
+// may be a prefix.
 Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, std::uint64_t size, const DecodeLimits& limits,
                                       bool levels) {
   const auto header = detail::parse_header(bytes);
@@ -298,7 +297,7 @@ Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, std::uin
                       header->file_bytes, size);
   }
   if (bytes.size() < head_bytes) {
-    return make_error(Errc::truncated, bytes.size(), "the head is not there as a whole", head_bytes, bytes.size());
+    return make_error(Errc::truncated, bytes.size(), "the head is incomplete", head_bytes, bytes.size());
   }
   const std::uint64_t stored_hash = detail::ByteReader(bytes.subspan(table_end)).u64();
   const std::uint64_t hash = xxh3(bytes.first(table_end));
@@ -321,9 +320,10 @@ Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, std::uin
   if (const Status s = check_archive(view.sections_, header->version_minor); !s) return tl::unexpected(s.error());
   const bool named = names_levels(view.sections_, header->version_minor);
   if (named && !levels) {
-    return make_error(Errc::unsupported_feature, levels_entry(view.sections_),
-                      "the file has levels of detail, which this program does not read: rgs-convert writes its finest "
-                      "level, or another one, as a file without");
+    return make_error(
+        Errc::unsupported_feature, levels_entry(view.sections_),
+        "the file has levels of detail, which this program does not read: rgs-convert can write its finest "
+        "level, or another one, as a file without levels");
   }
   if (!named && levels) {
     return make_error(Errc::missing_section, kHeaderBytes, "the file has no levels of detail",
@@ -335,8 +335,8 @@ Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, std::uin
   return view;
 }
 
-// What all files have in front of their Gaussians: head, declarations, provenance where that is there. The first part is the
-// file's beginning.
+// Parses what precedes the Gaussians in all files: head, declarations, provenance if there is any. The first part has
+// the file's first bytes.
 Result<FileView> FileView::parse_front(std::span<const FilePart> parts, std::uint64_t size, const DecodeLimits& limits,
                                        bool levels) {
   auto parsed = parse_head(parts.front().bytes, size, limits, levels);
@@ -360,7 +360,7 @@ Result<FileView> FileView::parse_front(std::span<const FilePart> parts, std::uin
   return view;
 }
 
-// Of a file without levels all of it is the only part; with `levels` the first is its beginning.
+// Without levels the whole file is the only part; with `levels` the first part has its first bytes.
 Result<FileView> FileView::parse(std::span<const FilePart> parts, const DecodeLimits& limits, bool levels) {
   auto parsed = parse_front(parts, parts.front().bytes.size(), limits, levels);
   if (!parsed) return parsed;
@@ -377,7 +377,7 @@ Result<FileView> FileView::parse(std::span<const FilePart> parts, const DecodeLi
   return view;
 }
 
-// The most of the file's beginning that is one part.
+// The longest prefix of the file that is a single part.
 std::span<const std::byte> detail::beginning_of(std::span<const FilePart> parts) {
   std::span<const std::byte> most;
   for (const FilePart& part : parts) {
@@ -389,7 +389,7 @@ std::span<const std::byte> detail::beginning_of(std::span<const FilePart> parts)
 Result<std::optional<FileRange>> detail::missing_head(std::span<const std::byte> beginning) {
   const auto header = parse_header(beginning);
   if (beginning.size() < kHeaderBytes) {
-    // What is no .rgs file says so as early as it can.
+    // Rejects other formats as early as possible.
     if (!header && header.error().code != Errc::truncated) return tl::unexpected(header.error());
     return FileRange{0, kHeaderBytes};
   }

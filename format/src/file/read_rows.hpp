@@ -1,4 +1,4 @@
-// read_rows.hpp - decoded rows to Gaussians, one at a time.
+// read_rows.hpp - decodes rows to Gaussians, one at a time.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -20,7 +20,7 @@ struct RowArrays {
 class RowReader {
  public:
   RowReader(int sh_degree, int scale_exponent, const RowArrays& arrays);
-  /// SH steps of the rows that are read next.
+  /// SH steps of the next rows.
   void use(const ShStepSet& steps);
   void read(std::uint64_t row, Splat& out);
   void read(std::uint64_t row, ActivatedSplat& out);

@@ -1,4 +1,4 @@
-// repeated_index.hpp - whether a list of positions in a source names one twice.
+// repeated_index.hpp - whether a list of positions in a source repeats one.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,9 +8,9 @@
 
 namespace rgs::detail {
 
-/// Whether two of index_at(0) .. index_at(n - 1), all below n_source, are equal. Marks a bit for each position of the source;
-/// where that would take more than 64 bits an index, because a file has kept little of its source or lies about it, the indices
-/// are sorted.
+/// Whether two of index_at(0) .. index_at(n - 1), all below n_source, are equal. Marks a bit for each position of the
+/// source; sorts the indices instead if that takes more than 64 bits an index, because a file has kept little of its
+/// source or lies about it.
 template <class IndexAt>
 bool has_repeated_index(std::uint64_t n, std::uint64_t n_source, const IndexAt& index_at) {
   if (n_source / 64 <= n) {

@@ -1,9 +1,9 @@
-// row_kernels.cpp - the loops of row_kernels.hpp, compiled for each instruction set and chosen at run time.
+// row_kernels.cpp - the loops of row_kernels.hpp, compiled for each instruction set and dispatched at run time.
 // SPDX-License-Identifier: Apache-2.0
 //
-// What vectors leave over, and everything where there are none, is done a row at a time by the functions of stored_values.hpp.
+// The functions of stored_values.hpp process the rows that vectors leave over, or all rows without vectors.
 
-// Vectors without a size at compile time do not fit in arrays, through which sums go.
+// Arrays hold sums of vectors, so vectors need a size at compile time.
 #define HWY_DISABLED_TARGETS (HWY_SSE4 | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 
 #undef HWY_TARGET_INCLUDE
@@ -24,10 +24,10 @@ namespace {
 
 constexpr std::size_t kCodes = kGeometryBytes / sizeof(std::uint16_t);
 
-// Of FP16 codes by their place in a row of GEOM.
+// Results by position of an FP16 code in a row of GEOM.
 struct CodeScan {
   std::uint16_t most[kCodes] = {};
-  bool are_rotations = true;  ///< for certain
+  bool are_rotations = true;  ///< surely legal
   ValueCounts counts;
 };
 
@@ -58,8 +58,8 @@ HWY_INLINE hn::Vec<D8> load(const std::byte* p) {
   return hn::LoadU(d8, reinterpret_cast<const std::uint8_t*>(p));
 }
 
-// FP16 in the lower and in the upper half of a word, exactly, as float_from_half() does it; but infinity and NaN, 0x7C00 and above, become
-// finite numbers from 65,536 to 131,008. scan_codes() relies on that: Max could lose a NaN, and none of these is lost.
+// FP16 in the lower and in the upper half of a word, exact as float_from_half(), except that infinity and NaN, 0x7C00
+// and above, become finite numbers from 65,536 to 131,008. scan_codes() relies on that: Max could lose a NaN.
 HWY_INLINE Floats magnitude_below(Words w) {
   const Words bits = hn::ShiftLeft<13>(hn::And(w, hn::Set(d32, 0x7FFFu)));
   return hn::Mul(hn::BitCast(df, bits), hn::Set(df, 0x1p112f));
@@ -75,7 +75,8 @@ HWY_INLINE Floats half_above(Words w) {
   return hn::CopySign(magnitude_above(w), hn::BitCast(df, w));
 }
 
-// The box of as many rows as fill vectors: how many. Components follow each other in three vectors as they do in one.
+// Extends the box by as many rows as fill vectors, and returns their number. Three vectors repeat the order of
+// components.
 HWY_INLINE std::size_t scan_means(const std::byte* rows, std::size_t n, Box& box, bool& are_finite) {
   const std::size_t whole = n / kFloats * kFloats;
   if (whole == 0) return 0;
@@ -103,12 +104,12 @@ HWY_INLINE std::size_t scan_means(const std::byte* rows, std::size_t n, Box& box
   return whole;
 }
 
-// 128 bits are a row, so lanes of a code are kCodes apart. Counts are those of legal codes.
+// A row is 128 bits, so lanes of a code are kCodes apart. Counts are valid if all codes are legal.
 template <bool kAll>
 HWY_INLINE std::size_t scan_codes(const std::byte* rows, std::size_t n, CodeScan& scan) {
   constexpr std::size_t kRows = kWords / kCodes;
   const std::size_t whole = n / kRows * kRows;
-  // Smaller ones are counted: scales below the normal range, opacities other than 1.
+  // Counts smaller ones: scales below the normal range, opacities other than 1.
   constexpr std::uint16_t kLimits[kCodes] = {0, 0, 0, 0, 0x0400, 0x0400, 0x0400, 0x3C00};
   const auto limits = hn::BitCast(di16, hn::LoadDup128(d16, kLimits));
   auto most = hn::Zero(d16), zeros = most, small = most;
@@ -142,7 +143,7 @@ HWY_INLINE std::size_t scan_codes(const std::byte* rows, std::size_t n, CodeScan
     scan.counts.scale_subnormal += n_small[4] + n_small[5] + n_small[6] - scale_zero;
     scan.counts.opacity_zero += n_zero[7];
     scan.counts.opacity_one += whole - n_small[7];
-    // Squares are exact and two sums that are rounded follow each other: the norm is wrong by less than 2^-22.
+    // Squares are exact and two rounded sums follow, so the norm's error is below 2^-22.
     float deviations[kFloats];
     hn::StoreU(deviation, df, deviations);
     for (std::size_t i = 0; i < kFloats; i += 4) {
@@ -166,7 +167,8 @@ HWY_INLINE bool scan_sh(const std::byte* rows, std::size_t bytes, const ShRowMas
          hn::AllTrue(d8, hn::Eq(foreign, hn::Zero(d8)));
 }
 
-// RoomInBox::is_enough() in binary32, of scales s as stored, without their exponent E. With u = 2^-24 and s the largest scale, to first order:
+// RoomInBox::is_enough() in binary32, for stored scales s without their exponent E. To first order, with u = 2^-24 and
+// s the largest scale:
 //
 //   |q|^2    squares are exact, sums of 4 numbers that are not negative: 3 u of it
 //   f        2 / |q|^2: 4 u of it
@@ -177,10 +179,10 @@ HWY_INLINE bool scan_sh(const std::byte* rows, std::size_t bytes, const ShRowMas
 //   reach    3 |r s|: 75 u of s
 //   room     a difference times 2^E, a power of two: u of it
 //
-// So the reach is less than is found, but for what kShare has to spare, plus 128 u of s, which leaves enough for extent_of(), too, that rounds in
-// binary64. Where numbers become so small that they lose bits, these are less than u of the least scale that is not 0; where they
-// overflow, there is room for any scale. 3 s 2^-E is exact; a room may be rounded up to it that is smaller, by u of it, which is within
-// what kExtentShare has to spare.
+// So the true reach is at most the computed one plus 128 u of s, plus the margin of kShare. That leaves enough for
+// extent_of(), which rounds in binary64. Numbers so small that they lose bits are less than u of the least nonzero
+// scale; on overflow there is room for any scale. 3 s 2^-E is exact; a smaller room may be rounded up to it by u of it,
+// which is within the margin of kExtentShare.
 HWY_INLINE hn::Mask<DF> have_room(const BoxInFp32& box, const std::byte* means, const std::byte* geometry) {
   constexpr float kShare = 1 - 0x1p-11f, kSlack = 128 * 0x1p-24f;
   Floats room[3];
@@ -223,7 +225,7 @@ std::uint64_t in_box(const BoxInFp32& box, const std::byte* means, const std::by
   std::uint64_t found = 0;
   if (count < kFloats) return found;
   for (std::size_t i = 0; i < count; i += kFloats) {
-    const std::size_t at = std::min(i, count - kFloats);  // the last ones, some a second time
+    const std::size_t at = std::min(i, count - kFloats);  // the last ones, some of them again
     std::uint8_t bits[8] = {};
     hn::StoreMaskBits(df, have_room(box, means + at * kMeanBytes, geometry + at * kGeometryBytes), bits);
     found |= static_cast<std::uint64_t>(bits[0] | bits[1] << 8) << at;
@@ -283,7 +285,7 @@ HWY_INLINE bool scan(const std::byte* means, const std::byte* geometry, std::siz
       }
     }
   }
-  // FP16 bits of numbers that are not negative order as the numbers do, below those of infinity, NaN and others.
+  // FP16 bits of non-negative numbers order as the numbers do, below infinity, NaN and negative numbers.
   const std::uint16_t* most = codes.most;
   summary.largest_scale = std::max({most[4], most[5], most[6]});
   summary.largest_opacity = most[7];
@@ -304,7 +306,7 @@ bool check(const std::byte* means, const std::byte* geometry, std::size_t n, Row
 bool check_sh(const std::byte* rows, std::size_t bytes, const ShRowMask& mask) {
   std::size_t whole = 0;
   if (!scan_sh(rows, bytes, mask, whole)) return false;
-  unsigned bad = 0;  // without a branch, so that it becomes vectors
+  unsigned bad = 0;  // no branch, so that it vectorises
   for (std::size_t of_mask = whole % mask.bytes; whole < bytes; of_mask = 0) {
     const std::size_t n = std::min(bytes - whole, mask.bytes - of_mask);
     for (std::size_t i = 0; i < n; ++i) {
@@ -335,7 +337,7 @@ const RowKernels& row_kernels() {
   return HWY_DYNAMIC_DISPATCH(row_loops)();
 }
 
-// All bits where a step is not 0, none elsewhere and in the padding.
+// All bits if the step is not 0; none otherwise and in padding.
 ShRowMask::ShRowMask(const ShStepSet& steps, int sh_degree) {
   const std::size_t row = sh_bytes(sh_degree);
   std::size_t whole = 0;

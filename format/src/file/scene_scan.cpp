@@ -1,4 +1,4 @@
-// scene_scan.cpp - damaged Gaussians and the first pass of the encoder.
+// scene_scan.cpp - finds damaged Gaussians, and the encoder's first pass.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/scene_scan.hpp"
 
@@ -21,7 +21,7 @@ constexpr std::uint32_t bit(Defect defect) {
   return 1u << static_cast<unsigned>(defect);
 }
 
-// Maps floats to integers of the same order; NaN is not expected.
+// Maps floats, but not NaN, to integers of the same order.
 std::uint32_t ordered_bits(float value) {
   const std::uint32_t bits = detail::bits_of(value);
   return (bits & 0x80000000u) != 0 ? ~bits : bits | 0x80000000u;
@@ -126,7 +126,7 @@ bool SceneScan::add(Splat& s) {
   }
   ++n_kept_;
   for (std::size_t i = 0; i < 3; ++i) {
-    const float mean = s.mean[i] + 0.f;  // -0 becomes 0: which of the two is the smaller must not depend on the order
+    const float mean = s.mean[i] + 0.f;  // -0 becomes 0: the minimum must not depend on the order
     full_.min[i] = std::min(full_.min[i], mean);
     full_.max[i] = std::max(full_.max[i], mean);
     ++histogram_[i * kBins + (ordered_bits(mean) >> 16)];
@@ -176,7 +176,7 @@ std::vector<std::byte> SceneScan::to_bytes() const {
   }
   for (const float x : {min_log_scale_, max_log_scale_, min_opacity_logit_, max_opacity_logit_}) out.f32(x);
   for (const std::int32_t bits : sh_magnitudes_.bits_) out.u32(static_cast<std::uint32_t>(bits));
-  // Few of the bins hold anything.
+  // Few bins are used.
   out.u64(static_cast<std::uint64_t>(std::ranges::count_if(histogram_, [](std::uint64_t n) { return n != 0; })));
   for (std::size_t i = 0; i < histogram_.size(); ++i) {
     if (histogram_[i] == 0) continue;
@@ -190,7 +190,7 @@ Result<SceneScan> SceneScan::from_bytes(std::span<const std::byte> bytes) {
   detail::ByteReader in(bytes);
   const std::uint32_t sh_degree = in.u32(), on_bad = in.u32();
   if (sh_degree > kMaxShDegree || on_bad > static_cast<std::uint32_t>(BadPolicy::repair)) {
-    return make_error(Errc::bad_value, 0, "these bytes are no scan of a scene");
+    return make_error(Errc::bad_value, 0, "these bytes are not a scan of a scene");
   }
   SceneScan scan(static_cast<int>(sh_degree), static_cast<BadPolicy>(on_bad));
   for (std::uint64_t* count : {&scan.n_source_, &scan.n_kept_, &scan.n_repaired_}) *count = in.u64();
@@ -209,14 +209,14 @@ Result<SceneScan> SceneScan::from_bytes(std::span<const std::byte> bytes) {
     const std::uint64_t n = in.u64();
     if (!in.ok()) break;
     if (i >= scan.histogram_.size() || n > scan.n_kept_) {
-      return make_error(Errc::bad_value, at, "these bytes are no scan of a scene");
+      return make_error(Errc::bad_value, at, "these bytes are not a scan of a scene");
     }
     scan.histogram_[i] = n;
     on_axis[i / kBins] += n;
   }
   if (!in.ok()) return make_error(Errc::truncated, bytes.size(), "the scan of a scene ends too early");
   if (in.remaining() != 0) return make_error(Errc::trailing_bytes, in.offset(), "bytes after the scan of a scene");
-  // Whoever looks for a robust box counts on it.
+  // The search for the robust box relies on it.
   if (on_axis != std::array{scan.n_kept_, scan.n_kept_, scan.n_kept_}) {
     return make_error(Errc::bad_value, 0, "the counts of a scan contradict each other");
   }

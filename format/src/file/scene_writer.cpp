@@ -1,4 +1,4 @@
-// scene_writer.cpp - batches of chunks to the sections of a file.
+// scene_writer.cpp - encodes batches of chunks into the sections of a file.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/scene_writer.hpp"
 
@@ -26,7 +26,7 @@ namespace {
 constexpr std::uint64_t kDirectRows = 8192;  // Gaussians a batch, or one chunk if larger
 constexpr std::array kLarge = {SectionType::means, SectionType::geometry, SectionType::sh};
 
-// Whether the chunks' boxes add up to `full`.
+// Whether the union of the chunks' boxes is `full`.
 bool same_box(std::span<const ChunkEntry> chunks, const Box& full) {
   if (chunks.empty()) return true;
   Box box = chunks.front().means;
@@ -49,15 +49,15 @@ struct SceneWriter::State {
   detail::EncodePlan plan;
   detail::SectionWriter file;
   detail::SceneTables tables;
-  SplatCloud scene;  // Profile::archive; batches fill their parts of it side by side
+  SplatCloud scene;  // Profile::archive; batches fill their parts side by side
   std::uint64_t batch_rows = 0;
   std::uint64_t n_added = 0;  // batches
-  Status status;              // of the first add() that failed: what is written is of no use then
+  Status status;              // of the first add() that failed; the file is then useless
 };
 
 struct SceneWriter::Batch::State {
   std::uint64_t first = 0, n = 0;  // of the batch
-  std::uint64_t done = 0;          // Gaussians that are encoded
+  std::uint64_t done = 0;          // Gaussians encoded
   std::vector<Splat> splats;       // of the next chunk
   std::vector<ChunkEntry> chunks;
   std::vector<ShStepSet> steps;
@@ -184,15 +184,15 @@ void SceneWriter::Batch::encode_chunk() {
     const detail::EncodePlan& plan = writer_->plan;
     const int degree = plan.header.sh_degree;
     const std::span<Splat> chunk = splats();
-    // The scan has seen every Gaussian sound, or has mended it. One that is not by now would make a file that no reader
-    // opens, or is not even a number that can be quantised.
+    // The scan has seen or made every Gaussian sound. One that is not by now would make a file that no reader opens, or
+    // cannot be quantised.
     for (Splat& s : chunk) {
       const std::uint32_t defects = find_defects(s, degree);
       if (defects != 0 && !(plan.mends && repair(s, defects))) return detail::source_changed();
     }
     if (plan.options.profile == Profile::archive) {
       for (Splat& s : chunk) {
-        for (float& value : s.log_scale) value = std::max(value, -kMaxLogScale);  // codes have no room for -inf
+        for (float& value : s.log_scale) value = std::max(value, -kMaxLogScale);  // codes cannot hold -inf
         writer_->scene.set(b.first + b.done++, s);
       }
       return {};
@@ -206,7 +206,7 @@ void SceneWriter::Batch::encode_chunk() {
     b.chunks.push_back(detail::encode_rows(chunk, plan.header, b.steps.back(), &b.rows[0][b.done * kMeanBytes],
                                            &b.rows[1][b.done * kGeometryBytes], &b.rows[2][b.done * sh_bytes(degree)],
                                            b.counts));
-    // A scale above all that the scan has seen overflows FP16.
+    // A scale above the scan's largest overflows FP16.
     if (!std::isfinite(b.chunks.back().radius)) return detail::source_changed();
     b.done += chunk.size();
     if (!complete() || !b.encoder) return {};

@@ -1,4 +1,4 @@
-// section_writer.cpp - places sections and writes the head, to a file on disk or into memory.
+// section_writer.cpp - places sections and writes the head, on disk or in memory.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/section_writer.hpp"
 
@@ -78,7 +78,7 @@ Status SectionWriter::grow(SectionType type, std::span<const std::byte> bytes, s
   return {};
 }
 
-// Gives the section its offset. What has grown before may lie in the gap to the one before it.
+// Gives the section its offset. Bytes written earlier may lie in the gap before it.
 Status SectionWriter::begin(Section& s) {
   static constexpr std::array<std::byte, kSectionAlignment> kZeros{};
   const std::uint64_t offset = align_up(end_, kSectionAlignment);
@@ -87,7 +87,7 @@ Status SectionWriter::begin(Section& s) {
   return sink_.write_at(end_, std::span(kZeros).first(offset - end_));
 }
 
-// Frames of a section to behind their table. Never downwards, so that nothing is overwritten before it has moved.
+// Moves a section's frames behind their table. Never downwards, so that nothing is overwritten before it has moved.
 Status SectionWriter::move_frames(Section& s) {
   std::uint64_t from = s.grown_from, to = s.entry.offset + s.entry.stored_bytes - s.grown_bytes;
   assert(to <= from);

@@ -1,5 +1,5 @@
-// single_thread.cpp - stand-ins for workers.cpp and large_pages.cpp where there are neither threads nor pages: every job
-// on the caller's thread, one after the other.
+// single_thread.cpp - replaces workers.cpp and large_pages.cpp on platforms without threads: runs every job on the
+// caller's thread.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/large_pages.hpp"
 #include "file/workers.hpp"

@@ -9,7 +9,7 @@
 namespace rgs {
 namespace {
 
-// Spreads the low 21 bits so that two zero bits follow each.
+// Spreads the low 21 bits with two zero bits after each.
 std::uint64_t spread(std::uint64_t x) {
   x &= 0x1FFFFF;
   x = (x | x << 32) & 0x001F00000000FFFF;
@@ -45,8 +45,8 @@ std::uint64_t MortonKey::operator()(const float point[3]) const {
 
 std::vector<std::size_t> partition_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices) {
   assert(keys.size() == indices.size());
-  // 13 bits, 12 of a Morton key's 63: buckets of a million points fit the first-level cache, and the write streams its
-  // second-level TLB.
+  // 13 bits, 12 of them of a Morton key's 63: buckets of a million points fit the first-level cache, and the write
+  // streams its second-level TLB.
   constexpr int kBits = 13;
   constexpr int kShift = 64 - kBits;
   const std::size_t n = keys.size();

@@ -1,4 +1,4 @@
-// splat_cloud.cpp - accessors of the in-memory splat containers.
+// splat_cloud.cpp - accessors of the splat containers.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/splat_cloud.hpp"
 

@@ -1,4 +1,4 @@
-// validate.cpp - the payload of a file against its specification.
+// validate.cpp - checks the payload of a file against the specification.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstring>
@@ -23,7 +23,7 @@ using detail::threads_for;
 using detail::worker_count;
 using Totals = detail::ValueTotals;
 
-// `place` gives the offset in the file of a byte of the row.
+// `place` maps a byte of the row to its offset in the file.
 template <class Place>
 Status check_geometry(const std::uint16_t codes[8], const Place& place, detail::RowSummary& found) {
   if (!is_unit_quaternion(codes)) {
@@ -62,7 +62,7 @@ Status check_sh(const std::int8_t* codes, const Place& place, const ShStepSet& s
   return {};
 }
 
-// What the rows of a chunk hold, one after the other: what is illegal first, and why.
+// Checks and summarises the rows of a chunk; on failure finds the first illegal value.
 Result<detail::RowSummary> check_rows(const detail::ChunkRows& rows, std::uint64_t n, const ShStepSet& steps) {
   detail::RowSummary found;
   Box& box = found.means;
@@ -104,13 +104,13 @@ Status detail::check_chunk_rows(const ChunkRows& rows, const ChunkEntry& entry, 
 
   const auto at = [&](std::uint64_t byte) { return rows.place(SectionType::chunks, 0, byte); };
   if (found.means.min != entry.means.min || found.means.max != entry.means.max) {
-    return make_error(Errc::bad_value, at(0), "a chunk's box is not that of its means");
+    return make_error(Errc::bad_value, at(0), "a chunk's box differs from that of its means");
   }
   if (entry.radius != 3.f * dequantize_scale(found.largest_scale, rows.scale_exponent)) {
     return make_error(Errc::bad_value, at(12), "a chunk's radius is not three times its largest scale");
   }
   if (entry.max_opacity != float_from_half(found.largest_opacity)) {
-    return make_error(Errc::bad_value, at(28), "a chunk's largest opacity is not that of its Gaussians");
+    return make_error(Errc::bad_value, at(28), "a chunk's largest opacity differs from that of its Gaussians");
   }
   totals.add({{}, found.means, false});
   return {};
@@ -135,7 +135,7 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
       *entry, *steps, totals);
 }
 
-// Every value of the range, a few thousand Gaussians at a time.
+// Checks every value of the range, a few thousand Gaussians at a time.
 Status check_chunks(const DirectData& data, unsigned threads, Totals& totals) {
   const std::uint64_t chunks_a_job = std::max<std::uint64_t>(1, 8192 / data.header().chunk_size);
   const std::uint64_t n_jobs = (data.n_chunks() + chunks_a_job - 1) / chunks_a_job;
@@ -165,7 +165,7 @@ Status detail::check_declarations(const FileView& view, const ValueTotals& total
   const Declarations& d = view.declarations();
   const std::uint64_t at = view.find(SectionType::declarations)->offset;
   if (d.full.min != totals.full.min || d.full.max != totals.full.max) {
-    return make_error(Errc::bad_value, at + 44, "the declared full box is not that of the means");
+    return make_error(Errc::bad_value, at + 44, "the declared full box differs from that of the means");
   }
   for (std::size_t k = 0; k < 3; ++k) {
     if (d.robust.min[k] < totals.full.min[k] || d.robust.max[k] > totals.full.max[k]) {
@@ -177,7 +177,7 @@ Status detail::check_declarations(const FileView& view, const ValueTotals& total
   const std::uint64_t declared[4] = {d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one};
   for (std::size_t i = 0; i < 4; ++i) {
     if (declared[i] != found[i]) {
-      return make_error(Errc::bad_value, at + 120 + 8 * i, "a declared count is not what the file holds", declared[i],
+      return make_error(Errc::bad_value, at + 120 + 8 * i, "a declared count differs from the file's", declared[i],
                         found[i]);
     }
   }
@@ -205,7 +205,7 @@ Status detail::check_permutation(const FileView& view) {
 
 namespace {
 
-// Hashes of sections; of coded ones only if `coded`.
+// Checks hashes of sections; of coded ones only if `coded`.
 Status check_sections(const FileView& view, unsigned threads, bool coded) {
   threads = threads_for(view.bytes().size(), threads);
   return run_jobs(view.sections().size(), threads, [&](unsigned, std::uint64_t i) -> Status {

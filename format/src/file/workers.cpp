@@ -1,4 +1,4 @@
-// workers.cpp - independent jobs on a few threads.
+// workers.cpp - runs independent jobs on a few threads.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/workers.hpp"
 
@@ -22,7 +22,7 @@ Status run_jobs(std::uint64_t n, unsigned threads, const std::function<Status(un
   std::uint64_t failed_at = n;
   Status status;
   std::exception_ptr exception;
-  // Jobs are handed out in order, so that all below a failure have begun before it lowers the end.
+  // Jobs are handed out in order, so all jobs below a failure have started before it lowers the end.
   const auto work = [&](unsigned worker) {
     try {
       for (std::uint64_t i = next++; i < end; i = next++) {
@@ -46,7 +46,7 @@ Status run_jobs(std::uint64_t n, unsigned threads, const std::function<Status(un
   others.reserve(count);
   try {
     for (unsigned worker = 1; worker < count; ++worker) others.emplace_back(work, worker);
-  } catch (...) {  // no more threads, or no memory for one: those there are do the work
+  } catch (...) {  // no more threads, or no memory for one: the existing ones do the work
   }
   work(0);
   for (std::thread& thread : others) thread.join();

@@ -1,4 +1,4 @@
-// leaves_as_file.cpp - the finest level of a file with levels as a file without, in memory.
+// leaves_as_file.cpp - writes the finest level of a file with levels as a file without, in memory.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -27,7 +27,7 @@ SectionEntry entry_of(SectionType type, std::uint64_t bytes, bool required) {
   return entry;
 }
 
-// The file's bytes, with every section at its place.
+// The file's bytes, with every section in place.
 class PlainFile {
  public:
   PlainFile(const Header& header, std::vector<SectionEntry> sections)
@@ -70,14 +70,14 @@ Result<std::vector<std::byte>> leaves_as_file(const PagedFile& file, const LoadO
     Header h = head.header();
     const std::uint64_t stride = sh_bytes(h.sh_degree);
     h.version_minor = head.declarations().origin == kNoOrigin ? 0 : 3;
-    h.n_step_sets = h.n_chunks;  // whatever pages share
+    h.n_step_sets = h.n_chunks;  // even if pages share one
     std::vector<SectionEntry> sections{entry_of(SectionType::declarations, kDeclarationBytes, true),
                                        entry_of(SectionType::sh_steps, h.n_step_sets * kStepSetBytes, true),
                                        entry_of(SectionType::chunks, h.n_chunks * kChunkEntryBytes, true),
                                        entry_of(SectionType::means, h.n_gaussians * kMeanBytes, true),
                                        entry_of(SectionType::geometry, h.n_gaussians * kGeometryBytes, true),
                                        entry_of(SectionType::sh, h.n_gaussians * stride, true)};
-    // Of those that are not whole nothing is kept. Provenance was checked when the file was opened.
+    // Drops sections that are incomplete. Provenance was checked when the file was opened.
     std::vector<const SectionEntry*> kept;
     for (const SectionType type : {SectionType::permutation, SectionType::provenance}) {
       const SectionEntry* entry = head.find(type);

@@ -31,7 +31,7 @@ void enlarge(Box& box, const Box& by) {
   }
 }
 
-// The nearest FP32 number that is not above, or not below, a finite value.
+// The nearest FP32 number not above, or not below, a finite value.
 float rounded(double value, bool up) {
   constexpr float kMax = std::numeric_limits<float>::max();
   const double limited = std::clamp(value, -static_cast<double>(kMax), static_cast<double>(kMax));

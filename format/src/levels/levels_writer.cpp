@@ -1,4 +1,4 @@
-// levels_writer.cpp - pages of Gaussians to a file with levels.
+// levels_writer.cpp - encodes pages of Gaussians as a file with levels.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/levels_writer.hpp"
 
@@ -30,8 +30,8 @@ using namespace detail;
 
 namespace {
 
-// Means of a page that stands for others need not be finer than what is seen of it: its error is a pixel, wherever it is
-// drawn. A 512th of that at most is lost, and in packed the bytes below it cost nothing.
+// Means of a page above the leaves need no more precision than its error, which is at most a pixel wherever it is
+// drawn. This loses at most a 512th of that, and packed stores the zeroed bytes for free.
 void round_means(std::span<Splat> splats, float error) {
   int exponent = 0;
   std::frexp(error, &exponent);  // error < 2^exponent
@@ -41,7 +41,6 @@ void round_means(std::span<Splat> splats, float error) {
   }
 }
 
-// A page while it is encoded.
 struct PageBuffers {
   std::vector<Splat> splats;
   float smallest = 0, largest = 0;     // log-scale
@@ -55,7 +54,7 @@ Status not_of_page() {
   return make_error(Errc::bad_argument, Error::kNone, "these are not the Gaussians of this page");
 }
 
-// The page's Gaussians as they are encoded.
+// The page's Gaussians as they will be encoded.
 Status take_splats(const EncodePlan& plan, const lod::Page& page, const SplatView& splats, PageBuffers& b) {
   if (splats.n != page.count || !splats.consistent() || splats.sh_degree < plan.header.sh_degree) return not_of_page();
   const bool leaf = page.level == 0;
@@ -68,7 +67,7 @@ Status take_splats(const EncodePlan& plan, const lod::Page& page, const SplatVie
     if (defects != 0 && !(leaf && plan.mends && repair(s, defects))) {
       return leaf ? source_changed()
                   : make_error(Errc::bad_value, i,
-                               "a Gaussian above the finest level cannot be drawn: its place or size is beyond FP32");
+                               "a Gaussian above the finest level cannot be drawn: its mean or scale is beyond FP32");
     }
     for (const float value : s.log_scale) {
       b.smallest = std::min(b.smallest, value);
@@ -78,7 +77,7 @@ Status take_splats(const EncodePlan& plan, const lod::Page& page, const SplatVie
   return {};
 }
 
-// Of every profile but archive.
+// For every profile but archive.
 Status encode_page(const EncodePlan& plan, const lod::Page& page, PageBuffers& b) {
   const bool leaf = page.level == 0;
   const int degree = plan.header.sh_degree;
@@ -137,7 +136,7 @@ Status encode_page(const EncodePlan& plan, const lod::Page& page, PageBuffers& b
   return {};
 }
 
-// Records of PageEncoder: a head with its hash, then the page as it is stored.
+// Records of PageEncoder: a head with its hash, then the stored page.
 constexpr std::uint64_t kRecordHeadBytes = 4 + 4 + 4 + 4 + 24 + 24 + 32 + 8;
 
 void write_box(ByteWriter& out, const Box& box) {
@@ -194,7 +193,7 @@ Status read_record(std::span<const std::byte> record, const lod::Page& page, Enc
     return make_error(Errc::checksum_mismatch, Error::kNone, "the record of an encoded page is damaged");
   }
   if (level != page.level || count != page.count) {
-    return make_error(Errc::bad_argument, Error::kNone, "the record is that of another page", page.count, count);
+    return make_error(Errc::bad_argument, Error::kNone, "the record belongs to another page", page.count, count);
   }
   return {};
 }
@@ -205,7 +204,7 @@ struct LevelsWriter::State {
   Sink sink;
   EncodePlan plan;
   PageTable table;                 // Profile::archive, until it is written
-  std::optional<LevelsFile> file;  // the others
+  std::optional<LevelsFile> file;  // other profiles
   SplatCloud scene;                // Profile::archive
   ValueTotals leaves;
   std::size_t n_added = 0;
@@ -238,7 +237,7 @@ Result<LevelsWriter> LevelsWriter::create(Sink sink, const SceneScan& leaves, co
     auto plan = make_plan(leaves, options);
     if (!plan) return tl::unexpected(plan.error());
     if (plan->options.profile == Profile::archive && !options.chunk_step_sets) {
-      return bad("archive with levels has a set of SH steps for each chunk: leave the file's out");
+      return bad("archive with levels has a set of SH steps for each chunk: keep chunk_step_sets");
     }
     std::uint64_t first = 0, n_leaves = 0;
     for (lod::Page& page : pages) {
@@ -253,7 +252,7 @@ Result<LevelsWriter> LevelsWriter::create(Sink sink, const SceneScan& leaves, co
       return make_error(Errc::bad_argument, s.error().offset, s.error().what);
     }
     if (n_leaves != leaves.n_kept()) {
-      return make_error(Errc::bad_argument, Error::kNone, "the leaves' Gaussians are not those of the scan",
+      return make_error(Errc::bad_argument, Error::kNone, "the leaves differ from the scan's Gaussians",
                         leaves.n_kept(), n_leaves);
     }
     if (!(quality_db >= 0 && std::isfinite(quality_db))) return bad("the quality of pages is negative or not finite");
@@ -323,7 +322,7 @@ Result<WrittenScene> LevelsWriter::finish() {
       return tl::unexpected(source_changed().error());
     }
     s.leaves.counts.declare(d);
-    // Not copied: they take 4 bytes a Gaussian.
+    // Not copied: 4 bytes a Gaussian.
     const bool is_mapped = o.keep_permutation && !o.source_index.empty();
     return s.file->finish(d, is_mapped ? o.source_index : std::span<const std::uint32_t>(given));
   });
@@ -393,7 +392,8 @@ Result<WrittenScene> write_levels(const lod::Levels& levels, const EncodeOptions
     std::uint64_t n = 0;
     for (const lod::Page& page : levels.pages) n += page.count;
     if (n != all.n || !all.consistent()) {
-      return make_error(Errc::bad_argument, Error::kNone, "the pages' Gaussians are not those of the levels", all.n, n);
+      return make_error(Errc::bad_argument, Error::kNone, "the pages' counts differ from the levels' Gaussians", all.n,
+                        n);
     }
     SceneScan scan(std::min(all.sh_degree, options.sh_degree), BadPolicy::refuse);
     for (std::uint64_t i = all.n - levels.n_leaves(); i < all.n; ++i) {
@@ -402,7 +402,7 @@ Result<WrittenScene> write_levels(const lod::Levels& levels, const EncodeOptions
     }
     auto writer = LevelsWriter::create(sink, scan, options, levels.pages, levels.quality_db);
     if (!writer) return tl::unexpected(writer.error());
-    // A group at a time: its pages are encoded side by side, then written in order.
+    // Group by group: encodes its pages side by side, then writes them in order.
     const std::uint64_t group = 8 * std::uint64_t{worker_count(levels.pages.size(), threads)};
     std::vector<LevelsWriter::Encoder> encoders;
     for (std::uint64_t i = 0; i < group; ++i) encoders.emplace_back(*writer);

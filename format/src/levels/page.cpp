@@ -1,4 +1,4 @@
-// page.cpp - the tree of pages: what must hold of it, whoever made it.
+// page.cpp - checks the tree of pages, and finds cuts.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/page.hpp"
 
@@ -25,7 +25,7 @@ bool contains(const Box& outer, const Box& inner) {
   return true;
 }
 
-// Pages from the root down to those that are drawn, or have no children: in the order of their leaves.
+// Walks from the root down to pages that are drawn or have no children, in the order of leaves.
 template <class IsDrawn>
 std::vector<std::uint32_t> pages_until(const std::vector<Page>& pages, const IsDrawn& is_drawn) {
   std::vector<std::uint32_t> drawn, stack{0};
@@ -55,14 +55,14 @@ std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::u
 std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint64_t max_count,
                                       std::uint32_t n_present) {
   n_present = static_cast<std::uint32_t>(std::min<std::size_t>(n_present, pages.size()));
-  // From the root downwards, largest error first: each page gives way to its children. Those of one error do so together,
-  // as they would for any e.
+  // From the root downwards, largest error first, replaces each page by its children. Pages of equal error are replaced
+  // together, as for any threshold.
   std::vector<std::uint32_t> by_error;
   for (std::size_t i = 0; i < pages.size(); ++i) {
     if (pages[i].n_children != 0) by_error.push_back(static_cast<std::uint32_t>(i));
   }
   std::ranges::stable_sort(by_error, std::ranges::greater(), [&](std::uint32_t i) { return pages[i].error; });
-  float error = std::numeric_limits<float>::infinity();  // pages of at most so much are drawn
+  float error = std::numeric_limits<float>::infinity();  // pages with at most this error are drawn
   bool found = pages.front().count <= max_count && n_present > 0;
   std::int64_t count = pages.front().count;
   for (std::size_t i = 0; i < by_error.size();) {
@@ -82,7 +82,7 @@ std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint6
     if (!present) break;
     if (static_cast<std::uint64_t>(count) <= max_count) {
       found = true;
-      error = std::nextafter(split, 0.f);  // less than this one's, and not less than that of any below
+      error = std::nextafter(split, 0.f);  // below this one's, and not below any descendant's
     }
   }
   if (!found) return {};
@@ -111,7 +111,7 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
   if (page.count == 0) return {PageField::count, "a page has no Gaussians"};
   const bool last = index + 1 == n;
   if (leaf && !last && page.count % chunk_size != 0) {
-    return {PageField::count, "a leaf page that is not the last is not whole chunks"};
+    return {PageField::count, "a leaf page other than the last is not whole chunks"};
   }
   if (page.level >= kMaxLevels) return {PageField::level, "a page's level is above 63"};
   const Page* before = root ? nullptr : &pages[index - 1];
@@ -126,10 +126,10 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
   if (leaf && (page.n_children != 0 || page.first_child != 0)) return {PageField::children, "a leaf page has children"};
   if (!leaf) {
     if (page.n_children == 0 || page.n_children > kMaxChildren) {
-      return {PageField::children, "a page above the leaves has not 1 to 255 children"};
+      return {PageField::children, "a page above the leaves does not have 1 to 255 children"};
     }
-    // The first page of the level below follows the last of this one. Of children that are still to come nothing has to be
-    // remembered: what a level's first page claims follows what the level above claimed, which is this level.
+    // The level below starts after the last page of this one. Future children need no bookkeeping: what a level's first
+    // page claims must follow what the level above claimed, which is this level.
     const std::uint64_t next = root ? 1 : std::uint64_t{before->first_child} + before->n_children;
     const bool continues = !root && before->level == page.level;
     const bool to_come = std::uint64_t{page.first_child} + page.n_children > pages.size();
@@ -144,18 +144,18 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
   }
   if (!is_box(page.bounds)) return {PageField::bounds, "a page's box is not finite or has min > max"};
   if (!is_box(page.core)) return {PageField::core, "a page's core is not finite or has min > max"};
-  if (!contains(page.bounds, page.core)) return {PageField::core, "a page's core reaches out of its box"};
+  if (!contains(page.bounds, page.core)) return {PageField::core, "a page's core reaches beyond its box"};
   if (!std::isfinite(page.error) || page.error < 0 || std::signbit(page.error) || (leaf && page.error != 0)) {
     return {PageField::error, "a page's error is negative or not finite, or that of a leaf is not 0"};
   }
   if (root) return {};
-  if (page.parent >= index) return {PageField::parent, "a page's parent does not come before it"};
+  if (page.parent >= index) return {PageField::parent, "a page's parent does not precede it"};
   const Page& parent = pages[page.parent];
   if (index < parent.first_child || index - parent.first_child >= parent.n_children || page.level + 1 != parent.level) {
-    return {PageField::parent, "a page is no child of the page that it names as its parent"};
+    return {PageField::parent, "a page is not a child of the page that it names as its parent"};
   }
-  if (!contains(parent.bounds, page.bounds)) return {PageField::bounds, "a page's box reaches out of its parent's"};
-  if (!contains(parent.core, page.core)) return {PageField::core, "a page's core reaches out of its parent's"};
+  if (!contains(parent.bounds, page.bounds)) return {PageField::bounds, "a page's box reaches beyond its parent's"};
+  if (!contains(parent.core, page.core)) return {PageField::core, "a page's core reaches beyond its parent's"};
   if (!(page.error < parent.error)) return {PageField::error, "a page's error is not less than its parent's"};
   return {};
 }

@@ -1,4 +1,4 @@
-// page_decode.cpp - a page's stored bytes to rows, and rows to Gaussians.
+// page_decode.cpp - decodes a page's stored bytes to rows, and rows to Gaussians.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <bit>
@@ -67,7 +67,7 @@ Status PageDecoder::State::packed(std::uint32_t page, std::span<const std::byte>
   return {};
 }
 
-// Sizes of the first two of three streams, then these: MEAN, GEOM, SHI8.
+// Sizes of the first two of three streams, then the streams: MEAN, GEOM, SHI8.
 Status PageDecoder::State::lossy(std::uint32_t page, std::span<const std::byte> bytes, const PageLayout& l,
                                  std::span<std::byte> out) {
   const Header& h = file.head().header();
@@ -123,13 +123,13 @@ Result<PageRows> PageDecoder::decode(std::uint32_t page, std::span<const std::by
 
 namespace {
 
-// Entry and steps of a chunk of a decoded page, and where they are in the file.
+// Entry and steps of a chunk of a decoded page, and their offsets in the file.
 struct ChunkOfPage {
   ChunkEntry entry;
   ShStepSet steps;
 };
 
-// Where a byte of the decoded page is in the file: there, or the page's beginning where it is coded.
+// Offset in the file of a byte of the decoded page; of the page if it is coded.
 std::uint64_t place_in_page(const PagedFile& file, std::uint32_t page, std::uint64_t decoded_offset) {
   return file.stored(page).offset + (file.codec() == Codec::none ? decoded_offset : 0);
 }
@@ -154,8 +154,8 @@ Result<ChunkOfPage> chunk_of_page(const PagedFile& file, std::uint32_t page, con
   }
   const std::uint64_t set = stored.n_step_sets == 1 ? 0 : chunk;
   if (entry->step_set != set) {
-    return make_error(Errc::bad_value, at + (coded ? 0 : 32), "a chunk's steps are not those of its place in the page",
-                      set, entry->step_set);
+    return make_error(Errc::bad_value, at + (coded ? 0 : 32),
+                      "a chunk's step set does not match its position in the page", set, entry->step_set);
   }
   const ShStepSet steps = parse_step_set(rows.steps.subspan(set * kStepSetBytes, kStepSetBytes));
   const Status legal =
@@ -219,7 +219,7 @@ Status detail::check_page_rows(const PagedFile& file, std::uint32_t page, const 
                                place};
     if (Status s = check_chunk_rows(chunk_rows, of->entry, of->steps, totals); !s) return s;
   }
-  // The box may be short of an extent by what rounding it can cost.
+  // The box may be short of an extent by what rounding can cost.
   const Box& box = file.pages()[page].bounds;
   const RoomInBox room(box, rows.scale_exponent);
   const std::byte *const means = rows.means.data(), *const geometry = rows.geometry.data();
@@ -237,7 +237,7 @@ Status detail::check_page_rows(const PagedFile& file, std::uint32_t page, const 
           continue;
         }
         return make_error(Errc::bad_value, place_in_page(file, page, l.means + i * kMeanBytes + 4 * k),
-                          "a Gaussian reaches out of its page's box");
+                          "a Gaussian reaches beyond its page's box");
       }
     }
   }

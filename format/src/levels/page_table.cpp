@@ -1,4 +1,4 @@
-// page_table.cpp - section LODS. The order of its checks is that of docs/format/FORMAT.md "Reading levels safely".
+// page_table.cpp - section LODS. Checks in the order of docs/format/FORMAT.md "Reading levels safely".
 // SPDX-License-Identifier: Apache-2.0
 #include "levels/page_table.hpp"
 
@@ -15,7 +15,7 @@
 namespace rgs::detail {
 namespace {
 
-// Places of fields in a record.
+// Offsets of fields in a record.
 constexpr std::uint64_t kOffsetField = 0, kStoredField = 16, kCountField = 20, kParentField = 24, kChildrenField = 28,
                         kLevelField = 32, kExponentField = 34, kErrorField = 36, kBoundsField = 40, kCornerField = 64,
                         kStepSetsField = 76, kCoreField = 80, kReservedField = 104;
@@ -37,7 +37,7 @@ constexpr std::uint64_t record_at(std::uint64_t section, std::uint64_t page) {
   return section + kLevelsHeadBytes + page * kPageRecordBytes;
 }
 
-// Everything of a record but where it lies and what it says of other pages.
+// Parses a record and checks all but its offset and its relations to other pages.
 Status parse_record(ByteReader& in, const PageContext& context, std::uint32_t page_chunks, lod::Page& page,
                     StoredPage& stored) {
   const std::uint64_t at = in.offset();
@@ -88,7 +88,7 @@ Status parse_record(ByteReader& in, const PageContext& context, std::uint32_t pa
   return {};
 }
 
-// Pages from `from` on lie one behind the other, and the last fills their section.
+// Checks that pages from `from` on are contiguous, and that the last one ends their section.
 Status check_places(const PageContext& context, const PageTable& table, std::size_t from) {
   const bool direct = context.pages.codec == static_cast<std::uint32_t>(Codec::none);
   const std::uint64_t section_end = context.pages.offset + context.pages.stored_bytes;
@@ -99,11 +99,11 @@ Status check_places(const PageContext& context, const PageTable& table, std::siz
     const std::uint64_t at = record_at(context.levels.offset, i);
     const std::uint64_t start = direct ? align_up(end, kPageAlignment) : end;
     if (page.offset < start) {
-      return make_error(Errc::section_overlap, at + kOffsetField, "a page overlaps what is before it", start,
+      return make_error(Errc::section_overlap, at + kOffsetField, "a page overlaps the bytes before it", start,
                         page.offset);
     }
     if (page.offset > start) {
-      return make_error(Errc::section_gap, at + kOffsetField, "bytes before a page belong to nothing", start,
+      return make_error(Errc::section_gap, at + kOffsetField, "bytes before a page belong to no page", start,
                         page.offset);
     }
     if (direct) {
@@ -148,7 +148,7 @@ Status check_tree(const PageContext& context, PageTable& table, std::size_t from
 
 Status append(std::span<const std::byte> records, const PageContext& context, PageTable& table) {
   const std::size_t from = table.pages.size(), n = from + records.size() / kPageRecordBytes;
-  // No more than has come, and never more than there will be.
+  // Not beyond twice the known pages, and never beyond the total.
   const std::size_t room = std::min<std::size_t>(std::max(n, 2 * from), table.n_pages);
   if (n > table.pages.capacity()) table.pages.reserve(room);
   if (n > table.stored.capacity()) table.stored.reserve(room);
@@ -224,8 +224,9 @@ Result<PageTable> parse_levels_head(std::span<const std::byte> bytes, const Page
   }
   if (table.page_chunks == 0 || table.page_chunks > lod::kMaxPageChunks ||
       std::uint64_t{table.page_chunks} * h.chunk_size > lod::kMaxPageRows) {
-    return make_error(Errc::bad_value, at + 8, "pages may have no chunks, or more than 1,024, or than 2^16 Gaussians",
-                      Error::kNone, table.page_chunks);
+    return make_error(Errc::bad_value, at + 8,
+                      "the largest page has no chunks, or more than 1,024, or more than 2^16 Gaussians", Error::kNone,
+                      table.page_chunks);
   }
   if (table.n_stored > limits.max_gaussians) {
     return make_error(Errc::limit_exceeded, at + 16, "more Gaussians than the caller allows", limits.max_gaussians,
@@ -258,11 +259,11 @@ Status check_page_table(const PageTable& table, const PageContext& context) {
     decoded += page_layout(page.count, h.chunk_size, table.stored[i].n_step_sets, h.sh_degree).bytes;
   }
   if (leaves != h.n_gaussians) {
-    return make_error(Errc::bad_value, context.levels.offset + 16, "the leaves' Gaussians are not those of the header",
-                      h.n_gaussians, leaves);
+    return make_error(Errc::bad_value, context.levels.offset + 16,
+                      "the number of Gaussians in leaves differs from the header's", h.n_gaussians, leaves);
   }
   if (table.pages.front().level + 1 != table.n_levels) {
-    return make_error(Errc::bad_value, context.levels.offset + 4, "the number of levels is not that of the pages",
+    return make_error(Errc::bad_value, context.levels.offset + 4, "the number of levels differs from the pages'",
                       table.pages.front().level + 1, table.n_levels);
   }
   if (context.pages.codec != static_cast<std::uint32_t>(Codec::none) && context.pages.decoded_bytes != decoded) {
@@ -350,15 +351,16 @@ std::uint64_t RoomInBox::undecided(const std::byte* means, const std::byte* geom
   return all & ~row_kernels().in_box(in_fp32_, means, geometry, count);
 }
 
-// What rounding can cost, to first order, with u = 2^-53 and s the largest scale. What does not shrink with the reach is taken off the room; the
-// rest is a few u of the reach or of the room, which the space between kShare and kExtentShare holds many times over.
+// Bounds of rounding errors, to first order, with u = 2^-53 and s the largest scale. Errors that do not shrink with the
+// reach are subtracted from the room; the rest is a few u of the reach or the room, which the gap between kShare and
+// kExtentShare covers many times over.
 //
 //   here         as in row_kernels.cpp, where the same is done in binary32: 75 u of s
 //   extent_of()  |q|^2: 3 u of it; w, x, y, z: 4 u of each; their products: 9 u; r on its diagonal: yy + zz, at most 1, is wrong by 10 u of
 //                it, so twice that and u for the difference: 21 u; r elsewhere: 9 u of |xy| + |wz|, at most 1/2, and u / 2 for the sum, all
 //                twice: 10 u; r s: 22 u of s; |r s|, three of them: sqrt(3) * 22 u = 39 u of s; reach: 117 u of s
 //
-// 192 u of s in all. Nothing becomes so small here that it loses bits.
+// 192 u of s in all. No number here becomes small enough to lose bits.
 bool RoomInBox::is_enough(const std::byte* mean, const std::byte* geometry) const {
   constexpr double kShare = 1 - 0x1p-11, kSquaredShare = 9 * kShare * kShare, kSlack = 192 * 0x1p-53;
   float position[3];
@@ -371,7 +373,7 @@ bool RoomInBox::is_enough(const std::byte* mean, const std::byte* geometry) cons
     room[k] = std::min(x - static_cast<double>(box_.min[k]), static_cast<double>(box_.max[k]) - x);
   }
   const auto scale = [&](std::uint16_t code) { return static_cast<double>(float_from_half(code)) * scale_unit_; };
-  // Farther it reaches in no direction. FP16 bits of numbers that are not negative order as the numbers do.
+  // It reaches no farther in any direction. FP16 bits of non-negative numbers order as the numbers do.
   const double largest = scale(std::max({row[4], row[5], row[6]})), farthest = 3 * largest;
   if (farthest <= room[0] && farthest <= room[1] && farthest <= room[2]) return true;
   for (double& left : room) left -= kSlack * largest;

@@ -1,4 +1,4 @@
-// page_table.hpp - section LODS: the tree of pages and where they lie, to bytes and back; and how a page lies in memory.
+// page_table.hpp - section LODS: serialises and parses the tree of pages; and the layout of a decoded page in memory.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -19,24 +19,23 @@ namespace rgs::detail {
 /// What a page's record is checked against.
 struct PageContext {
   const Header& header;
-  const SectionEntry& levels;               ///< entry of LODS,
-  const SectionEntry& pages;                ///< and of PAGE
-  std::uint64_t levels_entry, pages_entry;  ///< where these entries are
+  const SectionEntry& levels;               ///< entry of LODS
+  const SectionEntry& pages;                ///< entry of PAGE
+  std::uint64_t levels_entry, pages_entry;  ///< their offsets
 };
 
 std::vector<std::byte> write_page_table(const PageTable& table);
 
-// The section is read from front to back: its head, its records as they come, and what only all of them show. All these give the
-// errors size_mismatch, reserved_bits, bad_value, section_overlap, section_gap, limit_exceeded.
+// The section is read from front to back: its head, its records as they arrive, then checks of the whole table. All
+// these may fail with size_mismatch, reserved_bits, bad_value, section_overlap, section_gap or limit_exceeded.
 
-/// A table without pages. `bytes`: the section or, if it has as many, its first kLevelsHeadBytes.
+/// A table without pages. `bytes`: the section, or at least its first kLevelsHeadBytes if it is that long.
 Result<PageTable> parse_levels_head(std::span<const std::byte> bytes, const PageContext& context,
                                     const DecodeLimits& limits);
-/// Appends the next pages, from whole records. After an error the table is as before.
+/// Appends the next pages from complete records. After an error the table is unchanged.
 Status append_pages(std::span<const std::byte> records, const PageContext& context, PageTable& table);
-/// Of a table that has all its pages.
 Status check_page_table(const PageTable& table, const PageContext& context);
-/// That pages decode to no more than a file of `file_bytes` may.
+/// Checks that pages decode to no more than a file of `file_bytes` may.
 Status check_decoded_bytes(const PageContext& context, const DecodeLimits& limits, std::uint64_t file_bytes);
 
 constexpr std::uint64_t chunks_of(std::uint64_t rows, std::uint32_t chunk_size) {
@@ -64,26 +63,26 @@ static_assert(kChunkEntryBytes % kPageArrayAlignment == 0 && kStepSetBytes % kPa
 PageRows page_rows(std::span<const std::byte> out, const PageLayout& layout, std::uint32_t n, int scale_exponent,
                    int sh_degree);
 
-/// Fills the chunk entries of a coded page, which has none of its own, from its rows of MEAN and GEOM.
+/// Derives the chunk entries of a coded page, which stores none, from its rows of MEAN and GEOM.
 void derive_chunks(std::span<std::byte> decoded, const PageLayout& layout, std::uint32_t n, std::uint32_t chunk_size,
                    std::uint64_t n_step_sets, int scale_exponent);
 
-/// Bounds of a Gaussian's mean and of its extent of 3 standard deviations on each axis, in binary64, from stored rows.
+/// Bounds of a Gaussian's mean and of its 3-standard-deviation extent on each axis, in binary64, from stored rows.
 struct Extent {
   double mean[3], reach[3];
 };
 Extent extent_of(const std::byte* mean, const std::byte* geometry, int scale_exponent);
-/// Of an extent, that its page's box holds: the box may be short of it by what rounding it can cost.
+/// Share of an extent that its page's box must hold; the rest allows for rounding.
 inline constexpr double kExtentShare = 1 - 0x1p-10;
 
-/// Whether a page's box holds Gaussians of legal values, without the roots that extent_of() takes. Where it says yes, kExtentShare of the
-/// extent is in the box, however extent_of() is rounded; it says no to some that the box holds.
+/// Whether a page's box holds Gaussians of legal values, without the roots of extent_of(). If true, kExtentShare of the
+/// extent is in the box, however extent_of() is rounded; may be false for a Gaussian that the box holds.
 class RoomInBox {
  public:
   RoomInBox(const Box& box, int scale_exponent);
-  /// Of a row of MEAN and of GEOM.
+  /// For a row of MEAN and of GEOM.
   bool is_enough(const std::byte* mean, const std::byte* geometry) const;
-  /// Of 1 to 64 rows, by vectors in binary32: bit i is set where these cannot say yes of row i, which is_enough() may.
+  /// For 1 to 64 rows, by binary32 vectors: bit i is set if these cannot confirm row i; is_enough() still may.
   std::uint64_t undecided(const std::byte* means, const std::byte* geometry, std::size_t count) const;
 
  private:

@@ -1,4 +1,4 @@
-// paged_file.cpp - opens files with levels of detail, and reads and checks all of their pages.
+// paged_file.cpp - opens files with levels of detail, and reads and checks their pages.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/paged_file.hpp"
 
@@ -21,7 +21,7 @@ using namespace detail;
 
 namespace {
 
-// What one thread needs to decode pages.
+// What a thread needs to decode pages.
 struct PageWorker {
   PageWorker(const PagedFile& file, std::uint64_t largest) : decoder(file), memory(largest) {}
   PageDecoder decoder;
@@ -39,7 +39,7 @@ std::vector<PageWorker> page_workers(const PagedFile& file, std::uint64_t n_page
   return workers;
 }
 
-// What lies between pages that are stored as they are.
+// Checks the bytes between pages that are stored uncoded.
 Status check_padding(const PagedFile& file) {
   if (file.codec() != Codec::none) return {};
   std::uint64_t end = file.head().find(SectionType::pages)->offset;
@@ -54,7 +54,7 @@ Status check_padding(const PagedFile& file) {
   return {};
 }
 
-// What section LODS of a file whose head is sound is checked against.
+// The context of section LODS, for a file with a sound head.
 PageContext context_of(const FileView& head) {
   const auto place_of = [&](const SectionEntry* entry) {
     return section_entry_offset(static_cast<std::uint64_t>(entry - head.sections().data()));
@@ -74,7 +74,7 @@ Status too_short(std::span<const std::byte> bytes, const Header& header) {
                     bytes.size());
 }
 
-// Tables have at most 73 KB before they are compressed: what says more would make a reader fetch what it cannot use.
+// Tables have at most 73 KB before compression; a reader must not fetch more than it can use.
 Status check_archive_bytes(const SectionEntry& entry) {
   constexpr std::uint64_t kMost = std::uint64_t{1} << 20;
   if (entry.stored_bytes <= kMost) return {};
@@ -124,13 +124,13 @@ Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const Decod
     return tl::unexpected(s.error());
   file.codec_ = static_cast<Codec>(context.pages.codec);
   if (file.codec_ != Codec::none && !file.complete()) {
-    // What file_bytes allows counts bytes that are not there.
+    // file_bytes counts bytes that are missing, so the limit is checked again.
     std::uint64_t decoded = 0;
     const std::uint32_t n = file.n_present();
     for (std::uint32_t i = 0; i < n; ++i) decoded += file.decoded_bytes(i);
     if (decoded > limits.decoded_bytes(bytes.size())) {
       return make_error(Errc::limit_exceeded, context.pages_entry + 32,
-                        "pages decode to more than the caller allows for so many bytes (max_expansion)",
+                        "pages decode to more than the caller allows for this many bytes (max_expansion)",
                         limits.decoded_bytes(bytes.size()), decoded);
     }
   }
@@ -272,7 +272,7 @@ std::uint32_t PagedFile::n_within(std::uint64_t file_bytes) const {
 std::uint32_t PagedFile::finest_present() const {
   const std::uint32_t n = n_present();
   if (n == n_pages()) return 0;
-  return table_.pages[n].level + 1;  // the first page that is missing is of the level below
+  return table_.pages[n].level + 1;  // the first missing page is of the level below
 }
 
 std::uint64_t PagedFile::decoded_bytes(std::uint32_t page) const {
@@ -319,8 +319,7 @@ Result<SplatCloud> read_pages(const PagedFile& file, std::span<const std::uint32
     for (const std::uint32_t page : pages) {
       if (page >= n_present) {
         return make_error(Errc::pages_missing, file.head().bytes().size(),
-                          "the end of the file is missing, and with it pages that are asked for", file.n_pages(),
-                          n_present);
+                          "the end of the file is missing, and with it requested pages", file.n_pages(), n_present);
       }
       first.push_back(n);
       n += file.pages()[page].count;
@@ -375,7 +374,7 @@ Status validate(const PagedFile& file, unsigned threads) {
       return check_page_rows(file, page, *rows, file.pages()[page].level == 0 ? leaves[worker] : above);
     });
     if (!checked || !file.complete()) return checked;
-    // Last: which page is damaged says more.
+    // Last: the number of a damaged page says more.
     const SectionEntry& pages = *head.find(SectionType::pages);
     if (const std::uint64_t hash = xxh3(head.stored(pages)); hash != pages.xxh3) {
       return make_error(Errc::checksum_mismatch, pages.offset, "a section's checksum does not match", pages.xxh3, hash);

@@ -1,10 +1,10 @@
-// codec_kernels.cpp - the codec's loops of codec_kernels.hpp, compiled for each instruction set and chosen at run time.
+// codec_kernels.cpp - the loops of codec_kernels.hpp, compiled for each instruction set and dispatched at run time.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Integer operations are those of docs/format/FORMAT.md, mod 2^16; FP32 operations are rounded once each. So every instruction
-// set gives the same bits.
+// Integer operations are those of docs/format/FORMAT.md, mod 2^16; FP32 operations are rounded once each. So every
+// instruction set gives the same bits.
 
-// Vectors without a size at compile time do not fit in arrays, which hold the sums here.
+// Arrays hold sums of vectors, so vectors need a size at compile time.
 #define HWY_DISABLED_TARGETS (HWY_SSE4 | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 
 #undef HWY_TARGET_INCLUDE
@@ -29,7 +29,7 @@ constexpr D16 d16;
 constexpr D8 d8;
 
 constexpr int kWidth = static_cast<int>(hn::MaxLanes(d16));
-constexpr int kVectors = kShLanes / kWidth < 4 ? kShLanes / kWidth : 4;  // sums held in registers at once
+constexpr int kVectors = kShLanes / kWidth < 4 ? kShLanes / kWidth : 4;  // sums kept in registers at once
 
 HWY_INLINE Words clamp127(Words a) {
   return hn::Min(hn::Max(a, hn::Set(d16, std::int16_t{-127})), hn::Set(d16, std::int16_t{127}));
@@ -40,7 +40,7 @@ HWY_INLINE Words wrap8(Words a) {
 HWY_INLINE Words widen(const std::int8_t* p) {
   return hn::PromoteTo(d16, hn::LoadU(d8, p));
 }
-HWY_INLINE void narrow(std::int8_t* p, Words v) {  // of values that fit
+HWY_INLINE void narrow(std::int8_t* p, Words v) {  // values must fit
   hn::StoreU(hn::DemoteTo(d8, v), d8, p);
 }
 
@@ -54,7 +54,7 @@ HWY_INLINE void run(ShLanes& lanes, const ShWeights& w, std::int8_t* residual, s
     std::int8_t* plane = residual + static_cast<std::size_t>(i) * stride;
     const Words carry = hn::Set(d16, w.carry[i]);
     for (int lane = 0; lane < kShLanes; lane += kVectors * kWidth) {
-      // Half the value predicted from the codes before. Rounding down loses half a unit a product: put back first.
+      // Half the prediction from earlier codes. Rounding down loses half a unit a product, added back first.
       Words base[kVectors];
       for (Words& b : base) b = hn::Set(d16, static_cast<std::int16_t>(i / 2));
       for (int j = 0; j < i; ++j) {
@@ -94,7 +94,7 @@ void encode(ShLanes& lanes, const ShWeights& weights, std::uint8_t* residual, st
 }
 
 #if HWY_TARGET != HWY_SCALAR
-// Four rounds of interleaving with the vector half the block away transpose 16 x 16 bytes.
+// Four rounds of interleaving with the vector half a block away transpose 16 x 16 bytes.
 HWY_INLINE void transpose(const std::int8_t* from, std::size_t from_stride, std::int8_t* to, std::size_t to_stride) {
   constexpr hn::Full128<std::int8_t> d;
   hn::Vec<hn::Full128<std::int8_t>> x[16], y[16];
@@ -109,7 +109,7 @@ HWY_INLINE void transpose(const std::int8_t* from, std::size_t from_stride, std:
   for (std::size_t i = 0; i < 16; ++i) hn::StoreU(x[i], d, to + i * to_stride);
 }
 
-// Products of pairs are summed by one instruction; four vectors of sums stay in registers.
+// One instruction sums the products of a pair; four vectors of sums stay in registers.
 void mix(const std::int16_t* pairs, const std::int16_t* matrix, int n_pairs, int n_out, std::int32_t* sums) {
   using D32 = hn::RepartitionToWide<D16>;
   constexpr D32 d32;
@@ -171,7 +171,7 @@ void store(const ShLanes& lanes, int n, int count, std::int8_t* rows, std::size_
   }
 }
 
-// This and correlate() are left to the compiler's own vectors.
+// The compiler vectorises this and correlate().
 //
 void unit_w(const std::uint8_t* xyz, std::size_t stride, int count, std::uint16_t* w) {
   for (int i = 0; i < count; ++i) {

@@ -1,12 +1,12 @@
 // codec_sh.cpp - lossless prediction of SH codes.
 //
-// The SH coefficients of a Gaussian, of its channels and of its neighbours hang together. A code is predicted, in steps
-// of its chunk, as a linear combination of the Gaussian's codes before it, plus a share of the error that the same
-// combination made on the row before; weights are fitted by least squares for each frame and stored with it. The
-// residual takes 31.4 bytes a Gaussian where the codes take 41.5 (docs/records/EXPERIMENTS.md).
+// SH coefficients of a Gaussian, of its channels and of neighbours are correlated. A code is predicted, in steps of its
+// chunk, as a linear combination of the Gaussian's earlier codes, plus a share of the error that the same combination
+// made on the row before; least squares fit the weights of each frame, which are stored with it. Residuals take 31.4
+// bytes a Gaussian, codes 41.5 (docs/records/EXPERIMENTS.md).
 //
-// To give vectors something to do the frame is walked in 64 lanes: lane l goes through rows l * S to (l + 1) * S - 1,
-// all lanes in step; the rows left over, less than 64, are one more step.
+// To suit vectors, 64 lanes walk the frame: lane l visits rows l * S to (l + 1) * S - 1, all lanes in step; the
+// remaining rows, fewer than 64, are one more step.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -19,8 +19,8 @@
 namespace rgs::detail {
 namespace {
 
-// Walks the frame's rows in lanes. visit(first_position, first_row, row_distance, n_lanes), for which lane l has row
-// first_row + l * row_distance, is called with steps, and at the start errors of 0, in place.
+// Walks the frame's rows in lanes. Calls visit(first_position, first_row, row_distance, n_lanes), where lane l has row
+// first_row + l * row_distance, with steps, and at the start errors of 0, in place.
 template <class Visit>
 void walk(ShLanes& lanes, std::uint32_t n_rows, const ShFrame& frame, const Visit& visit) {
   const std::vector<RelativeShSteps> steps = relative_sh_steps(frame);
@@ -76,7 +76,7 @@ std::uint8_t weight_byte(double weight) {
       static_cast<std::int8_t>(std::nearbyint(128 * std::clamp(weight, -127. / 128, 127. / 128))));
 }
 
-// Correlations of values in units of their chunk's step, among themselves and with the row before.
+// Correlations of values, in units of their chunk's step, within a row and with the row before.
 struct Correlation {
   std::vector<float> same, lagged;  // [n, n]
 };
@@ -106,9 +106,9 @@ Correlation correlate_codes(ShLanes& lanes, std::span<const std::byte> rows, con
   return c;
 }
 
-// Lower triangle of the Cholesky factor of the matrix with a little added to its diagonal, so that it has one. Where codes
-// depend on each other entirely, as in a chunk of equal Gaussians, rounding in FP32 is more than that little: entries are
-// kept to twice what they can be, or they would grow from row to row beyond all numbers.
+// Lower triangle of the Cholesky factor of the matrix, with a little added to its diagonal so that it exists. If codes
+// are fully dependent, as in a chunk of equal Gaussians, FP32 rounding exceeds that little: entries are limited to
+// twice their possible magnitude, or they would grow from row to row without bound.
 std::vector<double> cholesky(const std::vector<float>& matrix, std::size_t n) {
   double trace = 0;
   for (std::size_t i = 0; i < n; ++i) trace += static_cast<double>(matrix[i * n + i]);
@@ -193,7 +193,7 @@ void decode_sh_planes(ShLanes& lanes, std::span<const std::uint8_t> content, std
          std::array<std::array<std::uint8_t, kShLanes>, kShMaxCodes> last;
          if (count == kShLanes) {
            codec_kernels().decode(lanes, weights, planes + position, n_rows);
-         } else {  // lanes without a row get something defined
+         } else {  // defines lanes without a row
            for (std::size_t i = 0; i < static_cast<std::size_t>(n_codes); ++i) {
              std::ranges::fill(std::copy_n(planes + position + i * n_rows, count, last[i].begin()), last[i].end(),
                                std::uint8_t{0});

@@ -1,4 +1,5 @@
-// frame_codec.hpp - rows of a section to one coded frame and back; docs/format/FORMAT.md "Coded sections".
+// frame_codec.hpp - encodes rows of a section as one coded frame, and decodes it; docs/format/FORMAT.md "Coded
+// sections".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,21 +19,21 @@ struct ZSTD_CCtx_s;
 
 namespace rgs::detail {
 
-/// What the SH codec has to know of the frame's chunks.
+/// What the SH codec needs to know of the frame's chunks.
 struct ShFrame {
   int degree = 0;
-  std::uint32_t chunk_rows = 0;            ///< Gaussians a chunk; a frame begins with a chunk
-  std::span<const ShStepSet> chunk_steps;  ///< of each chunk that the frame touches
+  std::uint32_t chunk_rows = 0;            ///< Gaussians a chunk; a frame starts with a chunk
+  std::span<const ShStepSet> chunk_steps;  ///< of each chunk in the frame
 };
 
-/// Stored bytes of a frame, once their hash is right. Errors: checksum_mismatch.
+/// Stored bytes of a frame after a check of their hash. Errors: checksum_mismatch.
 Result<std::span<const std::byte>> frame_bytes(const FileView& view, const CodedFrame& frame);
 /// SH steps of the chunks of a frame. Errors: those of FileView::chunk_steps().
 Status frame_steps(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
                    std::vector<ShStepSet>& steps);
 
-/// Decodes frames, one at a time. Memory grows to that of the largest frame. Safe on untrusted bytes: whatever decodes
-/// without corrupt_data fills `out` with some rows. Errors: corrupt_data at `offset`, the frame's place in the file.
+/// Decodes frames, one at a time; memory grows to that of the largest frame. Safe on untrusted bytes: whatever decodes
+/// without corrupt_data fills `out` with some rows. Errors: corrupt_data at `offset`, the frame's.
 class FrameDecoder {
  public:
   FrameDecoder();
@@ -46,7 +47,7 @@ class FrameDecoder {
   Status sh(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows, const ShFrame& frame,
             std::span<std::byte> out);
 
-  /// Contents of frames that hold more than one kind of rows. The result is valid until the next call.
+  /// Content of a frame with more than one kind of rows; valid until the next call.
   Result<std::span<const std::uint8_t>> content(std::span<const std::byte> stored, std::uint64_t offset,
                                                 std::size_t bytes);
   ShLanes& lanes() { return *lanes_; }
@@ -58,20 +59,20 @@ class FrameDecoder {
   std::vector<std::uint8_t> content_;
 };
 
-/// A frame's rows take at most so many times its stored bytes: less than DecodeLimits::max_expansion allows a file, so
-/// that every file can be read, also one of a million equal Gaussians.
+/// A frame's rows take at most so many times its stored bytes: less than DecodeLimits::max_expansion, so that every
+/// file can be read, even one of a million equal Gaussians.
 inline constexpr std::size_t kMaxFrameExpansion = 1024;
 
 /// Encodes frames, one at a time. Deterministic.
 class FrameEncoder {
  public:
-  /// `level` 1 to kMaxLevel: 1 codes byte planes by entropy alone; above, matches of Zstandard's level are tried as
-  /// well and the smaller result is kept.
+  /// `level` 1 to kMaxLevel: 1 codes byte planes by entropy alone; above, Zstandard's matches of that level are tried
+  /// too, and the smaller result is kept.
   explicit FrameEncoder(int level);
   std::vector<std::byte> words(std::span<const std::byte> rows, std::uint64_t row_bytes);
   std::vector<std::byte> geometry(std::span<const std::byte> rows);
   std::vector<std::byte> sh(std::span<const std::byte> rows, const ShFrame& frame);
-  /// A page of a file with levels: all its rows in one frame. `steps` [n_sets, 48], the others as above.
+  /// A page of a file with levels: all its rows in one frame. `steps` [n_sets, 48], the rest as above.
   std::vector<std::byte> page(std::span<const std::byte> steps, std::span<const std::byte> means,
                               std::span<const std::byte> geometry, std::span<const std::byte> sh, const ShFrame& frame);
 
@@ -87,7 +88,7 @@ class FrameEncoder {
   int level_;
 };
 
-/// Planes of a content to rows: of 32-bit words, of GEOM.
+/// Decodes a content's planes to rows: of 32-bit words, of GEOM.
 void decode_word_planes(std::span<const std::uint8_t> content, std::uint32_t n_rows, std::uint64_t row_bytes,
                         std::span<std::byte> out);
 void decode_geometry_planes(std::span<const std::uint8_t> content, std::uint32_t n_rows, std::span<std::byte> out);
@@ -95,7 +96,7 @@ void decode_geometry_planes(std::span<const std::uint8_t> content, std::uint32_t
 // ---- the SH predictor (codec_sh.cpp) ------------------------------------------------------------------------------
 
 std::vector<RelativeShSteps> relative_sh_steps(const ShFrame& frame);
-/// Weights that suit the frame, as its content begins with them.
+/// Fits the frame's weights, in the form in which its content starts with them.
 void fit_sh_weights(ShLanes& lanes, std::span<const std::byte> rows, const ShFrame& frame,
                     std::span<std::uint8_t> weights);
 /// content: weights, then 3 (degree + 1)^2 planes of n_rows residuals.

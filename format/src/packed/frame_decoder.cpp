@@ -1,5 +1,5 @@
-// frame_decoder.cpp - byte planes of a frame to rows of 32-bit words, of geometry and of SH; frame_encoder.cpp says why
-// they are planes.
+// frame_decoder.cpp - decodes a frame's byte planes to rows of 32-bit words, geometry and SH; frame_encoder.cpp has the
+// reasons.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>

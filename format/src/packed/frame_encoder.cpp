@@ -1,9 +1,8 @@
-// frame_encoder.cpp - rows of 32-bit words, of geometry and of SH as byte planes, and Zstandard around all frames.
+// frame_encoder.cpp - encodes rows of 32-bit words, geometry and SH as byte planes, compressed by Zstandard.
 //
-// Means follow a space-filling curve, so that a coordinate differs little from the one before; as integers that order
-// like the numbers their differences are exact. A unit quaternion's w follows from x, y, z but for rounding. What is
-// left in each byte of a word has its own statistics: bytes of one kind together form a plane, which Zstandard gets a
-// block, hence an entropy table, of its own for.
+// Means follow a space-filling curve, so consecutive coordinates differ little; as integers of the same order their
+// differences are exact. A unit quaternion's w follows from x, y, z up to rounding. Each byte of a word has its own
+// statistics, so bytes of one kind form a plane, with a Zstandard block, hence an entropy table, of its own.
 // SPDX-License-Identifier: Apache-2.0
 #include <zstd.h>
 
@@ -53,7 +52,7 @@ std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_
     ZSTD_inBuffer plane{content_.data() + begin, end - begin, 0};
     const ZSTD_EndDirective directive = last ? ZSTD_e_end : ZSTD_e_flush;
     const std::size_t left = ZSTD_compressStream2(context, &target, &plane, directive);
-    if (ZSTD_isError(left) != 0) throw std::bad_alloc();  // its workspace is all that can fail
+    if (ZSTD_isError(left) != 0) throw std::bad_alloc();  // only its workspace can fail
     assert(left == 0 && plane.pos == plane.size);         // the output has room for the worst case
     begin = end;
   }
@@ -61,7 +60,7 @@ std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_
   return out;
 }
 
-// `decoded_bytes` is what the frame's rows take.
+// `decoded_bytes`: of the frame's rows.
 std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_ends, std::size_t decoded_bytes) {
   std::vector<std::byte> best = deflate(plane_ends, false);
   if (level_ > 1) {
@@ -69,8 +68,8 @@ std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_
     if (other.size() < best.size()) best = std::move(other);
   }
   if (decoded_bytes / kMaxFrameExpansion < best.size()) return best;
-  // Too small. A block takes at least four bytes: with one for every 2048 the frame is large enough, padding of rows,
-  // which is not coded, included.
+  // Too small: a block takes at least four bytes, and one for every 2048 makes the frame large enough, including row
+  // padding, which is not coded.
   constexpr std::size_t kSmallBlock = 2048;
   std::vector<std::size_t> ends;
   for (std::size_t end = kSmallBlock; end < plane_ends.back(); end += kSmallBlock) ends.push_back(end);
@@ -80,7 +79,7 @@ std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_
 
 namespace {
 
-// Rows of 32-bit words as planes at `content`, and where each of them ends.
+// Encodes rows of 32-bit words as planes at `content`, and returns their ends.
 void encode_word_planes(std::span<const std::byte> rows, std::uint64_t row_bytes, std::uint8_t* content,
                         std::size_t begin, std::vector<std::size_t>& ends) {
   const std::size_t n = rows.size() / row_bytes, n_words = row_bytes / 4;

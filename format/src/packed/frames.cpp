@@ -25,7 +25,7 @@ std::uint64_t row_bytes(SectionType type, int sh_degree) {
   }
 }
 
-// The table at the beginning of a coded section of `n` rows.
+// Parses the table at the start of a coded section of `n` rows.
 Result<FrameTable> parse_frame_table(std::span<const std::byte> bytes, const SectionEntry& s, std::uint64_t n,
                                      std::uint32_t rows_multiple) {
   detail::ByteReader in(bytes, s.offset);
@@ -132,7 +132,7 @@ const ArchiveTables* archive_tables(const FileView& view) {
 Status FileView::open_archive(std::span<const std::byte> bytes) {
   const SectionEntry* entry = find(SectionType::archive);
   if (entry == nullptr || header_.version_minor < 2) return {};
-  const std::uint32_t rows = frames(SectionType::means).rows;  // 0 where the Gaussians are in pages
+  const std::uint32_t rows = frames(SectionType::means).rows;  // 0 if the Gaussians are in pages
   for (const SectionType type : {SectionType::geometry, SectionType::sh}) {
     if (frames(type).rows != rows) {
       return make_error(Errc::bad_value, find(type)->offset, "frames of MEAN, GEOM and SHI8 differ in rows", rows,

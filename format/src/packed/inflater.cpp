@@ -1,4 +1,4 @@
-// inflater.cpp - Zstandard's library behind a check of the frame's extent.
+// inflater.cpp - Zstandard's library after a check of the frame's extent.
 // SPDX-License-Identifier: Apache-2.0
 #include "packed/inflater.hpp"
 

@@ -1,4 +1,4 @@
-// inflater.hpp - Zstandard frames as the format has them: exactly one, of a size that is known.
+// inflater.hpp - decompresses exactly one Zstandard frame of a known size, as the format requires.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,11 +13,11 @@ struct ZSTD_DCtx_s;
 
 namespace rgs::detail {
 
-/// Keeps Zstandard's memory from one frame to the next.
+/// Reuses Zstandard's memory from frame to frame.
 class Inflater {
  public:
-  /// Fills `out` from `stored`, one Zstandard frame without anything around it. Safe on untrusted bytes. Errors:
-  /// corrupt_data at `offset`, the frame's place in the file; host_out_of_memory.
+  /// Fills `out` from `stored`, exactly one Zstandard frame. Safe on untrusted bytes. Errors: corrupt_data at `offset`,
+  /// the frame's; host_out_of_memory.
   Status inflate(std::span<const std::byte> stored, std::uint64_t offset, std::span<std::byte> out);
 
  private:

@@ -1,4 +1,4 @@
-// packed.cpp - frame tables, and small tables as coded sections.
+// packed.cpp - writes frame tables, and small tables as coded sections.
 // SPDX-License-Identifier: Apache-2.0
 #include "packed/packed.hpp"
 

@@ -1,4 +1,4 @@
-// attributes.hpp - Gaussians in device memory, as the kernels read them. Pointers are device pointers.
+// attributes.hpp - Gaussians in device memory. All pointers are device pointers.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -17,7 +17,7 @@ struct Fp32Attributes {
   int sh_degree;
 };
 
-/// The sections of an .rgs file as they lie on disk (docs/format/FORMAT.md), 76 bytes a Gaussian at SH degree 3. Every pointer
+/// The sections of an .rgs file as on disk (docs/format/FORMAT.md), 76 bytes a Gaussian at SH degree 3. Every pointer
 /// is 16-byte aligned.
 struct CompactAttributes {
   const float* mean;              ///< MEAN [n, 3]
@@ -30,9 +30,9 @@ struct CompactAttributes {
   int sh_degree;
 };
 
-/// All pages of a scene with levels of detail, each beginning with a chunk of its own: chunk_size rows a chunk, of which the
-/// last of a page may be padding, with means that are NaN. Entries of CHNK count step sets over all pages, and have the
-/// page's 2^-E in their last word; scale_unit is not used. Which chunks a frame draws: common/cut.hpp.
+/// Pages of a scene with levels of detail; each starts with a new chunk of chunk_size rows, and the last chunk of a
+/// page may end with padding, whose means are NaN. Entries of CHNK count step sets over all pages and hold the page's
+/// 2^-E in their last word; scale_unit is not used. common/cut.hpp chooses the chunks of a frame.
 struct PagedAttributes : CompactAttributes {};
 
 using Attributes = std::variant<Fp32Attributes, CompactAttributes, PagedAttributes>;

@@ -18,7 +18,7 @@ __device__ inline std::uint32_t inclusive_warp_sum(std::uint32_t value) {
   return value;
 }
 
-/// Sum, smallest or largest over the warp, in every lane.
+/// Sum, minimum or maximum over the warp, in every lane.
 template <class T, class Combine>
 __device__ inline T reduce_warp(T value, const Combine& combine) {
 #pragma unroll
@@ -29,7 +29,6 @@ __device__ inline std::uint32_t warp_sum(std::uint32_t value) {
   return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a + b; });
 }
 
-/// Largest over the warp.
 __device__ inline std::uint32_t warp_max(std::uint32_t value) {
 #if __CUDA_ARCH__ >= 800
   return __reduce_max_sync(kFullWarp, value);
@@ -38,8 +37,8 @@ __device__ inline std::uint32_t warp_max(std::uint32_t value) {
 #endif
 }
 
-/// Inclusive sum over the block's threads; `warp_sums` holds one word a warp. The caller separates two calls that share
-/// `warp_sums` by a barrier.
+/// Inclusive sum over the block's threads; `warp_sums` holds one word a warp. Two calls that share `warp_sums` need a
+/// barrier in between.
 template <int Threads>
 __device__ inline std::uint32_t inclusive_block_sum(std::uint32_t value, std::uint32_t* warp_sums) {
   static_assert(Threads % 32 == 0 && Threads <= 1024);
@@ -53,7 +52,7 @@ __device__ inline std::uint32_t inclusive_block_sum(std::uint32_t value, std::ui
   return before + inclusive;
 }
 
-/// First position whose inclusive sum exceeds `item`: the owner of item `item`. Size is a power of two.
+/// First index whose inclusive sum exceeds `item`: the owner of item `item`. Size is a power of two.
 template <int Size, class Sum>
 __device__ inline std::uint32_t owner_of(const Sum* inclusive_sums, std::uint32_t item) {
   std::uint32_t at = 0;

@@ -1,12 +1,12 @@
-// check_values.cu - the values of a file against its specification, as validate() checks them on the host; a warp a chunk.
+// check_values.cu - checks a file's values against the specification, as validate() does on the host; a warp a chunk.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/stored_values.hpp, which the check on the host calls as well
+// Math    rgs/stored_values.hpp, shared with the host's check
 // In/Out  MEAN [n, 3], GEOM [n, 8], SHI8 [n, words], SHSC, CHNK [n_chunks, 12] -> counts, number of damaged chunks
 // Cost    76 B read a Gaussian at SH degree 3, once: expected bound, memory
 // Launch  256 threads, eight chunks a block
 // Shared  which bits the words of an SH row may have, 48 B a warp
-// Order   deterministic: sums of integers. Which value is damaged is not told: the host looks for it again
+// Order   deterministic: integer sums. The host then searches for the damaged value
 #include <cstdint>
 
 #include "common/block_scan.cuh"
@@ -38,7 +38,7 @@ __global__ void __launch_bounds__(kThreads)
   const std::uint32_t first = chunk * a.chunk_size, count = math::min(a.chunk_size, n - first);
   const std::uint32_t* const entry = a.chunks + std::size_t{12} * chunk;
 
-  // All bits where the step is not 0, none elsewhere and in the padding.
+  // All bits if the step is not 0; none otherwise and in padding.
   std::uint32_t* const mask = masks[warp];
   if (lane < kWords) {
     const float* const steps = a.sh_steps + std::size_t{12} * entry[8];

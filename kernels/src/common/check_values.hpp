@@ -17,8 +17,8 @@ struct CheckedValues {
       n_damaged;  ///< chunks that break a rule of docs/format/FORMAT.md or contradict their entry of the chunk table
 };
 
-/// Adds to `out` what n Gaussians hold; 0 < n < 2^31. The caller has zeroed it, and has checked the chunk table itself:
-/// that each step_set is one. Errors: device_failed.
+/// Adds the counts of n Gaussians to `out`; 0 < n < 2^31. The caller has zeroed `out` and checked the chunk table's
+/// step_set indices. Errors: device_failed.
 Status launch_check_values(const CompactAttributes& attributes, std::uint32_t n, CheckedValues* out, Stream stream);
 
 }  // namespace rgs::cuda

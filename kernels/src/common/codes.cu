@@ -5,7 +5,7 @@
 // In/Out  values [n] -> codes [n]
 // Cost    4 B read and 1 B written a value: expected bound, memory
 // Launch  256 threads
-// Order   deterministic. Compiled without contraction to FMA, so that codes are those of the CPU
+// Order   deterministic. Compiled without contraction to FMA, so that codes equal the CPU's
 #include "common/codes.hpp"
 #include "common/launch.cuh"
 
@@ -23,7 +23,7 @@ __global__ void __launch_bounds__(kThreads) codes_kernel(const float* values, st
 
 Status launch_codes(const float* values, std::uint64_t n, std::uint8_t* codes, Stream stream) {
   codes_kernel<<<blocks_for(n, kThreads), kThreads, 0, stream>>>(values, n, codes);
-  return launched("a picture's codes could not be made");
+  return launched("a picture's codes could not be computed");
 }
 
 }  // namespace rgs::cuda

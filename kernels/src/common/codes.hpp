@@ -1,4 +1,4 @@
-// codes.hpp - the launch that makes 8-bit codes of a picture on the device.
+// codes.hpp - the launch that computes a picture's 8-bit codes on the device.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -1,15 +1,14 @@
-// cull.cu - of the chunks of pages that a frame draws, those in its view: a thread a chunk.
+// cull.cu - keeps the chosen chunks that are in view; a thread a chunk.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    common/cull_chunk.cuh
 // In/Out  chosen [n], CHNK -> chunks [in view], places [all chunks], counts
-// Cost    36 B a chunk that is chosen, gathered, twice; 12 B written a chunk in view
-// Launch  256 threads, a block for 256 chunks of the scene, of which those beyond what is chosen end at once; twice: one kernel
-//         counts, one writes
+// Cost    36 B a chosen chunk, gathered, twice; 12 B written a chunk in view
+// Launch  256 threads, a block for 256 chunks of the scene; blocks beyond the chosen chunks end at once. Twice: count, write
 // Shared  sums of warps
-// Order   deterministic: chunks stay in their order
+// Order   deterministic: chunks keep their order
 //
-// What lies outside the view takes no room among the drawn rows and none of the work on their tie order.
+// Chunks out of view take no drawn rows and no part in the tie order.
 #include <cstdint>
 
 #include "common/block_scan.cuh"
@@ -44,7 +43,7 @@ __global__ void __launch_bounds__(kThreads)
   before = warp_sum(before);
   if (threadIdx.x % 32 == 0) sums_before[threadIdx.x / 32] = before;
   const bool listed = is_listed(a, planes, first + threadIdx.x, n);
-  // Past the barrier in it everybody sees the sums.
+  // After its barrier all threads see the sums.
   std::uint32_t end = inclusive_block_sum<kThreads>(listed ? 1 : 0, warp_sums);
 #pragma unroll
   for (const std::uint32_t sum : sums_before) end += sum;

@@ -1,4 +1,4 @@
-// cull_chunk.cuh - whole chunks outside the view, found before an attribute is read.
+// cull_chunk.cuh - finds chunks outside the view before their attributes are read.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -11,9 +11,13 @@
 
 namespace rgs::cuda {
 
-/// Planes that bound what the view can show. A box of means with centre c, from the camera and in the world's axes, and half
-/// extents h is beyond a plane if normal . c + offset > extent . h + reach s + rounding (|c| + |h|), with s three standard
-/// deviations of its largest Gaussian. The last term is room for the rounding of what is far from the camera.
+/// Planes that bound what the view can show. A box of means with centre c, relative to the camera in the world's axes,
+/// and half extents h is beyond a plane if normal . c + offset > extent . h + reach s + rounding (
+/// c
+/// +
+/// h
+/// ), where s is three standard deviations of its largest Gaussian. The last term allows for rounding far from the
+/// camera.
 struct CullPlanes {
   struct Plane {
     math::Vec3<float> normal, extent;
@@ -23,13 +27,13 @@ struct CullPlanes {
 };
 
 /// With s the largest standard deviation, a Gaussian's covariance on the image is at most (f/z)^2 (1 + slope^2) s^2 +
-/// low_pass along an axis, slope being clamped as in the projection, so it reaches at most 3.34 (f/z sqrt(1 + slope^2) s
-/// + sqrt(low_pass)) pixels from its mean. Times z/f this is a distance from the planes through the image's edges, moved
-/// outwards by the low-pass' share and a pixel.
+/// low_pass along an axis, with the slope clamped as in the projection, so it reaches at most 3.34 (f/z sqrt(1 +
+/// slope^2) s + sqrt(low_pass)) pixels from its mean. Times z/f this is a distance from the planes through the image's
+/// edges, moved outwards by the low-pass' share and a pixel.
 inline CullPlanes cull_planes(const ViewParameters& v) {
   const math::View<float>& view = v.view;
   const float* const w = view.rotation;
-  // Beyond it: x X + y Y + z Z > distance in camera coordinates.
+  // Beyond the plane: x X + y Y + z Z > distance in camera coordinates.
   const auto plane = [&](double x, double y, double z, double distance, float reach) {
     constexpr double kRounding = 1e-5;
     const auto along = [&](int axis) { return x * w[axis] + y * w[3 + axis] + z * w[6 + axis]; };
@@ -55,10 +59,10 @@ inline CullPlanes cull_planes(const ViewParameters& v) {
            plane(-1, 0, -left, 0, reach_x), plane(0, 1, -bottom, 0, reach_y), plane(0, -1, -top, 0, reach_y)}};
 }
 
-/// The box of a chunk's means from the camera, in the world's axes.
+/// The box of a chunk's means, relative to the camera, in the world's axes.
 struct ChunkBox {
   math::Vec3<float> center, half;
-  float size;    ///< sum of all their coordinates' magnitudes
+  float size;    ///< sum of the magnitudes of its coordinates
   float radius;  ///< three standard deviations of its largest Gaussian
 };
 
@@ -78,11 +82,11 @@ __device__ inline bool is_beyond(const CullPlanes::Plane& p, const ChunkBox& box
   const math::Vec3<float>&c = box.center, &h = box.half;
   const float distance = fmaf(p.normal.x, c.x, fmaf(p.normal.y, c.y, fmaf(p.normal.z, c.z, p.offset)));
   const float reach = fmaf(p.reach, box.radius, p.rounding * box.size);
-  // The comparison with a box whose numbers overflow leaves it in view.
+  // Overflowing numbers make the comparison false, so the box stays in view.
   return distance > fmaf(p.extent.x, h.x, fmaf(p.extent.y, h.y, fmaf(p.extent.z, h.z, reach)));
 }
 
-/// False only if no Gaussian of the chunk can be listed in a tile. A thread's own.
+/// False only if no tile can list a Gaussian of the chunk. For one thread.
 __device__ inline bool chunk_in_view(const std::uint32_t* chunks, std::uint32_t chunk, const math::View<float>& view,
                                      const CullPlanes& planes) {
   const ChunkBox box = load_chunk_box(chunks, chunk, view);
@@ -92,14 +96,14 @@ __device__ inline bool chunk_in_view(const std::uint32_t* chunks, std::uint32_t 
   return !beyond;
 }
 
-/// The same of the chunk of Gaussian i. All lanes of a warp call it, with Gaussians of one chunk: each asks one plane.
+/// The same for the chunk of Gaussian i. All lanes of a warp call it with Gaussians of one chunk; each tests one plane.
 __device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i, const math::View<float>& view,
                                      const CullPlanes& planes) {
   const ChunkBox box = load_chunk_box(a.chunks, i / a.chunk_size, view);
   return !__any_sync(0xFFFFFFFFu, is_beyond(planes.plane[math::min(threadIdx.x % 32, 5u)], box));
 }
 
-/// FP32 attributes have no chunks; those of pages in view are all that is listed.
+/// FP32 attributes have no chunks; of pages, only chunks in view are listed.
 __device__ inline bool chunk_in_view(const Fp32Attributes&, std::uint32_t, const math::View<float>&,
                                      const CullPlanes&) {
   return true;

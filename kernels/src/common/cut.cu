@@ -1,16 +1,16 @@
-// cut.cu - which pages a frame draws: a thread a page, decided by its own record and its parent's.
+// cut.cu - which pages a frame draws; a thread a page, which reads its own record and its parent's.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/footprint.hpp; docs/format/FORMAT.md "Error and cut"
 // In/Out  pages [n] -> chunks [drawn], counts
-// Cost    96 B a page, half of them a parent's, which neighbours share; twice. About 60 FP64 operations. 4 B written a chunk
-//         that is drawn
-// Launch  256 threads, ceil(n / 256) blocks, twice: one kernel counts, one writes
+// Cost    96 B a page, half of them its parent's, which neighbours share; twice. About 60 FP64 operations. 4 B written a drawn
+//         chunk
+// Launch  256 threads, ceil(n / 256) blocks, twice: count, write
 // Shared  sums of warps
 // Order   deterministic: chunks in the order of pages. Compiled without contraction to FMA: the host chooses the same pages
 //
-// A block adds up the sums of all blocks before it, which is less than another launch takes: a hundred million Gaussians have
-// 200 blocks of pages.
+// A block sums the counts of all blocks before it, which costs less than another launch: a hundred million Gaussians
+// have 200 blocks of pages.
 #include <cstdint>
 
 #include "common/block_scan.cuh"
@@ -29,7 +29,7 @@ __device__ bool is_fine_enough(const CutPage& page, const CutEye& eye) {
                              lod::pixel_footprint(page.low, page.high, eye.position, eye.focal_px, eye.z_near));
 }
 
-// Page i, if it is drawn; n = 0 if not.
+// Page i, or n = 0 if it is not drawn.
 __device__ CutPage drawn_page(const CutArguments& a, std::uint32_t i) {
   CutPage page{};
   if (i >= a.n_pages) return page;
@@ -87,7 +87,7 @@ __global__ void __launch_bounds__(kThreads) write_kernel(CutArguments a) {
     }
   }
   const CutPage page = drawn_page(a, blockIdx.x * kThreads + threadIdx.x);
-  // Past the barrier in it everybody sees `base`.
+  // After its barrier all threads see `base`.
   const std::uint32_t end = inclusive_block_sum<kThreads>(page.n_chunks, warp_sums);
   const std::uint32_t first = base + end - page.n_chunks;
   for (std::uint32_t k = 0; k < page.n_chunks; ++k) a.chunks[first + k] = page.first_chunk + k;
@@ -101,9 +101,9 @@ std::uint32_t cut_blocks(std::uint32_t n_pages) {
 
 Status launch_cut(const CutArguments& a, Stream stream) {
   count_kernel<<<cut_blocks(a.n_pages), kThreads, 0, stream>>>(a);
-  if (const auto ok = launched("the pages could not be counted"); !ok) return ok;
+  if (const auto ok = launched("drawn pages could not be counted"); !ok) return ok;
   write_kernel<<<cut_blocks(a.n_pages), kThreads, 0, stream>>>(a);
-  return launched("the pages could not be chosen");
+  return launched("drawn pages could not be listed");
 }
 
 }  // namespace rgs::cuda

@@ -1,5 +1,5 @@
-// cut.hpp - launches that choose, on the device, which pages of a scene with levels of detail a frame draws, leave out what is not
-// in view, and put the rest in tie order.
+// cut.hpp - launches that choose the pages that a frame draws of a scene with levels of detail, drop chunks out of
+// view, and put the rest in tie order.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,35 +10,34 @@
 
 namespace rgs::cuda {
 
-/// What the choice needs of a page: lod::Page, and where its Gaussians are.
+/// lod::Page as the choice needs it, and its chunks.
 struct alignas(16) CutPage {
   float low[3];  ///< core
-  /// 0 of a page of whose children some are not there: it stands for them at any distance.
+  /// 0 if some children are missing: the page then stands for them at any distance.
   float error;
   float high[3];
   std::uint32_t parent;                 ///< kNoCutPage: the root
-  std::uint32_t first_chunk, n_chunks;  ///< of all chunks of PagedAttributes
+  std::uint32_t first_chunk, n_chunks;  ///< among all chunks of PagedAttributes
   std::uint32_t n;                      ///< Gaussians
   std::uint32_t unused;
 };
 static_assert(sizeof(CutPage) == 48);
 inline constexpr std::uint32_t kNoCutPage = ~0u;
 
-/// lod::Eye, and the detail.
+/// lod::Eye and the detail.
 struct CutEye {
   double position[3];
   double focal_px, z_near;
   float detail_px;
 };
 
-/// How much a frame draws.
 struct CutCounts {
   std::uint64_t gaussians;
   std::uint32_t pages, chunks;
 };
 
-/// Chooses among n_pages > 0 pages by lod::is_fine_enough(), each by itself from its own record and its parent's: those that
-/// lod::drawn_pages() chooses. Writes their chunks, page after page. Errors: device_failed.
+/// Chooses among n_pages > 0 pages by lod::is_fine_enough(), each by its own record and its parent's: the pages of
+/// lod::drawn_pages(). Writes their chunks, page after page. Errors: device_failed.
 struct CutArguments {
   const CutPage* pages;  ///< [n_pages]
   std::uint32_t n_pages;
@@ -50,35 +49,34 @@ struct CutArguments {
 Status launch_cut(const CutArguments& arguments, Stream stream);
 std::uint32_t cut_blocks(std::uint32_t n_pages);
 
-/// The chunks of the chosen pages that are in view, in their order. Where there are more than `capacity`, there is no list: nothing
-/// is drawn.
+/// The chosen chunks that are in view, in order. If there are more than `capacity` the list is empty and nothing is
+/// drawn.
 struct DrawnChunks {
   const std::uint32_t* chunks = nullptr;  ///< [capacity]
   const CutCounts* counts = nullptr;      ///< .chunks: how many
   std::uint32_t capacity = 0;
 };
 
-/// Leaves out chunks in which no Gaussian can be listed in a tile. Errors: device_failed.
+/// Drops chunks of which no tile can list a Gaussian. Errors: device_failed.
 struct CullArguments {
   const std::uint32_t* chosen;   ///< [counts->chunks]
-  const CutCounts* counts;       ///< of what is chosen
+  const CutCounts* counts;       ///< of the chosen pages
   std::uint32_t n_chunks;        ///< of the scene
   const std::uint32_t* entries;  ///< CHNK [n_chunks, 12]
   ViewParameters view;
-  bool by_view;         ///< false: leaves out none
-  std::uint32_t* sums;  ///< [cull_blocks(n_chunks)]
-  CutCounts*
-      listed;  ///< pages and Gaussians that are chosen, chunks that are in view; also if the list has no room for them
-  CutCounts* seen;        ///< a copy for the host: page-locked memory that the device reaches
+  bool by_view;           ///< false: drops none
+  std::uint32_t* sums;    ///< [cull_blocks(n_chunks)]
+  CutCounts* listed;      ///< pages and Gaussians chosen, chunks in view; also if they do not fit
+  CutCounts* seen;        ///< copy in page-locked memory, which the device writes
   std::uint32_t* chunks;  ///< [capacity]
   std::uint32_t capacity;
-  std::uint32_t* places;  ///< [n_chunks] place in `chunks`, of those that are listed
+  std::uint32_t* places;  ///< [n_chunks] index in `chunks` of those listed
 };
 Status launch_cull(const CullArguments& arguments, Stream stream);
 std::uint32_t cull_blocks(std::uint32_t n_chunks);
 
-/// The tie order of what is drawn, from that of all rows, which is `all`. Row j of drawn chunk k counts as drawn row
-/// k chunk_size + j. Errors: device_failed.
+/// The tie order of drawn rows, from that of all rows, `all`. Row j of drawn chunk k is drawn row k chunk_size + j.
+/// Errors: device_failed.
 struct DrawnTiesArguments {
   DrawnChunks drawn;
   const std::uint32_t* places;  ///< see CullArguments
@@ -87,8 +85,7 @@ struct DrawnTiesArguments {
   std::uint32_t n_rows;  ///< of all pages; < 2^31
   std::uint32_t* bits;   ///< [drawn_ties_words(n_rows)]
   std::uint32_t* sums;   ///< [drawn_ties_blocks(n_rows)]
-  /// [capacity * chunk_size] what is drawn in tie order: drawn rows, and their places in `rank`; or, if that is null, rows of
-  /// the scene.
+  /// [capacity * chunk_size] drawn rows in tie order, and their ranks in `rank`; if `rank` is null, rows of the scene.
   std::uint32_t *order, *rank;
 };
 Status launch_drawn_ties(const DrawnTiesArguments& arguments, Stream stream);

@@ -1,4 +1,4 @@
-// device_code.cu - asks the driver for a kernel, which it can load or not: all are compiled for the same architectures.
+// device_code.cu - asks the driver for one kernel; all are compiled for the same architectures.
 // SPDX-License-Identifier: Apache-2.0
 #include "common/device_code.hpp"
 
@@ -27,9 +27,9 @@ Status check_device_code() {
           "the driver cannot compile this build's code for the CUDA device: name its architecture in "
           "CMAKE_CUDA_ARCHITECTURES, or update the driver";
       break;
-    default: return checked(error, "the device does not say whether it has code for a kernel");
+    default: return checked(error, "the driver does not say whether it has code for a kernel");
   }
-  cudaGetLastError();  // it is none of later calls
+  cudaGetLastError();  // later calls must not report it
   return make_error(Errc::unavailable, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
 }
 

@@ -6,7 +6,7 @@
 
 namespace rgs::cuda {
 
-/// Asks for the current device. Errors: unavailable (no code for its architecture, or a driver older than the code);
+/// Checks the current device. Errors: unavailable (no code for its architecture, or a driver older than the code);
 /// device_failed.
 Status check_device_code();
 

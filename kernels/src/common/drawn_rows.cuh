@@ -1,4 +1,4 @@
-// drawn_rows.cuh - from a row of what a frame draws to the row of the scene.
+// drawn_rows.cuh - maps a drawn row to its row of the scene.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,7 +8,7 @@
 
 namespace rgs::cuda {
 
-/// Rows that are drawn: whole chunks. 0 where they did not fit.
+/// Number of drawn rows, in whole chunks; 0 if they did not fit.
 __device__ inline std::uint32_t n_drawn_rows(const DrawnChunks& drawn, std::uint32_t chunk_size) {
   const std::uint32_t n = drawn.counts->chunks;
   return n <= drawn.capacity ? n * chunk_size : 0;

@@ -1,16 +1,17 @@
-// drawn_ties.cu - the tie order of what a frame draws of a scene with levels of detail: that of all rows, without the others.
+// drawn_ties.cu - the tie order of a frame's drawn rows, filtered from that of all rows of a scene with levels of
+// detail.
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  chunks, order and rank of all rows [n] -> order and rank of the drawn rows
 // Cost    a drawn row: 4 B of its rank read, a bit set in L2, 4 B of the order gathered, 8 B written, 4 of them scattered; a
 //         row of the scene: a bit cleared, and read twice. Expected bound: L2
-// Launch  256 threads: one a drawn row that there is room for; then a block for kBlockWords words of bits, twice
-// Shared  sums of warps; which bits are set among 256 words, 16 KiB, so that threads take one after the other
-// Order   deterministic: bits, and sums of integers
+// Launch  256 threads, one for each drawn row that fits; then a block for kBlockWords words of bits, twice
+// Shared  sums of warps; the set bits of 256 words, 16 KiB, so that threads process one after the other
+// Order   deterministic: bits, and integer sums
 //
-// A bit a row, in the order of ranks, says what is drawn; how many bits come before one is its rank among them. So that the work
-// grows with what is drawn, and but a bit each with what is not; a filter of the order itself would read 4 B of every row and
-// gather its chunk's place.
+// A bitmap in rank order marks drawn rows; the number of bits before one is its rank among them. So the work grows with
+// the drawn rows, plus a bit for each other row; filtering the order itself would read 4 B of every row and gather its
+// chunk.
 #include <cuda_runtime.h>
 
 #include <cstdint>
@@ -24,7 +25,7 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr std::uint32_t kTurns = 4;  // of a block, with a word a thread
+constexpr std::uint32_t kTurns = 4;  // of a block; a word a thread each
 constexpr std::uint32_t kBlockWords = kTurns * kThreads;
 
 __global__ void __launch_bounds__(kThreads) mark_kernel(DrawnTiesArguments a) {
@@ -38,7 +39,7 @@ __device__ std::uint32_t count(std::uint32_t word) {
   return static_cast<std::uint32_t>(__popc(static_cast<int>(word)));
 }
 
-// In every thread.
+// Returned in every thread.
 __device__ std::uint32_t block_sum(std::uint32_t value) {
   __shared__ std::uint32_t warp_sums[kThreads / 32];
   const std::uint32_t sum = warp_sum(value);
@@ -59,7 +60,7 @@ __global__ void __launch_bounds__(kThreads) count_kernel(DrawnTiesArguments a) {
 
 __global__ void __launch_bounds__(kThreads) write_kernel(DrawnTiesArguments a) {
   __shared__ std::uint32_t warp_sums[kThreads / 32];
-  __shared__ std::uint16_t set[32 * kThreads];  // the bits of a turn that are
+  __shared__ std::uint16_t set[32 * kThreads];  // set bits of a turn
   static_assert(32 * kThreads <= 1 << 16);
   std::uint32_t before = 0;
   for (std::uint32_t b = threadIdx.x; b < blockIdx.x; b += kThreads) before += a.sums[b];

@@ -1,4 +1,4 @@
-// frame.hpp - what the stages of a frame hand to each other. Pointers are device pointers.
+// frame.hpp - what the stages of a frame exchange. All pointers are device pointers.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -28,7 +28,7 @@ struct ViewParameters {
   math::KeyLayout key;
 };
 
-/// A Gaussian on the image: three 128-bit words.
+/// A projected Gaussian: three 128-bit words.
 struct alignas(16) ScreenSplat {
   math::PixelPoint<float> mean;  ///< px
   math::Conic<float> conic;
@@ -40,14 +40,15 @@ struct alignas(16) ScreenSplat {
 };
 static_assert(sizeof(ScreenSplat) == 48);
 
-/// A scene's Gaussians in tie order (common/tie_order.hpp): order [n], and rank [n], its inverse. Null: that of their indices.
+/// A scene's Gaussians in tie order (common/tie_order.hpp): order [n] and its inverse, rank [n]. Null: the order of
+/// their indices.
 struct TieOrder {
   const std::uint32_t *order, *rank;
 };
 
 /// Counters of a frame, zeroed before it.
 struct Counters {
-  std::uint64_t instances;  ///< (tile, Gaussian) pairs, also those that did not fit the arrays
+  std::uint64_t instances;  ///< (tile, Gaussian) pairs, also those that did not fit
   std::uint64_t visible;    ///< Gaussians in at least one tile
   std::uint64_t evaluated;  ///< (pixel, Gaussian) pairs; counted on request
   std::uint64_t blended;    ///< the same
@@ -58,7 +59,7 @@ struct TileRange {
   std::uint32_t begin, end;
 };
 
-/// Outputs [height, width(, 3)], rows from top to bottom, one right behind the other; null where not wanted.
+/// Outputs [height, width(, 3)], rows from top to bottom, contiguous; null: not wanted.
 struct TightArrays {
   float* rgb = nullptr;
   float* alpha = nullptr;
@@ -69,19 +70,19 @@ struct TightArrays {
   math::PixelFormat format = math::PixelFormat::rgba8;
 };
 
-/// Bytes from a row to the next of each output; multiples of its element's size.
+/// Bytes from one row to the next of each output; multiples of its element's size.
 struct RowPitches {
   std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0;
 
   bool operator==(const RowPitches&) const = default;
 };
 
-/// The same outputs with room between the rows, or on a surface.
+/// The same with padded rows, or on a surface.
 struct PixelArrays : TightArrays {
-  std::uint64_t surface = 0;  ///< cudaSurfaceObject_t that takes the packed pixels in place of `packed`; 0 = none
-  RowPitches pitch = {};      ///< kernels want them all; see with_pitches()
+  std::uint64_t surface = 0;  ///< cudaSurfaceObject_t that takes the packed pixels instead of `packed`; 0 = none
+  RowPitches pitch = {};      ///< kernels need all of them: with_pitches()
 
-  /// The same; where a pitch is 0, rows of `width` pixels follow each other.
+  /// The same with every pitch 0 replaced by that of contiguous rows of `width` pixels.
   PixelArrays with_pitches(int width) const {
     PixelArrays a = *this;
     const auto w = static_cast<std::uint64_t>(width);
@@ -94,7 +95,7 @@ struct PixelArrays : TightArrays {
     fill(a.pitch.packed, w * math::pixel_bytes(format));
     return a;
   }
-  /// Rows of `width` pixels follow each other in every output, and none is a surface.
+  /// Whether every output has contiguous rows of `width` pixels and none is a surface.
   bool is_tight(int width) const {
     PixelArrays tight = *this;
     tight.pitch = {};

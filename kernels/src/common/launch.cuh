@@ -14,25 +14,25 @@ namespace rgs::cuda {
 
 inline Status checked(cudaError_t error, const char* what) {
   if (error == cudaSuccess) return {};
-  cudaGetLastError();  // it is none of later calls
+  cudaGetLastError();  // later calls must not report it
   return make_error(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
 }
 inline Status launched(const char* what) {
   return checked(cudaGetLastError(), what);
 }
-/// Threads that a multiprocessor has room for (CUDA C++ Programming Guide, "Technical Specifications per Compute Capability").
-/// PTX carries the number of its own architecture; where a device has less room, the driver passes over it.
+/// Threads that a multiprocessor holds (CUDA C++ Programming Guide, "Technical Specifications per Compute Capability").
+/// PTX carries the number of its own architecture; the driver ignores it if the device holds fewer.
 constexpr int multiprocessor_threads() {
 #if !defined(__CUDA_ARCH__) || __CUDA_ARCH__ == 800 || __CUDA_ARCH__ == 900 || \
     (__CUDA_ARCH__ >= 1000 && __CUDA_ARCH__ < 1100)
   return 2048;
 #elif __CUDA_ARCH__ >= 800
-  return 1536;  // 8.6, 8.7, 8.9, 11.x, 12.x, and what is not known yet
+  return 1536;  // 8.6, 8.7, 8.9, 11.x, 12.x, and architectures not known yet
 #else
   return 1024;  // 7.5
 #endif
 }
-/// Blocks that are to share a multiprocessor, for __launch_bounds__: fewer where it has less room.
+/// Blocks to share a multiprocessor, for __launch_bounds__: fewer if it holds fewer threads.
 constexpr int resident_blocks(int wanted, int threads) {
   return wanted * threads <= multiprocessor_threads() ? wanted : multiprocessor_threads() / threads;
 }
@@ -40,10 +40,10 @@ constexpr std::uint32_t blocks_for(std::uint64_t n, std::uint32_t threads) {
   return static_cast<std::uint32_t>((n + threads - 1) / threads);
 }
 
-/// A number that each device has of its own, asked for once and kept. Thread-safe.
+/// A property of each device, queried once. Thread-safe.
 class DeviceNumber {
  public:
-  /// That of the current device. `ask`: cudaError_t(int device, int& number). Errors: device_failed.
+  /// Of the current device. `ask`: cudaError_t(int device, int& number). Errors: device_failed.
   template <class Ask>
   Result<std::uint32_t> get(const Ask& ask) {
     int device = 0, number = 0;
@@ -51,7 +51,7 @@ class DeviceNumber {
     const bool is_kept = error == cudaSuccess && device < kDevices;
     if (is_kept) number = known_[static_cast<std::size_t>(device)].load(std::memory_order_relaxed);
     if (error == cudaSuccess && number == 0) error = ask(device, number);
-    if (const auto ok = checked(error, "the device does not say how many blocks it has room for"); !ok) {
+    if (const auto ok = checked(error, "a property of the device could not be read"); !ok) {
       return tl::unexpected(ok.error());
     }
     if (is_kept) known_[static_cast<std::size_t>(device)].store(number, std::memory_order_relaxed);
@@ -59,7 +59,7 @@ class DeviceNumber {
   }
 
  private:
-  static constexpr int kDevices = 64;  // further ones are asked every time
+  static constexpr int kDevices = 64;  // further ones are queried every time
   std::array<std::atomic<int>, kDevices> known_{};
 };
 
@@ -71,8 +71,8 @@ inline Result<std::uint32_t> multiprocessors() {
   static DeviceNumber known;
   return known.get(ask_multiprocessors);
 }
-/// As many blocks of kKernel, without dynamic shared memory, as the current device holds at a time: for kernels that learn
-/// on the device how much there is to do, and whose blocks take it in turn. Errors: device_failed.
+/// Number of blocks of kKernel, without dynamic shared memory, that the current device holds at once: for kernels that
+/// learn the amount of work on the device and whose blocks take it in turn. Errors: device_failed.
 template <auto kKernel>
 Result<std::uint32_t> resident_grid(int threads) {
   static DeviceNumber known;

@@ -1,4 +1,4 @@
-// load_splat.cuh - attributes from device memory into registers, FP32 or dequantised.
+// load_splat.cuh - loads attributes from device memory into registers, FP32 or dequantised.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -86,7 +86,7 @@ __device__ inline math::Vec3<float> load_color(const CompactAttributes& a, std::
 #pragma unroll
     for (int k = 0; k < kWords; ++k) words[k] = __ldg(from + k);
   }
-  // Entry of CHNK: its index of a step set lies at byte 32.
+  // Byte 32 of a CHNK entry: its step set.
   const std::uint32_t set = __ldg(a.chunks + 12 * (i / a.chunk_size) + 8);
   const float* steps = a.sh_steps + 12 * set;
   float step[Degree + 1][3];
@@ -95,8 +95,8 @@ __device__ inline math::Vec3<float> load_color(const CompactAttributes& a, std::
 #pragma unroll
     for (int c = 0; c < 3; ++c) step[d][c] = __ldg(steps + 3 * d + c);
   }
-  // A code's byte, 128 added, as the last of 2^23's mantissa: two instructions, where a conversion runs at a quarter of
-  // the rate.
+  // Puts a code's byte plus 128 last in 2^23's mantissa: two instructions, where a conversion runs at a quarter of the
+  // rate.
   const auto code = [&](int k) {
     const std::uint32_t bits =
         __byte_perm(words[k / 4] ^ 0x80808080u, 0x4B000000u, 0x7440u | static_cast<std::uint32_t>(k % 4));
@@ -112,14 +112,14 @@ __device__ inline math::Vec3<float> load_color(const CompactAttributes& a, std::
       });
 }
 
-/// Asks for what color_of() will read.
+/// Prefetches what color_of() reads.
 __device__ inline void prefetch_color(const Fp32Attributes&, std::uint32_t) {}
 __device__ inline void prefetch_color(const CompactAttributes& a, std::uint32_t i) {
   const std::uint32_t words = (3u * static_cast<std::uint32_t>((a.sh_degree + 1) * (a.sh_degree + 1)) + 3) / 4;
   asm volatile("prefetch.global.L2 [%0];" : : "l"(a.sh + static_cast<std::uint64_t>(i) * words));
 }
 
-/// Colour of Gaussian i seen from the view's position. Coefficients above the evaluated degree meet a basis of 0.
+/// Colour of Gaussian i from the view's position. Coefficients above the evaluated degree get a basis of 0.
 template <class Attributes>
 __device__ inline math::Vec3<float> color_of(const Attributes& a, std::uint32_t i, const math::View<float>& view,
                                              const math::Vec3<float>& mean, int degree) {

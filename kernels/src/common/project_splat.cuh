@@ -1,4 +1,4 @@
-// project_splat.cuh - one Gaussian from its attributes onto the image.
+// project_splat.cuh - projects one Gaussian from its stored attributes.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,7 +8,7 @@
 
 namespace rgs::cuda {
 
-/// footprint.valid is false where nothing is drawn. Geometry is read only inside the depth range.
+/// Draw it only if footprint.valid. Geometry is read only inside the depth range.
 template <class Attributes>
 __device__ inline math::Projected<float> project_splat(const Attributes& attributes, std::uint32_t i,
                                                        const ViewParameters& v, const math::Vec3<float>& mean) {

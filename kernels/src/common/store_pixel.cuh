@@ -1,4 +1,4 @@
-// store_pixel.cuh - how a finished pixel leaves a blending kernel: the one epilogue of all of them.
+// store_pixel.cuh - stores a finished pixel: the epilogue of all blending kernels.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -11,7 +11,7 @@
 
 namespace rgs::cuda {
 
-/// Where a pixel lies in `data`, one of the outputs, whose pitch is the one named.
+/// A pixel's address in the output `data` with the given pitch.
 struct PitchedPixel {
   int x, y;
   template <class T>
@@ -29,8 +29,8 @@ struct TightPixel {
 };
 
 /// One store as wide as the pixel. Lanes of a warp are neighbours in rows of at least eight pixels, which fill sectors
-/// of 32 bytes, so that wider stores by fewer lanes would move the same. Format and surface are the same for all threads:
-/// a branch at the end of a pixel's loop costs less than kernels for each. What would lie beside a surface is dropped.
+/// of 32 bytes, so wider stores by fewer lanes would move the same bytes. Format and surface are the same for all
+/// threads: a branch at the end of a pixel's loop costs less than a kernel each. Pixels beyond a surface are dropped.
 template <class Word>
 __device__ inline void store_word(const PixelArrays& t, const PitchedPixel& at, Word word) {
   if (t.surface != 0) {
@@ -54,7 +54,7 @@ template <class Arrays, class Place>
 __device__ inline void store_packed(const Arrays& t, const Place& at, const math::Vec3<float>& color, float alpha) {
   if (t.format == math::PixelFormat::rgba8) {
     store_word(t, at, math::pack_rgba8(color, alpha));
-  } else {  // math::pack_rgba16f() by the instruction for it
+  } else {  // math::pack_rgba16f() in one instruction
     const __half2 low = __floats2half2_rn(color.x, color.y), high = __floats2half2_rn(color.z, alpha);
     store_word(
         t, at,
@@ -62,8 +62,8 @@ __device__ inline void store_packed(const Arrays& t, const Place& at, const math
   }
 }
 
-/// Writes every output of a pixel that is wanted: PixelArrays at a PitchedPixel, TightArrays at a TightPixel. `Details`:
-/// also depth and counts.
+/// Writes every wanted output of a pixel: PixelArrays at a PitchedPixel, TightArrays at a TightPixel. `Details`: also
+/// depth and counts.
 template <bool Details, class Arrays, class Place>
 __device__ inline void store_pixel(const Arrays& t, const math::Vec3<float>& background, const Place& at,
                                    const math::Pixel<float>& pixel, std::uint32_t n_evaluated,

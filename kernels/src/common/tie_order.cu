@@ -1,17 +1,16 @@
-// tie_order.cu - a scene's Gaussians in tie order: one sort when it comes to the device.
+// tie_order.cu - sorts a scene's Gaussians in tie order, once, at its upload.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/tie_order.hpp
 // In/Out  attributes [n] -> order [n], rank [n]
-// Cost    n log2 n comparisons of 4 B each and gathered, mostly from L1 and L2; more where values are equal, at most all of
-//         both Gaussians. 8 B written a Gaussian
-// Launch  CUB's merge sort of indices; 256 threads, one an index, for the inverse. launch_chosen_ties() sorts what one frame of a streamed
-//         scene draws, in that frame
-// Order   deterministic: the order is total. Compiled without contraction to FMA, so that rotations are those of the CPU to
-//         the bit
+// Cost    n log2 n comparisons of 4 B each, gathered, mostly from L1 and L2; more if values are equal, at most all values of both
+//         Gaussians. 8 B written a Gaussian
+// Launch  CUB's merge sort of indices; 256 threads, one an index, for the inverse. launch_chosen_ties() sorts, in every frame, what
+//         it draws of a streamed scene
+// Order   deterministic: the order is total. Compiled without contraction to FMA, so that rotations equal the CPU's to the bit
 //
-// A radix sort by each value in turn, the last one first, would take a pass of all Gaussians for values that hardly ever
-// decide: 59 of them in SH degree 3. Comparisons look at what they need, and are the CPU's.
+// A radix sort by each value in turn would take a pass over all Gaussians for values that hardly ever decide: 59 of
+// them at SH degree 3. Comparisons read only what they need, and are the CPU's.
 #include <thrust/iterator/counting_iterator.h>
 #include <cub/device/device_merge_sort.cuh>
 
@@ -35,7 +34,7 @@ struct TiesBefore {
   }
 };
 
-// The same of drawn rows.
+// The same for drawn rows.
 struct ChosenTiesBefore {
   ChosenRows rows;
 

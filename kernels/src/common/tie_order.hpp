@@ -1,4 +1,4 @@
-// tie_order.hpp - launches that number a scene's Gaussians in tie order (rgs/math/tie_order.hpp), once for all frames.
+// tie_order.hpp - launches that sort a scene's Gaussians in tie order (rgs/math/tie_order.hpp), once for all frames.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,8 +10,8 @@
 
 namespace rgs::cuda {
 
-/// Writes order [n], the Gaussians in tie order, and its inverse rank [n]: Gaussian i is number rank[i]. `temporary` has
-/// tie_order_bytes(n). n < 2^31. Errors: device_failed.
+/// Writes order [n], the Gaussians in tie order, and its inverse rank [n]: Gaussian order[rank[i]] is i. `temporary`
+/// has tie_order_bytes(n). n < 2^31. Errors: device_failed.
 struct TieOrderArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -20,20 +20,20 @@ struct TieOrderArguments {
   std::uint64_t temporary_bytes;
 };
 Status launch_tie_order(const TieOrderArguments& arguments, Stream stream);
-/// Of both launches.
+/// For both launches.
 Result<std::uint64_t> tie_order_bytes(std::uint32_t n);
 
-/// Rows of some chunks: row j of chunk chunks[k] counts as drawn row k chunk_size + j.
+/// Rows of some chunks: row j of chunk chunks[k] is drawn row k chunk_size + j.
 struct ChosenRows {
   PagedAttributes attributes;
   const std::uint32_t* chunks;
 };
 
-/// The same of them. Errors: device_failed.
+/// The same for these rows. Errors: device_failed.
 struct ChosenTiesArguments {
   ChosenRows rows;
   std::uint32_t n_chunks;  ///< n_chunks * chunk_size < 2^31
-  /// [n_chunks * chunk_size] what is drawn in tie order: drawn rows, and their places in `rank`; or, if that is null, rows of the scene.
+  /// [n_chunks * chunk_size] drawn rows in tie order, and their ranks in `rank`; if `rank` is null, rows of the scene.
   std::uint32_t *order, *rank;
   void* temporary;
   std::uint64_t temporary_bytes;  ///< tie_order_bytes()

@@ -1,7 +1,8 @@
-// tie_values.cuh - what the tie order compares, read from device memory: of all Gaussians of a scene, or of those that a frame draws.
+// tie_values.cuh - reads the values that the tie order compares: of all Gaussians of a scene, or of a frame's drawn
+// rows.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Whoever includes it is compiled without contraction to FMA, so that rotations are those of the CPU to the bit.
+// Compile includers without contraction to FMA, so that rotations equal the CPU's to the bit.
 #pragma once
 
 #include <cstdint>
@@ -21,13 +22,13 @@ __device__ inline float load_sh(const CompactAttributes& a, std::uint32_t i, int
   const int n_words = (3 * (a.sh_degree + 1) * (a.sh_degree + 1) + 3) / 4;
   const std::uint32_t word = __ldg(a.sh + static_cast<std::uint64_t>(i) * static_cast<std::uint32_t>(n_words) + k / 4);
   const int coefficient = k / 3, degree = coefficient < 1 ? 0 : coefficient < 4 ? 1 : coefficient < 9 ? 2 : 3;
-  // Entry of CHNK: its index of a step set lies at byte 32.
+  // Byte 32 of a CHNK entry: its step set.
   const std::uint32_t set = __ldg(a.chunks + 12 * (i / a.chunk_size) + 8);
   return dequantize_sh(static_cast<std::int8_t>(word >> 8 * (k % 4)),
                        __ldg(a.sh_steps + 12 * set + static_cast<std::uint32_t>(3 * degree + k % 3)));
 }
 
-/// Attributes as the tie order reads them.
+/// Attributes in the form that the tie order reads.
 template <class A>
 struct TieValues {
   A attributes;
@@ -42,7 +43,7 @@ struct TieValues {
   __device__ float sh(std::uint32_t i, int k) const { return load_sh(attributes, i, k); }
 };
 
-/// The row of the scene that drawn row i is.
+/// The scene's row of drawn row i.
 __device__ inline std::uint32_t chosen_row(const ChosenRows& rows, std::uint32_t i) {
   const std::uint32_t size = rows.attributes.chunk_size, k = i / size;
   return __ldg(rows.chunks + k) * size + (i - k * size);

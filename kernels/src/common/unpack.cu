@@ -1,7 +1,7 @@
-// unpack.cu - contents of coded frames -> rows of MEAN, GEOM and SHI8; docs/format/FORMAT.md "Coded sections".
+// unpack.cu - decodes contents of coded frames to rows of MEAN, GEOM and SHI8; docs/format/FORMAT.md "Coded sections".
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/planes.hpp, which the decoder on the host calls as well
+// Math    rgs/planes.hpp, shared with the host's decoder
 // In/Out  means: planes [12, n] -> [n, 3]; geometry: planes [16, n] -> [n, 8]; SH: weights, planes [codes, n] -> [n, codes]
 // Cost    each byte is read and written once. SH: 24 and 1,128 products a Gaussian at degree 1 and 3, one after the other
 //         within it, and Gaussians of a lane one after the other: a frame takes as long as its longest lane, whatever the
@@ -23,14 +23,14 @@ namespace {
 constexpr int kMeanThreads = 1024;
 constexpr int kGeometryThreads = 256;
 
-// Differences are summed up 1,024 rows at a time. Sums of warps have two places in turn: whoever is a round ahead does not
-// overwrite what others still read.
+// Differences are summed 1,024 rows at a time. Sums of warps alternate between two arrays, so that a warp one round
+// ahead does not overwrite what others still read.
 __global__ void __launch_bounds__(kMeanThreads)
     unpack_means_kernel(const std::uint8_t* content, std::uint32_t n_rows, std::uint32_t* rows) {
   constexpr int kWarps = kMeanThreads / 32;
   __shared__ std::uint32_t warp_sums[2][kWarps];
   const std::uint8_t* const plane = content + std::size_t{4} * blockIdx.x * n_rows;
-  std::uint32_t key = 0;  // of the row before the round's first
+  std::uint32_t key = 0;  // of the row before the round
   int place = 0;
   for (std::uint32_t first = 0; first < n_rows; first += kMeanThreads, place ^= 1) {
     const std::uint32_t i = first + threadIdx.x;

@@ -1,4 +1,4 @@
-// unpack.hpp - launches from the contents of coded frames to rows: what Codec::planes does, undone on the device.
+// unpack.hpp - launches that decode contents of coded frames (Codec::planes) to rows on the device.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,7 +10,8 @@
 
 namespace rgs::cuda {
 
-/// Contents are of frame_content_bytes() and may hold anything: any content gives some rows. Errors of all: device_failed.
+/// Contents have frame_content_bytes() and may hold anything: any content gives some rows. All may fail with
+/// device_failed.
 
 /// content: 12 planes of n_rows bytes -> MEAN rows [n_rows, 3]. n_rows > 0.
 Status launch_unpack_means(const std::uint8_t* content, std::uint32_t n_rows, float* rows, Stream stream);

@@ -1,12 +1,12 @@
-// blend.cu - tile by tile, sorted Gaussians to pixels: the original's loop and its variants, a block a tile.
+// blend.cu - blends sorted Gaussians into a tile's pixels: the original's loop and its variants; a block a tile.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/blend.hpp; docs/format/RENDERING.md "A pixel"; the paper, III-B1
 // In/Out  ranges, sorted Gaussians, splats -> pixels
 // Cost    48 B gathered a pair, mostly from L2; about 25 instructions a (pixel, Gaussian) pair evaluated
 // Launch  a block a tile; 256 threads of one pixel or 128 of two, (x, y) and (x, y + 1)
-// Shared  Staged [threads]: the batch of Gaussians that all pixels go through next; 11 or 5.5 KiB
-// Order   front to back in each pixel; counters are sums of integers: deterministic
+// Shared  Staged [threads]: the next batch of Gaussians for all pixels; 11 or 5.5 KiB
+// Order   front to back in each pixel; counters are integer sums: deterministic
 #include <cstdint>
 
 #include "common/launch.cuh"
@@ -21,7 +21,7 @@ namespace {
 using math::Exp;
 using math::Exponent;
 
-// What shared memory holds of a Gaussian, and the opacities of a thread's pixels. (x, y) is tile-local; `corner` is the
+// Shared memory's copy of a Gaussian, and the opacities of a thread's pixels. (x, y) is tile-local; `corner` is the
 // tile's first pixel.
 template <Exponent X, Exp E>
 struct Staged;
@@ -34,7 +34,7 @@ struct Staged<Exponent::direct, E> {
   math::Vec3<float> color;
 
   __device__ static Staged of(const ScreenSplat& s, const math::PixelPoint<float>& corner) {
-    // Exact wherever it matters: a mean within a factor of two of the corner (Sterbenz).
+    // Exact where it matters: for a mean within a factor of two of the corner (Sterbenz).
     return {{s.mean.u - corner.u, s.mean.v - corner.v}, s.conic, s.opacity, s.cutoff, s.z, s.color};
   }
   template <int N>
@@ -67,7 +67,7 @@ struct Staged<Exponent::folded, E> {
   }
 };
 
-// Blocks of 256 threads fill a multiprocessor; the stores at the end alone would take more registers than that allows.
+// Limits registers so that blocks of 256 threads fill a multiprocessor; the stores at the end alone would take more.
 template <Exponent X, Exp E, int N, bool Details>
 __global__ void __launch_bounds__(kTilePixels / N, N == 1 ? resident_blocks(8, kTilePixels) : 1)
     blend_kernel(BlendArguments a) {
@@ -92,7 +92,7 @@ __global__ void __launch_bounds__(kTilePixels / N, N == 1 ? resident_blocks(8, k
   };
 
   for (std::uint32_t begin = range.begin; begin < range.end; begin += kThreads) {
-    if (__syncthreads_and(all_done())) break;  // nobody reads the batch before any longer
+    if (__syncthreads_and(all_done())) break;  // all have read the batch before
     if (begin + threadIdx.x < range.end) {
       staged[threadIdx.x] = Staged<X, E>::of(a.splats[a.gaussians[begin + threadIdx.x]], corner);
     }

@@ -1,4 +1,4 @@
-// blend.hpp - launches of the last stage: sorted pairs to pixels.
+// blend.hpp - launches of the last stage: blends sorted pairs into pixels.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,7 +9,7 @@
 
 namespace rgs::cuda {
 
-/// `Arrays`: PixelArrays, or TightArrays where they do.
+/// `Arrays`: PixelArrays, or TightArrays where they suffice.
 template <class Arrays>
 struct BlendArgumentsFor {
   const TileRange* ranges;         ///< [n_tiles]
@@ -19,7 +19,7 @@ struct BlendArgumentsFor {
   int width, height;  ///< px
   math::Vec3<float> background;
   Arrays target;
-  Counters* counters;  ///< .evaluated and .blended; null if nobody counts
+  Counters* counters;  ///< .evaluated and .blended; null: not counted
   math::Exponent exponent;
   math::Exp exp;
   int pixels_per_thread;  ///< 1, or 2: (x, y) and (x, y + 1)

@@ -3,14 +3,14 @@
 //
 // Math    rgs/math/blend.hpp: fold(), folded_exponent(), negative_exp2(); the paper, III-B
 // In/Out  as blend.cu
-// Cost    a pair of pixels and a Gaussian: 8 FMA-pipe instructions, 2 comparisons, 24 B of shared memory to each lane;
-//         where a pixel of the warp counts, 22 more instructions and 16 B
+// Cost    a pair of pixels and a Gaussian: 8 FMA-pipe instructions, 2 comparisons, 24 B of shared memory to each lane; if a
+//         pixel of the warp counts, 22 more instructions and 16 B
 // Launch  a block of 128 threads a tile
 // Shared  Batch: coefficients xx, xy, yy, x and y, one; colours; 5 KiB
 // Order   front to back; deterministic
 //
-// One word says all of a pixel's state: its transmittance, negated once the pixel is finished. Then every later product
-// is negative, fails the test against 1e-4 and changes nothing, so that finished pixels need no flag and no branch.
+// One word is a pixel's state: its transmittance, negated once the pixel is finished. Every later product is then
+// negative, fails the test against 1e-4 and changes nothing, so finished pixels need neither a flag nor a branch.
 #include <cstdint>
 #include <type_traits>
 
@@ -34,7 +34,7 @@ struct Accumulated {
   float t = 1;                // transmittance, negated once finished
 };
 
-// Skipped pairs have alpha 0; they leave a pixel as it is. `cutoff` is the biased log2(1/255).
+// Skipped pairs have alpha 0 and leave a pixel as it is. `cutoff` is the biased log2(1/255).
 __device__ inline void blend_biased(Accumulated& p, float biased, float cutoff, const float4& color) {
   const float exponential = math::negative_exp2(math::min(biased, math::kBiasedAlphaMax));
   const float minus_alpha = biased >= cutoff ? exponential : 0.0F;
@@ -47,8 +47,9 @@ __device__ inline void blend_biased(Accumulated& p, float biased, float cutoff, 
   p.t = blends ? next : -fabsf(p.t);
 }
 
-// With PixelArrays among the arguments the compiler lays out registers in another way, in the loop too, and the longest
-// tile takes a tenth more time (0.49 and 0.53 ms at 1080p on an H100): most frames are tight, and have a kernel of their own.
+// With PixelArrays among the arguments the compiler allocates registers differently, in the loop too, and the longest
+// tile takes a tenth more time (0.53 instead of 0.49 ms at 1080p on an H100). Most frames are tight, so they have a
+// kernel of their own.
 template <math::Exp E, class Arrays>
 __global__ void __launch_bounds__(kThreads) paper_kernel(BlendArgumentsFor<Arrays> a) {
   __shared__ Batch s;
@@ -65,7 +66,7 @@ __global__ void __launch_bounds__(kThreads) paper_kernel(BlendArgumentsFor<Array
   if (!at.inside(1, a.width, a.height)) below.t = -1;
 
   for (std::uint32_t begin = range.begin; begin < range.end; begin += kThreads) {
-    if (__syncthreads_and(above.t < 0 && below.t < 0)) break;  // nobody reads the batch before any longer
+    if (__syncthreads_and(above.t < 0 && below.t < 0)) break;  // all have read the batch before
     if (begin + threadIdx.x < range.end) {
       const ScreenSplat splat = a.splats[a.gaussians[begin + threadIdx.x]];
       const auto f = math::fold(splat.conic, {splat.mean.u - corner.u, splat.mean.v - corner.v}, splat.log2_opacity);

@@ -1,4 +1,4 @@
-// blend_pixel.cuh - which pixels of its tile a thread has, and the sum of what they counted.
+// blend_pixel.cuh - a thread's pixels of its tile, and the sum of their counts.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,7 +12,7 @@ namespace rgs::cuda {
 inline constexpr int kTilePixels = math::kTileSize * math::kTileSize;
 
 /// N vertically adjacent pixels of the block's tile, (x, y) the first, tile-local. A warp has 8 columns and 4 N rows:
-/// the squarer it is, the fewer Gaussians touch it.
+/// the squarer, the fewer Gaussians touch it.
 template <int N>
 struct TilePixel {
   int x, y;

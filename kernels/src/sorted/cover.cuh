@@ -1,4 +1,4 @@
-// cover.cuh - the tiles of one Gaussian, row by row, in a form that fits shared memory.
+// cover.cuh - the tiles of a Gaussian, row by row, in a form that fits shared memory.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -44,7 +44,7 @@ struct Cover<math::Extent::ellipse> {
   }
 };
 
-/// Depth's part of the key.
+/// The depth part of the key.
 __device__ inline std::uint32_t depth_key(const ViewParameters& v, float z) {
   return v.key.quantized ? math::quantize_depth(v.quantizer, z) : math::depth_bits(z);
 }

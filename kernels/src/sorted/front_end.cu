@@ -1,21 +1,20 @@
-// front_end.cu - attributes to unsorted (tile, Gaussian) pairs in one kernel: a thread a Gaussian, a tile row, a pair.
+// front_end.cu - turns attributes into unsorted (tile, Gaussian) pairs in one kernel: a thread a Gaussian, a tile row,
+// a pair.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; the paper, III-A3; tiles after Hanson et al. 2025
 // In/Out  attributes [n] -> splats [n] (visible ones), keys and Gaussians [instances]
-// Cost    76 B (compact) or 236 B (FP32) read a Gaussian, of which harmonics only where visible; 48 B written a visible
-//         one; 8 or 12 B written a pair, coalesced. About 500 flops a Gaussian, 60 a tile row, 40 integer operations a
-//         pair
+// Cost    76 B (compact) or 236 B (FP32) read a Gaussian, harmonics only if visible; 48 B written a visible one; 8 or 12 B
+//         written a pair, coalesced. About 500 flops a Gaussian, 60 a tile row, 40 integer operations a pair
 // Launch  256 threads, ceil(n / 256) blocks
 // Shared  Shared: covers, depth keys and the sums that map rows and pairs to their owners; 16 KiB with ellipses
-// Order   of the pairs: by the Gaussian's number, row and column within a block; blocks in the order of their atomic
-//         addition, or with block_state in the order of the numbers: with `order`, as in project.cu, tie order. Compiled
-//         without contraction to FMA, see project.cu.
+// Order   pairs: by the Gaussian's number, row and column within a block; blocks in the order of their atomic addition, or with
+//         block_state by number; with `order`, as in project.cu, tie order. Compiled without contraction to FMA, see project.cu.
 //
-// A thread that walked its own Gaussian's tiles would keep its warp waiting for the largest: coverage ranges from 1 to
-// all tiles. So the block works on the rows of all its Gaussians side by side, and then on the pairs of 256 rows side
-// by side; binary searches in running sums tell each thread what it works on. Rows are evaluated twice, once to count
-// and once to emit, which is cheaper than keeping them.
+// A thread that walked its own Gaussian's tiles would make its warp wait for the largest, since coverage ranges from 1
+// to all tiles. So the block works on the rows of all its Gaussians side by side, and then on the pairs of 256 rows;
+// binary searches in running sums tell each thread its work. Rows are evaluated twice, to count and to emit, which is
+// cheaper than storing them.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
@@ -32,7 +31,7 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 
-// A block's word in the chained scan: what it holds in the upper bits, pairs in the others.
+// A block's word in the chained scan: its state in the upper bits, pairs in the others.
 constexpr std::uint64_t kAggregate = std::uint64_t{1} << 62;  // of this block alone
 constexpr std::uint64_t kPrefix = std::uint64_t{2} << 62;     // of all blocks up to this one
 constexpr std::uint64_t kSumMask = kAggregate - 1;
@@ -47,11 +46,11 @@ struct Shared {
   std::uint8_t row_owner[kThreads];  // and its Gaussian
   std::uint8_t listed[kThreads];     // the Gaussian has a pair
   std::uint32_t warp_sums[2][kWarps];
-  std::uint64_t base;  // of the block's pairs
+  std::uint64_t base;  // offset of the block's pairs
   std::uint32_t block;
 };
 
-// Rows of the block's Gaussians: owner and tiles of row r.
+// Row r of the block's Gaussians: owner and tiles.
 struct Row {
   std::uint32_t owner;
   std::uint32_t first_tile, n_tiles;
@@ -67,9 +66,9 @@ __device__ Row row_at(const Shared<E>& s, std::uint32_t r, math::TileGrid grid) 
           static_cast<std::uint32_t>(span.last - span.first)};
 }
 
-// Sum over the block in 64 bits: 256 Gaussians may cover more than 2^32 tiles. Valid in thread 0.
+// Sum over the block in 64 bits, since 256 Gaussians may cover more than 2^32 tiles. Valid in thread 0.
 __device__ std::uint64_t block_total(std::uint32_t value, std::uint32_t* warp_sums) {
-  // 32 threads of at most 2^24 tiles each (4096 rows of 4096): a warp's sum fits 32 bits.
+  // 32 threads of at most 2^24 tiles each (4096 rows of 4096) fit 32 bits.
   const std::uint32_t sum = warp_sum(value);
   if (threadIdx.x % 32 == 0) warp_sums[threadIdx.x / 32] = sum;
   __syncthreads();
@@ -80,7 +79,7 @@ __device__ std::uint64_t block_total(std::uint32_t value, std::uint32_t* warp_su
   return total;
 }
 
-// Pairs of all blocks before `block`: look-back over their published words, a warp at a time. Called by warp 0; `total`
+// Pairs of all blocks before `block`: looks back over their published words, a warp at a time. Warp 0 calls it; `total`
 // is the block's own in every lane.
 __device__ std::uint64_t chained_base(volatile std::uint64_t* state, std::uint32_t block, std::uint64_t total) {
   const std::uint32_t lane = threadIdx.x;
@@ -88,7 +87,7 @@ __device__ std::uint64_t chained_base(volatile std::uint64_t* state, std::uint32
   std::uint64_t base = 0;
   for (std::int64_t last = static_cast<std::int64_t>(block) - 1; last >= 0; last -= 32) {
     const std::int64_t at = last - lane;
-    std::uint64_t word = kPrefix;  // before the first block: nothing
+    std::uint64_t word = kPrefix;  // nothing precedes the first block
     if (at >= 0) {
       do {
         word = state[at];

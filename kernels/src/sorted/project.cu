@@ -1,4 +1,5 @@
-// project.cu - the original's front end: one kernel projects, one writes (tile, Gaussian) pairs; one thread a Gaussian.
+// project.cu - the original's front end: one kernel projects, another writes (tile, Gaussian) pairs; one thread a
+// Gaussian.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; docs/format/RENDERING.md "A Gaussian on the image"
@@ -6,9 +7,9 @@
 // Cost    project: 236 B (FP32) or 76 B (compact) read, 48 + 16 or 44 + 4 B written; about 500 flops: memory-bound
 //         duplicate: 12 or 8 B written a pair, uncoalesced: each thread writes its own run
 // Launch  256 threads, ceil(n / 256) blocks
-// Order   deterministic: pairs lie in the order of the Gaussians' numbers, which a stable sort leaves to equal depths: in tie
-//         order, if `order` is given, for 4 B more a Gaussian and attributes that are gathered. Compiled without contraction
-//         to FMA, so that positions, covers and depths are those of the CPU to the bit.
+// Order   deterministic: pairs lie in the order of the Gaussians' numbers, which a stable sort keeps for equal depths; in tie order
+//         if `order` is given, for 4 B more a Gaussian and gathered attributes. Compiled without contraction to FMA, so that
+//         positions, covers and depths equal the CPU's to the bit.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"

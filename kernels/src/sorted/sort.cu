@@ -1,10 +1,10 @@
-// sort.cu - (tile, Gaussian) pairs into tile and depth order: CUB's radix sort and sum.
+// sort.cu - sorts (tile, Gaussian) pairs by tile and depth: CUB's radix sort and sum.
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  keys, Gaussians [n] -> the same, sorted stably by the lowest `bits` bits; ranges [n_tiles]
-// Cost    one-sweep radix sort (Adinolfi et al. 2022), 8 bits a pass: each pass reads and writes every pair once, and
-//         one more reading of the keys makes all histograms. 32-bit keys: 4 passes of 16 B a pair; 64-bit ones with 45
-//         bits: 6 passes of 24 B. Constant bits are not sorted. Ranges: one reading of the keys
+// Cost    one-sweep radix sort (Adinolfi et al. 2022), 8 bits a pass: each pass reads and writes every pair once, and one more
+//         read of the keys makes all histograms. 32-bit keys: 4 passes of 16 B a pair; 64-bit keys with 45 bits: 6 passes of
+//         24 B. Constant bits are not sorted. Ranges: one read of the keys
 // Order   deterministic
 #include <thrust/iterator/transform_iterator.h>
 #include <cub/device/device_radix_sort.cuh>
@@ -39,7 +39,7 @@ __global__ void __launch_bounds__(kThreads)
     ranges_kernel(const Key* keys, std::uint32_t n, int depth_bits, TileRange* ranges) {
   const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
   if (i >= n) return;
-  // 64-bit shifts: a key of one tile has no tile bits, and its depth may fill all 32.
+  // 64-bit shifts: with one tile a key has no tile bits, and its depth may fill all 32.
   const auto tile = static_cast<std::uint32_t>(static_cast<std::uint64_t>(keys[i]) >> depth_bits);
   const auto before = i == 0 ? ~0u : static_cast<std::uint32_t>(static_cast<std::uint64_t>(keys[i - 1]) >> depth_bits);
   if (tile != before) {

@@ -1,4 +1,4 @@
-// sort.hpp - launches that order (tile, Gaussian) pairs and find each tile's range.
+// sort.hpp - launches that sort (tile, Gaussian) pairs and find each tile's range.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -14,7 +14,7 @@ Status launch_sum(const std::uint32_t* tiles, std::uint64_t* sums, std::uint32_t
                   std::uint64_t temporary_bytes, Stream stream);
 Result<std::uint64_t> sum_bytes(std::uint32_t n);
 
-/// Pairs and a spare of the same size; the sort swaps them as it needs.
+/// Pairs, and spare arrays of the same size; the sort swaps them as needed.
 struct SortBuffers {
   void* keys;  ///< 32 or 64 bits each
   void* spare_keys;
@@ -30,7 +30,7 @@ Status launch_sort(SortBuffers& buffers, std::uint64_t n, int bits, void* tempor
 /// Temporary memory for sorts of up to n pairs.
 Result<std::uint64_t> sort_bytes(std::uint64_t n, bool narrow_keys);
 
-/// Ranges [n_tiles] of the tiles in n sorted keys; tiles without a pair get an empty one. Errors: device_failed.
+/// Ranges [n_tiles] of the tiles in n sorted keys; empty for tiles without a pair. Errors: device_failed.
 Status launch_ranges(const void* keys, bool narrow_keys, std::uint64_t n, int depth_bits, TileRange* ranges,
                      std::uint32_t n_tiles, Stream stream);
 

@@ -1,4 +1,4 @@
-// emit_runs.cuh - how blocks leave what they have counted: entries of a tile side by side, a run a tile.
+// emit_runs.cuh - how blocks write their entries: contiguous for each tile, as one run a tile.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -17,13 +17,13 @@ struct RunPlaces {
   std::uint64_t entry_base, run_base;
 };
 
-/// Gives the `n` entries that the block has for the thread's tile a place, and writes their run. Returns where they begin.
-/// At most 2^16 - 1 entries a block. All threads of the block call it, with 0 if there is nothing, and pass a barrier before
-/// the next call.
+/// Reserves places for the block's `n` entries of the thread's tile, writes their run, and returns the offset of the
+/// first. At most 2^16 - 1 entries a block. All threads of the block call it, with 0 if there are none, and pass a
+/// barrier before the next call.
 template <int Threads>
 __device__ std::uint32_t reserve_runs(RunPlaces<Threads>& s, std::uint32_t n, std::uint32_t tile,
                                       const TurboArrays& out) {
-  // Sums of entries and of runs in one word.
+  // Sums entries and runs in one word.
   const std::uint32_t end = inclusive_block_sum<Threads>(n | (n > 0 ? 1u << 16 : 0), s.warp_sums);
   if (threadIdx.x == Threads - 1 && end > 0) {
     s.entry_base = atomic_add(out.state->counters.instances, end & 0xFFFFu);

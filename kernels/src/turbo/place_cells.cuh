@@ -1,4 +1,4 @@
-// place_cells.cuh - the ranks of tiles, and where the Gaussians of a tile's cells go.
+// place_cells.cuh - ranks of tiles, and offsets of the Gaussians of their cells.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,20 +10,20 @@
 
 namespace rgs::cuda {
 
-/// First rank of the tiles of class threadIdx.x % 32: those of longer lists come before them. All lanes of a warp call it, here
-/// and below.
+/// First rank of the tiles of class threadIdx.x % 32; longer lists precede it. All lanes of a warp call this and the
+/// next functions.
 __device__ inline std::uint32_t own_class_begin(const TurboArrays& a) {
   static_assert(kTurboClasses == 32, "a lane a class");
   const std::uint32_t size = a.state->class_size[threadIdx.x % 32];
   return inclusive_warp_sum(size) - size;
 }
-/// The rank of a tile, whose list has n_entries, from its place in its class.
+/// Rank of a tile with n_entries, from its index within its class.
 __device__ inline std::uint32_t rank_of(std::uint32_t own_class_begin, std::uint32_t n_entries,
                                         std::uint32_t in_class) {
   return __shfl_sync(kFullWarp, own_class_begin, turbo_class(n_entries)) + in_class;
 }
 
-/// Tiles that have lists: the first ranks.
+/// Number of tiles with lists; these have the first ranks.
 __device__ inline std::uint32_t listed_tiles(const TurboArrays& a) {
   return a.n_tiles - a.state->class_size[kTurboClasses - 1];
 }
@@ -34,13 +34,13 @@ __device__ inline void write_cell(const TurboArrays& a, math::TileGrid grid, std
   a.cells[kTurboCells * rank + cell] = {begin, n, corner.x, corner.y};
 }
 
-/// Where the Gaussians of a thread's cell begin in TurboArrays::cell_gaussians, and whether there is room for the tile's.
+/// Where the Gaussians of a thread's cell start in TurboArrays::cell_gaussians, and whether the tile's fit.
 struct CellPlace {
   std::uint32_t begin;
   bool fits;
 };
-/// Finds places for the Gaussians of a tile's cells, cell_n [kTurboCells] in shared memory, and tells the blending kernels;
-/// without room, that there are none. Threads 0 .. kTurboCells - 1 call it, one for each cell.
+/// Reserves places for the Gaussians of a tile's cells, cell_n [kTurboCells] in shared memory, and writes the cells for
+/// the blending kernels; they are empty if there is no room. Threads 0 .. kTurboCells - 1 call it, one a cell.
 __device__ inline CellPlace place_cells(const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                         std::uint32_t tile, const std::uint32_t* cell_n) {
   const std::uint32_t own = threadIdx.x;
@@ -57,7 +57,7 @@ __device__ inline CellPlace place_cells(const TurboArrays& a, math::TileGrid gri
   return place;
 }
 
-/// A tile's cells have their places. One thread calls it; the last tile tells the host.
+/// Call from one thread once a tile's cells have their places; the last tile reports to the host.
 __device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
   __threadfence();
   if (atomicAdd(&a.state->n_ordered, 1u) == a.n_tiles - 1) {

@@ -1,4 +1,4 @@
-// read_list.cuh - what kernels read of a tile's list: its entries, their depths, how many touch each cell.
+// read_list.cuh - reads a tile's list: its entries, their depths, how many touch each cell.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,13 +9,12 @@
 
 namespace rgs::cuda {
 
-/// The entry with the Gaussian's rank in place of its index.
+/// The entry with the Gaussian's rank instead of its index.
 __device__ inline TurboEntry with_rank(const TieOrder& ties, TurboEntry entry) {
   return make_entry(depth_of(entry), ties.rank[index_of(entry)],
                     static_cast<std::uint32_t>(entry) & ((1u << kTurboCellBits) - 1));
 }
 
-/// Runs of entries.
 struct TurboRuns {
   const TurboRun* runs;
   const TurboEntry* entries;
@@ -24,13 +23,12 @@ struct TurboRuns {
   /// Shared memory of for_each().
   template <int Threads>
   struct Places {
-    std::uint32_t run_begin[Threads], run_end[Threads];  // of so many runs: first entry, inclusive sums of their sizes
-    alignas(
-        16) std::uint32_t warp_sums[Threads / 32];  // else ptxas reads them with the word before, which others write
+    std::uint32_t run_begin[Threads], run_end[Threads];  // first entry of each run, inclusive sums of their sizes
+    // Aligned, or ptxas reads them together with the word before, which other threads write.
+    alignas(16) std::uint32_t warp_sums[Threads / 32];
   };
 
-  /// Calls f(entry, position) for every entry. All threads of the block call it. Four loads of a thread are on their way
-  /// at a time.
+  /// Calls f(entry, position) for every entry, with four loads a thread in flight. All threads of the block call it.
   template <int Threads, class F>
   __device__ void for_each(Places<Threads>& s, const F& f) const {
     constexpr int kAhead = 4;
@@ -63,8 +61,8 @@ struct TurboRuns {
   }
 };
 
-/// Adds up, over the block, how many entries touch each cell. An entry's bits go to counters of 16 bits, four to a
-/// word, which are passed on before one can overflow.
+/// Counts, over the block, how many entries touch each cell. An entry's bits are added to 16-bit counters, four to a
+/// word, which are flushed before one can overflow.
 class CellCounter {
  public:
   /// `sums` [kTurboCells] in shared memory, zeroed before.
@@ -78,7 +76,7 @@ class CellCounter {
     for (int c = 0; c < kTurboCells; ++c) atomicAdd(sums_ + c, of(c));
     low_ = high_ = 0, n_ = 0;
   }
-  /// All lanes of a warp call it, in the end.
+  /// All lanes of a warp call it at the end.
   __device__ void flush() const {
     for (int c = 0; c < kTurboCells; ++c) {
       const std::uint32_t sum = warp_sum(of(c));

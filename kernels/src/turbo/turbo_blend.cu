@@ -1,12 +1,12 @@
-// turbo_blend.cu - blends the cells in FP32, with depth and counts if they are wanted: a warp a cell.
+// turbo_blend.cu - blends the cells in FP32, with depth and counts if wanted; a warp a cell.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/blend.hpp: fold(), its polynomial by columns; docs/format/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
 // Cost    a Gaussian of a cell: 52 B gathered by one lane, 32 B of shared memory to each lane, and about 12
 //         instructions a pixel
-// Launch  256 threads a tile: eight warps, each with a cell; a thread has four pixels of one column: what it reads of a
-//         Gaussian, and its polynomial in y, serve all four (numbers for cells of 16x8)
+// Launch  256 threads a tile: eight warps, each with a cell; a thread has four pixels of one column, which share what it reads
+//         of a Gaussian and its polynomial in y (numbers for cells of 16x8)
 // Shared  32 Gaussians a warp: 8 KiB
 // Order   that of the cells' lists: deterministic
 #include <cuda_fp16.h>
@@ -26,11 +26,11 @@ namespace {
 
 constexpr int kWarps = kTurboCells;
 constexpr int kThreads = 32 * kWarps;
-constexpr int kRows = kTurboCellWidth * kTurboCellHeight / 32;  // pixels of a thread
+constexpr int kRows = kTurboCellWidth * kTurboCellHeight / 32;  // a thread's pixels
 static_assert(32 % kTurboCellWidth == 0 && kTurboCellHeight % kRows == 0,
               "a warp has whole rows of pixels, and a thread its share of one column");
 
-// A Gaussian as a cell's pixels need it; coordinates relative to the cell's first pixel.
+// A Gaussian for a cell's pixels; coordinates relative to the cell's first pixel.
 struct Staged {
   float4 quadratic;  // xx, xy, yy, x
   float4 rest;       // y, one, colour in FP16: r g, b
@@ -48,8 +48,8 @@ struct Accumulated {
   std::uint32_t evaluated = 0, blended = 0;
 };
 
-// Whether an opacity may exceed kAlphaMax in the cell, also by what rounding can add to the exponent: terms as large as
-// these cancel in it, and they are large for needles.
+// Whether an opacity may exceed kAlphaMax in the cell, including the exponent's rounding: large terms cancel in it for
+// needles.
 __device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, float corner_y) {
   constexpr float kLog2AlphaMax = -0.0144996F;
   constexpr float kRounding = 4 * math::kLog2E * 6e-8F;
@@ -59,12 +59,12 @@ __device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, floa
   return !(splat.log2_opacity + kRounding * terms < kLog2AlphaMax);
 }
 
-// Depths, too, stay finite.
+// Depths must stay finite, too.
 constexpr float kLargest = std::numeric_limits<float>::max();
 
 __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float corner_y) {
   const auto f = math::fold(splat.conic, {splat.mean.u - corner_x, splat.mean.v - corner_y}, splat.log2_opacity);
-  // Finite also where the colour is not: a weight of 0 then leaves a pixel as it is.
+  // Finite even if the colour is not, so that a weight of 0 leaves a pixel as it is.
   const __half2 red_green = __floats2half2_rn(math::min(splat.color.x, kHalfMax), math::min(splat.color.y, kHalfMax));
   const __half2 blue = __floats2half2_rn(math::min(splat.color.z, kHalfMax), 0.0F);
   return {{f.xx, f.xy, f.yy, f.x},
@@ -72,7 +72,7 @@ __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float c
            __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&blue))}};
 }
 
-// A Gaussian's opacities in a thread's column of pixels, 0 where a pair is skipped, and its colour.
+// A Gaussian's opacities in a thread's column of pixels, 0 for skipped pairs, and its colour.
 struct Column {
   float alpha[kRows];
   float r, g, b;
@@ -97,7 +97,7 @@ __device__ inline Column column_of(const Staged& s, float x, const float (&y)[kR
 }
 
 // Blends one Gaussian into a column of pixels. A pixel does not stop at the definition's transmittance of 1e-4 but when
-// its whole cell has fallen below it: what comes after adds less than 1e-4.
+// its whole cell has fallen below it: the rest adds less than 1e-4.
 template <bool Details>
 __device__ inline void blend_column(Accumulated (&pixel)[kRows], const Column& c, float z) {
 #pragma unroll
@@ -129,7 +129,7 @@ class Cell {
     for (int k = 0; k < kRows; ++k) {
       const int y = kRows * (lane / kTurboCellWidth) + k;
       y_[k] = static_cast<float>(y);
-      // A pixel outside the image keeps nobody waiting.
+      // A pixel outside the image counts as finished.
       pixel_[k].t = corner_x + lane % kTurboCellWidth < width && corner_y + y < height ? 1.0F : 0.0F;
     }
   }
@@ -146,7 +146,7 @@ class Cell {
       clamp = may_exceed(splat, corner_x_, corner_y_);
     }
     __syncwarp();
-    // One opacity above kAlphaMax, and all of the 32 are clamped; mostly there is none.
+    // If one opacity exceeds kAlphaMax all 32 are clamped; mostly none does.
     __any_sync(kFullWarp, clamp) ? blend_staged<true>(staged, n, z) : blend_staged<false>(staged, n, z);
     bool opaque = true;
 #pragma unroll
@@ -175,7 +175,7 @@ class Cell {
  private:
   template <bool Clamp>
   __device__ void blend_staged(const Staged* staged, int n, float z) {
-#pragma unroll(Details ? 1 : 2)  // with depth and counts two at a time would take more than 64 registers
+#pragma unroll(Details ? 1 : 2)  // two at a time with depth and counts would take more than 64 registers
     for (int j = 0; j < n; ++j) {
       blend_column<Details>(pixel_, column_of<Clamp>(staged[j], x_, y_), Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
     }

@@ -1,20 +1,20 @@
-// turbo_emit.cu - attributes to the entries of the tiles' lists, in runs of one tile each.
+// turbo_emit.cu - turns attributes into entries of the tiles' lists, in runs of one tile each.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; turbo_geometry.hpp
 // In/Out  attributes [n] -> splats [n], entries, runs, large
 // Cost    as front_end.cu, with 8 B written an entry, and 16 B and an atomic addition a run
-// Launch  256 threads, ceil(n / 256) blocks; of a scene with levels n is room, and blocks beyond what is drawn end at once
+// Launch  256 threads, ceil(n / 256) blocks; with levels n is a capacity, and blocks beyond the drawn rows end at once
 // Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
 //         candidates between counting and placing; 33 KiB
-// Order   of entries and runs: any. The lists' order is made later, by depth and in tie order, so that the image is the same
-//         on every run. Compiled without contraction to FMA, see project.cu.
+// Order   entries and runs: any. Lists are ordered later, by depth and in tie order, so the image is the same on every run.
+//         Compiled without contraction to FMA, see project.cu.
 //
 // Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the
-// block sorts its entries by tile before they leave it, by counting. What their rows show is kept meanwhile: a candidate
-// for each tile of a Gaussian's bounding box. The tiles of the block's own bounding box are counted 1,024 at a time; most
-// blocks have fewer. A Gaussian of many tiles would keep its block long after the others: it waits for
-// turbo_large_gaussians.cu, as does one for whose candidates there is no room.
+// block sorts its entries by tile, by counting, before it writes them. Meanwhile it keeps what their rows show as
+// candidates, one for each tile of a Gaussian's bounding box. The tiles of the block's own bounding box are counted
+// 1,024 at a time; most blocks have fewer. A Gaussian of many tiles, which would delay its block, is left to
+// turbo_large_gaussians.cu, as is one whose candidates do not fit.
 #include <cstdint>
 #include <type_traits>
 
@@ -32,14 +32,14 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr std::uint32_t kWindow = 4 * kThreads;  // tiles that are counted at a time
-constexpr std::uint32_t kLargeTiles = 64;        // of a bounding box that a block's own Gaussian may have
-constexpr std::uint32_t kCandidates = 4096;      // that a block has room for
+constexpr std::uint32_t kWindow = 4 * kThreads;  // tiles counted at a time
+constexpr std::uint32_t kLargeTiles = 64;        // most tiles of a bounding box in a block
+constexpr std::uint32_t kCandidates = 4096;      // capacity of a block
 
-// A candidate for an entry: a tile of a Gaussian's bounding box, numbered within the block's; whose box, of the block's
-// Gaussians; and which cells of the tile it touches, none where it has no entry.
+// A candidate entry: a tile of a Gaussian's bounding box, numbered within the block's box; the owner among the block's
+// Gaussians; and the touched cells of the tile, none if it has no entry.
 constexpr int kOwnerBits = 8, kOwnerAt = kTurboCellBits, kTileAt = kOwnerAt + kOwnerBits;
-constexpr std::uint32_t kBlockTiles = 1u << (32 - kTileAt);  // that a candidate can tell apart
+constexpr std::uint32_t kBlockTiles = 1u << (32 - kTileAt);  // that a candidate can address
 static_assert(kThreads <= 1 << kOwnerBits);
 __device__ inline std::uint32_t make_candidate(std::uint32_t tile, std::uint32_t owner, std::uint32_t cells) {
   return tile << kTileAt | owner << kOwnerAt | cells;
@@ -54,10 +54,9 @@ __device__ inline std::uint32_t cells_in(std::uint32_t candidate) {
   return candidate & ((1u << kTurboCellBits) - 1);
 }
 
-// Tiles of a Gaussian's bounding box.
 struct Box {
   std::uint16_t x, y;
-  std::uint16_t first;  // of its candidates
+  std::uint16_t first;  // its first candidate
   std::uint8_t columns, rows;
 };
 static_assert(kLargeTiles < 256 && kThreads * kLargeTiles < 1 << 15);
@@ -68,7 +67,7 @@ struct Shared {
   std::uint32_t depth[kThreads];              // bits
   std::uint16_t row_end[kThreads];            // inclusive sums of the Gaussians' rows after the first
   std::uint8_t listed[kThreads];              // the Gaussian has an entry
-  alignas(16) std::uint32_t counts[kWindow];  // entries of each tile of the window; then the place of its next one
+  alignas(16) std::uint32_t counts[kWindow];  // entries of each tile of the window; then the place of the next one
   std::uint32_t candidates[kCandidates];
   std::uint32_t n_candidates;
   std::uint32_t bounds[4];  // of the block: largest 2^15 - x0, 2^15 - y0, x1, y1
@@ -76,7 +75,7 @@ struct Shared {
 };
 constexpr std::uint32_t kOrigin = 1u << 15;
 
-// Fills in the candidates, and calls f(tile) for every entry among them. The first rows of the 256 Gaussians come first, a
+// Fills in the candidates and calls f(tile) for every entry among them: first the first rows of the 256 Gaussians, a
 // thread each, then all other rows side by side.
 template <class F>
 __device__ void fill_candidates(Shared& s, std::uint32_t n_rows, const math::TileRect& block, const F& f) {
@@ -105,7 +104,7 @@ __device__ void fill_candidates(Shared& s, std::uint32_t n_rows, const math::Til
   }
 }
 
-// Entries and runs of the window's tiles get their places; counts become the places of the tiles' first entries.
+// Reserves the window's entries and runs; counts become the places of the tiles' first entries.
 __device__ void place_window(Shared& s, std::uint32_t window, const math::TileRect& block, const TurboArrays& out,
                              math::TileGrid grid) {
   const auto width = static_cast<std::uint32_t>(block.x1 - block.x0);
@@ -142,7 +141,7 @@ __global__ void __launch_bounds__(kThreads)
   const ViewParameters& v = a.view;
   const std::uint32_t first = blockIdx.x * kThreads;
   const std::uint32_t i = first + threadIdx.x;
-  // Of a scene with levels, i counts what is drawn.
+  // With levels, i counts drawn rows.
   std::uint32_t n = a.n, row = i;
   if constexpr (std::is_same_v<A, PagedAttributes>) {
     n = n_drawn_rows(a.drawn, attributes.chunk_size);
@@ -161,7 +160,8 @@ __global__ void __launch_bounds__(kThreads)
   std::uint32_t n_columns = 0, n_rows = 0;
   if (i - i % 32 < n && chunk_in_view(attributes, math::min(i, n - 1), v.view, planes) && i < n) {
     const math::Vec3<float> mean = load_mean(attributes.mean, row);
-    // Geometry is not left until the depth is known: few of a chunk in view are out of range, and the loads overlap.
+    // Loads geometry before the depth is known: few Gaussians of a chunk in view are out of range, and the loads
+    // overlap.
     const Geometry g = load_geometry(attributes, row);
     prefetch_color(attributes, row);
     const auto p = math::project(v.view, mean, g.rotation, g.scale, g.opacity, v.low_pass, v.anti_aliasing);
@@ -183,13 +183,13 @@ __global__ void __launch_bounds__(kThreads)
     n_columns = n_rows = 0;
   };
   if (n_columns * n_rows > kLargeTiles) leave();
-  // Sums of rows and of candidates in one.
+  // Sums rows and candidates in one word.
   const std::uint32_t n_candidates = n_columns * n_rows;
   const std::uint32_t sums =
       inclusive_block_sum<kThreads>((n_rows > 0 ? n_rows - 1 : 0) | n_candidates << 16, s.places.warp_sums);
   const std::uint32_t candidates_end = sums >> 16, candidates_begin = candidates_end - n_candidates;
   s.row_end[threadIdx.x] = static_cast<std::uint16_t>(sums & 0xFFFFu);
-  // Of the Gaussians whose candidates find no room the first tells how many there are.
+  // Of the Gaussians whose candidates do not fit, the first writes how many fit.
   if (candidates_end > kCandidates) {
     if (candidates_begin <= kCandidates && n_candidates > 0) s.n_candidates = candidates_begin;
     if (n_candidates > 0) leave();

@@ -1,14 +1,16 @@
-// turbo_geometry.hpp - turbo's tiles and cells: their sizes, which cells an ellipse touches, and the words that hold them.
+// turbo_geometry.hpp - turbo's tiles and cells: their sizes, which cells an ellipse touches, and the words that hold
+// them.
 // SPDX-License-Identifier: Apache-2.0
 //
-// A build with other sizes defines these macros; what is derived from them follows, and what cannot says so:
+// A build with other sizes defines these macros; derived constants follow, and static_asserts reject what does not
+// work:
 //
 //   tile 32   cells of 16x8 (8 a tile), 16x16 (4), 16x32 (2)
 //   tile 16   cells of 16x4 (4 a tile), 16x8 (2), 16x16 (1)
 //   tile 64   cells of 16x32 (8 a tile)
 //
-// All that was measured is 16x8 on 32. The width is that of turbo_tensor.cu's matrix products; without them the rest would
-// take 8 and 32, too.
+// Only 16x8 on 32 was measured. turbo_tensor.cu's matrix products need a width of 16; everything else also works with 8
+// and 32.
 #pragma once
 
 #include <bit>
@@ -40,8 +42,8 @@ static_assert(std::has_single_bit(unsigned{kTurboTile}) && std::has_single_bit(u
               "quotients by them are shifts, and products with their inverses exact");
 static_assert(kTurboCellWidth <= kTurboTile && kTurboCellHeight <= kTurboTile, "cells fill a tile");
 
-/// What a list holds of a Gaussian: bits of its depth (positive: 31), its index, and the cells of the tile that it
-/// touches, a bit each. Entries order by depth, then by index; where depths are equal, by rank in its place.
+/// A Gaussian in a list: bits of its depth (positive: 31), its index, and a bit for each cell of the tile that it
+/// touches. Entries order by depth, then by index; for equal depths a rank may replace the index.
 using TurboEntry = std::uint64_t;
 inline constexpr int kTurboDepthBits = 31, kTurboIndexBits = 25, kTurboCellBits = 8;
 inline constexpr std::uint64_t kMaxTurboGaussians = std::uint64_t{1} << kTurboIndexBits;
@@ -65,7 +67,7 @@ static_assert(depth_of(make_entry(0x7F7FFFFF, 5, 7)) == 0x7F7FFFFF &&
               index_of(make_entry(1, 0x1FFFFFF, 255)) == 0x1FFFFFF);
 
 /// A strip: neighbouring tiles of a row whose cells fill one word, a byte for each row of cells. Bit c of byte r is the
-/// c-th cell of row r, counted from the strip's first tile.
+/// c-th cell of row r from the strip's first tile.
 inline constexpr int kTurboStripCells = 8;  ///< of a row
 inline constexpr int kTurboStripTiles = kTurboStripCells / kTurboCellColumns;
 static_assert(kTurboCellRows <= 4,
@@ -80,8 +82,8 @@ constexpr std::uint64_t bits_at(int first, int step, int n) {
   return bits;
 }
 
-// 1 << n, where n is 8 x clamped to 0..8 and rounded up or down; 1 for NaN. The device rounds by adding 2^20, whose last
-// bit is 1/8, and shifts by the sum's last bits: all but the shift is arithmetic of the pipe that has room.
+// 1 << n, where n is 8 x clamped to 0..8 and rounded up or down; 1 for NaN. The device rounds by adding 2^20, whose
+// last bit is 1/8, and shifts by the sum's last bits: all but the shift runs on the arithmetic pipe, which has room.
 template <bool Up, class T>
 RGS_HD inline std::uint32_t bit_of_eighth(T x) {
   static_assert(kTurboStripCells == 8, "2^20 is the float with this last bit");
@@ -101,21 +103,20 @@ RGS_HD inline std::uint32_t bit_of_eighth(T x) {
 inline constexpr auto kTurboStripRows =
     static_cast<std::uint32_t>(detail::bits_at(0, kTurboStripCells, kTurboCellRows));
 
-/// A row of tiles, cut into its rows of cells: where, from the image's left edge and in units of a strip, the ellipse's
-/// first and last cells of each row lie. With c = 8 x, these are the cells ceil(c_first) <= c < floor(c_last); both are 0
-/// where there is none.
+/// The ellipse's first and last cell in each row of cells of a row of tiles, from the image's left edge, in units of a
+/// strip. With c = 8 x, these are the cells ceil(c_first) <= c < floor(c_last); both are 0 if there is none.
 template <class T>
 struct CellRows {
   T first[kTurboCellRows], last[kTurboCellRows];
 };
 
-/// Row `row` of tiles: the cells in which the ellipse has a point between their outermost pixel centres. As exact as
-/// math::tiles_in_row(). Without branches: of 32 neighbouring Gaussians one always touches a row.
+/// Cells of tile row `row` in which the ellipse has a point between their outermost pixel centres; as exact as
+/// math::tiles_in_row(). Without branches, since of 32 neighbouring Gaussians one always touches a row.
 template <class T>
 RGS_HD inline CellRows<T> cell_rows(const math::Ellipse<T>& e, int row) {
   constexpr T kUnit = T(1) / T(kTurboStripCells * kTurboCellWidth);
   const T slack = T(1e-3) + T(1e-6) * e.half_width;  // as in math::tiles_in_row()
-  // Of cells first <= c < last, of width w: where w c + w - 1 reaches the left end, and w (c + 1) is beyond the right one.
+  // Cells first <= c < last of width w: w c + w - 1 reaches the left end, and w (c + 1) is beyond the right one.
   const T left = e.mean.u - slack - T(kTurboCellWidth - 1), right = e.mean.u + slack + T(kTurboCellWidth);
   const T top = static_cast<T>(row * kTurboTile) - e.mean.v;
   CellRows<T> rows;
@@ -130,7 +131,7 @@ RGS_HD inline CellRows<T> cell_rows(const math::Ellipse<T>& e, int row) {
   return rows;
 }
 
-/// Cells of the strip from the tile in column `column` on that are touched.
+/// Touched cells of the strip that starts at tile column `column`.
 template <class T>
 RGS_HD inline std::uint32_t cells_of_strip(const CellRows<T>& rows, int column) {
   const T origin = T(1) / T(kTurboStripTiles) * static_cast<T>(column);
@@ -142,10 +143,11 @@ RGS_HD inline std::uint32_t cells_of_strip(const CellRows<T>& rows, int column) 
   return cells;
 }
 
-/// Of these, the cells of tile `tile` of the strip, as in an entry: bit c + columns r for the cell in column c of row r.
+/// Of these, the cells of tile `tile` of the strip, as in an entry: bit c + columns r for the cell in column c of row
+/// r.
 RGS_HD constexpr std::uint32_t cells_in_strip(std::uint32_t strip, int tile) {
   constexpr std::uint32_t kFirstTile = ((1u << kTurboCellColumns) - 1) * kTurboStripRows;
-  // The rows of the first tile, side by side in the product's last byte.
+  // Gathers the first tile's rows in the product's last byte.
   constexpr auto kGather =
       static_cast<std::uint32_t>(detail::bits_at(24, kTurboCellColumns - kTurboStripCells, kTurboCellRows));
   return (strip >> (kTurboCellColumns * tile) & kFirstTile) * kGather >> 24;
@@ -163,7 +165,7 @@ static_assert(
     }(),
     "the product's other terms meet neither the last byte nor carry into it");
 
-/// Cells of the tile in column `column` that are touched.
+/// Touched cells of the tile in column `column`.
 template <class T>
 RGS_HD inline std::uint32_t cells_of_tile(const CellRows<T>& rows, int column) {
   return cells_in_strip(cells_of_strip(rows, column), 0);

@@ -1,16 +1,16 @@
-// turbo_large_gaussians.cu - tiles look for the Gaussians that touch many of them, four blocks a region of tiles.
+// turbo_large_gaussians.cu - tiles search the Gaussians that touch many of them; four blocks a region of tiles.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/coverage.hpp, turbo_geometry.hpp
 // In/Out  large, large_boxes -> entries, runs
-// Cost    8 B read, from L2, a Gaussian and region; 64 B gathered and 8 B an entry written where they meet
+// Cost    8 B read, from L2, a Gaussian and region; if they meet, 64 B gathered, and 8 B written an entry
 // Launch  256 threads and four blocks a region of 4x2, 8x4 or 16x8 tiles (of 32, with cells 16 wide): about eight blocks a
 //         multiprocessor at 1080p, 4K and 8K
-// Shared  Shared: the Gaussians found, the cells that they touch, a counter a tile; 15 to 24 KiB
+// Shared  Shared: the Gaussians found, the cells they touch, a counter a tile; 15 to 24 KiB
 // Order   of entries and runs: any. Compiled without contraction to FMA, see project.cu.
 //
-// The other way round, a Gaussian adding to each of its tiles, takes an atomic addition an entry in device memory, and
-// these wait for each other: large Gaussians touch the same tiles.
+// The converse, a Gaussian adding to each of its tiles, takes an atomic addition an entry in device memory, and these
+// serialise, since large Gaussians touch the same tiles.
 #include <bit>
 #include <cstdint>
 
@@ -23,12 +23,12 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr std::uint32_t kRegionBlocks = 4;  // of a region, each with its part of the Gaussians
+constexpr std::uint32_t kRegionBlocks = 4;  // a region, each with its part of the Gaussians
 constexpr std::uint32_t kAhead = 4;         // boxes that a thread reads at a time
-constexpr std::uint32_t kBatchRows = 1024;  // rows of Gaussians that are placed together
+constexpr std::uint32_t kBatchRows = 1024;  // rows of Gaussians placed together
 constexpr std::uint32_t kMaxBatch = 512;    // Gaussians
 
-// A region: so many strips across, half as many tiles down.
+// A region: so many strips wide, half as many tiles high.
 template <int Strips>
 struct Region {
   static constexpr int kColumns = kTurboStripTiles * Strips, kRows = 2 * Strips, kTiles = kColumns * kRows;
@@ -52,8 +52,8 @@ struct Shared {
   RunPlaces<kThreads> places;
 };
 
-// Appends what meets the region of the kAhead * kThreads Gaussians from `first` on that are the block's: kThreads of every
-// kRegionBlocks * kThreads.
+// Of the kAhead * kThreads Gaussians from `first` on that belong to the block, appends those that meet the region:
+// kThreads of every kRegionBlocks * kThreads.
 template <int Strips>
 __device__ void find(Shared<Strips>& s, const TurboArrays& a, Region<Strips> region, std::uint32_t first,
                      std::uint32_t n) {
@@ -69,7 +69,7 @@ __device__ void find(Shared<Strips>& s, const TurboArrays& a, Region<Strips> reg
   }
 }
 
-// Cells of a strip that lie within the columns of a box.
+// Cells of a strip within the columns of a box.
 __device__ std::uint32_t cells_within(std::uint32_t strip, int column, TurboBox box) {
   const int low = math::clamp(kTurboCellColumns * (box.x0 - column), 0, kTurboStripCells);
   const int high = math::clamp(kTurboCellColumns * (box.x1 - column), low, kTurboStripCells);
@@ -77,7 +77,7 @@ __device__ std::uint32_t cells_within(std::uint32_t strip, int column, TurboBox 
 }
 
 // Writes entries and runs of the found Gaussians begin .. begin + n - 1; n <= kBatch. Returns how many of the thread's
-// have an entry for the first time.
+// get their first entry.
 template <int Strips>
 __device__ std::uint32_t place(Shared<Strips>& s, const TurboArrays& a, Region<Strips> region, math::TileGrid grid,
                                std::uint32_t begin, std::uint32_t n) {
@@ -161,7 +161,7 @@ __global__ void __launch_bounds__(kThreads) turbo_large_gaussians_kernel(TurboAr
       visible += place(s, a, region, grid, n_found, batch);
       __syncthreads();
     }
-    // Only after place(), whose barriers come after everybody has read it.
+    // After place(), whose barriers ensure that all threads have read it.
     if (threadIdx.x == 0 && n_found != n_before) s.n_found = n_found;
     __syncthreads();
   }
@@ -182,7 +182,7 @@ void launch(const TurboArrays& a, math::TileGrid grid, Stream stream) {
 Status launch_turbo_large_gaussians(const TurboArrays& a, math::TileGrid grid, Stream stream) {
   const auto n_multiprocessors = multiprocessors();
   if (!n_multiprocessors) return tl::unexpected(n_multiprocessors.error());
-  // Regions grow where there would be more than about four of them, sixteen blocks, a multiprocessor; 512 on an H100.
+  // Regions grow when there would be more than about four of them, sixteen blocks, a multiprocessor; 512 on an H100.
   const std::uint32_t most_tiles = std::bit_floor(4 * *n_multiprocessors) * Region<1>::kTiles;
   if (a.n_tiles <= most_tiles) {
     launch<1>(a, grid, stream);

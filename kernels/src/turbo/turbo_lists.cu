@@ -1,4 +1,4 @@
-// turbo_lists.cu - runs of entries to the tiles that they belong to: a thread a tile, then a thread a run.
+// turbo_lists.cu - sorts runs of entries by tile: a thread a tile, then a thread a run.
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  counts [tiles], runs -> lists [tiles], ranked, tile_runs; long_lists and their slices, bins set to 0; cells of
@@ -21,14 +21,14 @@ namespace {
 
 constexpr int kThreads = 256;
 
-// Whether the front end could write all that it had.
+// Whether the front end's output fitted.
 __device__ bool turbo_fits(const TurboArrays& a) {
   const TurboState& state = *a.state;
   return state.counters.instances <= a.entry_capacity && state.runs <= a.run_capacity &&
          state.n_large_gaussians <= a.large_capacity;
 }
 
-// Its number among the long lists.
+// Adds a long list and returns its index.
 __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std::uint32_t in_class, std::uint32_t n,
                                   std::uint32_t n_runs) {
   const std::uint32_t own = atomicAdd(&a.state->n_long_lists, 1u);
@@ -46,14 +46,14 @@ __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std:
   return own;
 }
 
-// Takes the first and every 64th of a run's entries into the range of its list.
+// Extends a list's depth range by a run's first and every 64th entry.
 __device__ void add_sample(const TurboEntry* entries, TurboRun run, TurboLongList& list) {
   std::uint32_t nearest = ~0u, farthest = 0;
   for (std::uint32_t k = 0; k < run.n; k += 64) {
     const std::uint32_t depth = depth_of(entries[run.begin + k]);
     nearest = math::min(nearest, depth), farthest = math::max(farthest, depth);
   }
-  // Mostly it is within the range by now: atomic operations on one word wait for each other.
+  // Mostly in range already: avoids atomics on one word, which serialise.
   if (nearest < *static_cast<volatile std::uint32_t*>(&list.nearest)) atomicMin(&list.nearest, nearest);
   if (farthest > *static_cast<volatile std::uint32_t*>(&list.farthest)) atomicMax(&list.farthest, farthest);
 }
@@ -63,7 +63,7 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   __shared__ std::uint32_t base, class_size[kTurboClasses], class_base[kTurboClasses];
   if (threadIdx.x < kTurboClasses) class_size[threadIdx.x] = 0;
   TurboState& state = *a.state;
-  if (blockIdx.x == gridDim.x - 1) {  // a block of its own: what goes to the host takes longest
+  if (blockIdx.x == gridDim.x - 1) {  // a block of its own: the copy to the host takes longest
     if (threadIdx.x == 0) {
       *seen = state;
       __threadfence_system();

@@ -1,4 +1,5 @@
-// turbo_long_lists.cu - long lists to scratch memory in the order of bins of depth, and cut in units that blocks order.
+// turbo_long_lists.cu - moves long lists to scratch memory in the order of bins of depth, cut into units that blocks
+// order.
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, cells; bins, unit_cells
@@ -8,7 +9,7 @@
 // Shared  4 KiB of bins, 2 KiB of runs; the last block of a list 4 KiB more
 // Order   of entries in a bin, of lists' units and cells in memory: any
 //
-// One block would take as long for a list as the list is long, and all of the frame would wait for it.
+// One block would take as long as the list is, and the whole frame would wait for it.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
@@ -22,27 +23,27 @@ namespace {
 
 constexpr int kThreads = 256;
 constexpr std::uint32_t kBinsPerThread = kTurboBins / kThreads;
-static_assert(kBinsPerThread == 4, "a vector of them");
+static_assert(kBinsPerThread == 4, "a thread reads its bins as one vector");
 
-// Stretches of a very long list's depths, by a sample of it: a few distant Gaussians would otherwise leave the others a few
-// bins, and each of these would be read once for every share of it. A stretch has six of 64 samples, fewer at both ends.
+// Ranges of a very long list's depths, from a sample: a few distant Gaussians would otherwise leave few bins to the
+// others, and each bin would be read once for every share of it. A stretch has six of 64 samples, fewer at both ends.
 struct Stretches {
   static constexpr std::uint32_t kN = 16, kBins = kTurboBins / kN, kSample = 64;
   std::uint32_t begin[kN + 1];  // bits of depth
-  float bins[kN];               // for a difference of one in the bits
+  float bins[kN];               // bins a unit of the bits
   std::uint32_t sample[kSample], in_order[kSample];
 
-  // The sample with which a stretch begins.
+  // First sample of a stretch.
   __device__ static std::uint32_t first(std::uint32_t k) {
     return k < 4 ? (1u << k) / 2 : k < 13 ? 8 + 6 * (k - 4) : kSample - (16u >> (k - 11));
   }
 };
 
-// Bins of equal width in the bits of depth, which is nearly equal ratio, of the list or of a stretch; the first and last hold
-// what is outside, too.
+// Bins of equal width in the bits of depth, which is nearly equal ratio, of the list or of a stretch; the first and
+// last also hold what is outside.
 class DepthBins {
  public:
-  // All threads of the block call it; all blocks find the same.
+  // All threads of the block call it; all blocks compute the same.
   __device__ DepthBins(const TurboArrays& a, const TurboLongList& list, Stretches& stretches)
       : nearest_(list.nearest), stretches_(list.n_entries >= kTurboRankedList ? &stretches : nullptr) {
     constexpr int kBits = 10;
@@ -68,7 +69,7 @@ class DepthBins {
   __device__ static void find(const TurboArrays& a, const TurboLongList& list, Stretches& s) {
     constexpr std::uint32_t kSample = Stretches::kSample;
     const std::uint32_t own = threadIdx.x;
-    __syncthreads();  // those of the list before have been read
+    __syncthreads();  // all have read the list before
     if (own < kSample) {
       const TurboList all = a.lists[list.tile];
       const TurboRun run = a.tile_runs[all.begin + std::uint64_t{own} * all.n_runs / kSample];
@@ -102,7 +103,6 @@ class DepthBins {
   const Stretches* stretches_;
 };
 
-// The runs of a slice.
 __device__ TurboRuns runs_of(const TurboArrays& a, const TurboLongList& list, std::uint32_t slice) {
   const TurboList all = a.lists[list.tile];
   const std::uint32_t each = (all.n_runs + list.n_slices - 1) / list.n_slices;
@@ -113,10 +113,10 @@ __device__ TurboRuns runs_of(const TurboArrays& a, const TurboLongList& list, st
 struct Counting {
   Stretches stretches;
   TurboRuns::Places<kThreads> places;
-  std::uint32_t bins[kTurboBins];  // entries of each; in the last block of a list, where each begins
+  std::uint32_t bins[kTurboBins];  // entries of each; in the last block of a list, their offsets
   std::uint32_t cell_n[kTurboCells];
   // Of the last block of a list:
-  std::uint32_t parts[kTurboBins + 1];  // where each begins; in the end, where the list ends
+  std::uint32_t parts[kTurboBins + 1];  // offsets; the last is the list's end
   std::uint32_t n_parts;
   std::uint32_t warp_sums[kThreads / 32];
   std::uint32_t first_unit;
@@ -127,9 +127,9 @@ __device__ void clear(std::uint32_t (&bins)[kTurboBins]) {
   for (std::uint32_t k = threadIdx.x; k < kTurboBins; k += kThreads) bins[k] = 0;
 }
 
-// Where each bin begins from `first` on: here, and for turbo_scatter_kernel.
+// Offsets of the bins from `first` on, here and for turbo_scatter_kernel.
 __device__ void place_bins(Counting& s, std::uint32_t first, std::uint32_t* bins) {
-  const uint4 n = __ldcg(reinterpret_cast<const uint4*>(bins) + threadIdx.x);  // other blocks' sums: not from L1
+  const uint4 n = __ldcg(reinterpret_cast<const uint4*>(bins) + threadIdx.x);  // sums of other blocks: not from L1
   const std::uint32_t sum = n.x + n.y + n.z + n.w;
   const std::uint32_t begin = first + inclusive_block_sum<kThreads>(sum, s.warp_sums) - sum;
   const uint4 begins{begin, begin + n.x, begin + n.x + n.y, begin + n.x + n.y + n.z};
@@ -139,7 +139,7 @@ __device__ void place_bins(Counting& s, std::uint32_t first, std::uint32_t* bins
   __syncthreads();
 }
 
-// Where parts begin: a bin begins one if it is the first past a multiple of kTurboPart entries.
+// Cuts parts: a bin starts one if it is the first past a multiple of kTurboPart entries.
 __device__ void cut_parts(Counting& s, std::uint32_t first, std::uint32_t n) {
   const std::uint32_t* const bins = s.bins + kBinsPerThread * threadIdx.x;
   std::uint32_t before = threadIdx.x > 0 ? bins[-1] - first : 0, n_begun = 0;
@@ -164,7 +164,7 @@ __device__ void cut_parts(Counting& s, std::uint32_t first, std::uint32_t n) {
   __syncthreads();
 }
 
-// Makes units of a list's parts. `own`: its number.
+// Makes units of a list's parts. `own`: the list's number.
 __device__ void make_units(Counting& s, const TurboArrays& a, std::uint32_t own) {
   const std::uint32_t first_part = kBinsPerThread * threadIdx.x;
   const std::uint32_t end_part = math::min(first_part + kBinsPerThread, s.n_parts);
@@ -186,7 +186,7 @@ __device__ void make_units(Counting& s, const TurboArrays& a, std::uint32_t own)
   }
 }
 
-// Adds a slice to the sums of its list; the last of a list cuts it in units.
+// Adds a slice to its list's sums; the last slice cuts the list into units.
 __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t slice,
                             TurboState* seen) {
   const std::uint32_t own = a.slices[slice];
@@ -270,7 +270,7 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
 }  // namespace
 
 Status launch_turbo_long_lists(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
-  // Of the other kernel more would fit, but it goes through the same slices.
+  // More blocks of the other kernel would fit, but both walk the same slices.
   const auto blocks = resident_grid<turbo_count_kernel>(kThreads);
   if (!blocks) return tl::unexpected(blocks.error());
   turbo_count_kernel<<<*blocks, kThreads, 0, stream>>>(a, grid, seen);

@@ -2,17 +2,18 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
-// Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches; where
-//         depths are equal 4 B of its rank, and 4 B back if the list is given ranks
+// Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each touched cell; for equal
+//         depths 4 B of its rank, and 4 B back if the list gets ranks
 // Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds at a
 //         time. A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
 // Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
 // Order   exact: by depth, then in tie order, whatever the order of the list: deterministic. Of cells in memory: any
 //
-// Of a streamed scene, whose pages come and go, no ranks are at hand: equal depths are then compared by the Gaussians' values.
+// Streamed scenes, whose pages change, have no ranks: equal depths are then compared by the Gaussians' values.
 //
-// Units of a list (turbo_long_lists.cu) are ordered side by side. Where one's Gaussians begin in a cell it learns from
-// those before it: they have said so before they order theirs, and they have begun, because blocks take units in turn.
+// Units of a list (turbo_long_lists.cu) are ordered side by side. A unit learns the offsets of its Gaussians in the
+// cells from earlier units: they publish their counts before they order, and they have started, because blocks take
+// units in turn.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
@@ -31,8 +32,8 @@ constexpr int kWarps = kThreads / 32;
 constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
 static_assert(kTurboRound == 8 * kThreads && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
 
-// What decides between equal depths: ranks in tie order, if there are any. Where they are too many to be compared two by two,
-// entries get the rank in place of the index.
+// Decides between equal depths by ranks in tie order, if there are any. If too many are equal to compare them pairwise,
+// entries get the rank instead of the index.
 struct ByRank {
   static constexpr bool kGivesRanks = true;
   TieOrder ties;
@@ -44,37 +45,37 @@ struct ByRank {
   }
 };
 
-// Not inlined, and without an address of the kernel's arguments: seldom called.
+// Rarely called: not inlined, and passed by value so that the kernel's arguments need no address.
 __device__ __noinline__ bool is_chosen_before(ChosenRows rows, std::uint32_t a, std::uint32_t b) {
   return chosen_ties_before(rows, a, b);
 }
 
-// The Gaussians' values, which cost nothing where depths differ, as they mostly do, while ranks cost a sort of all that is
-// drawn. Where more depths of a list are equal than are ordered at a time, the host learns it.
+// Compares the Gaussians' values: free where depths differ, as they mostly do, whereas ranks cost a sort of all drawn
+// rows. If a list has more equal depths than are ordered at a time, reports that to the host.
 struct ByValue {
   static constexpr bool kGivesRanks = false;
   const TurboArrays& arrays;
 
   __device__ explicit ByValue(const TurboArrays& a) : arrays(a) {}
   __device__ bool is_before(std::uint32_t a, std::uint32_t b) const { return is_chosen_before(arrays.rows, a, b); }
-  __device__ void give_up() const { *static_cast<volatile std::uint32_t*>(arrays.wants_ranks) = 1; }
+  __device__ void request_ranks() const { *static_cast<volatile std::uint32_t*>(arrays.wants_ranks) = 1; }
 };
 
 struct Shared {
   TurboEntry entries[kTurboRound];
   alignas(16) std::uint32_t exchange[2][kTurboRound];  // keys: depth above, position among the entries below
-  std::uint32_t* order;                                // the one of the two that is in order
+  std::uint32_t* order;                                // the ordered one of the two
   std::uint32_t positions;                             // mask of a key's position
   TurboRuns::Places<kThreads> places;
   std::uint32_t warp_sums[kWarps];
   std::uint32_t lows[kWarps], highs[kWarps];
-  std::uint32_t n;                        // entries that are ordered
-  std::uint32_t cell_n[kTurboCells];      // of them, or of the unit
+  std::uint32_t n;                        // entries to order
+  std::uint32_t cell_n[kTurboCells];      // of these entries, or of the unit
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
-  // Of each group of 32 entries in order, how many touch a cell; then the sums of those before.
+  // For each group of 32 ordered entries, how many touch a cell; then the sums before it.
   std::uint32_t groups[kTurboCells][kTurboRound / 32];
   std::uint32_t unit;
-  bool has_ranks;  // entries have them in place of the index
+  bool has_ranks;  // entries hold ranks instead of indices
   bool fits;
 };
 
@@ -86,13 +87,13 @@ __device__ inline void store_keys(const std::uint32_t (&keys)[kKeys], std::uint3
   }
 }
 
-// Orders the keys of a warp's lanes; in the end element k of lane l is number kKeys l + k. A bitonic network (Batcher
-// 1968): its short strides are between elements of one lane, its long ones between lanes. Where a stretch is to descend,
-// keys are inverted for its time, so that every comparison is an ascending one.
+// Orders the keys of a warp's lanes; element k of lane l becomes number kKeys l + k. A bitonic network (Batcher 1968):
+// short strides are between elements of a lane, long ones between lanes. Keys of descending stretches are inverted
+// meanwhile, so that every comparison ascends.
 template <std::uint32_t kKeys>
 __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
   const std::uint32_t lane = threadIdx.x % 32;
-  std::uint32_t inverted = 0;  // all ones where keys are
+  std::uint32_t inverted = 0;  // all ones while the keys are
 #pragma unroll
   for (std::uint32_t length = 2; length <= 32 * kKeys; length *= 2) {
     if (length >= kKeys) {
@@ -124,8 +125,8 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
   }
 }
 
-// Merges neighbouring stretches of `length` ordered keys, of `total` in all; a thread has kKeys places of the result and
-// looks for where they begin in both (Odeh, Green, Mwassi, Shmueli, Birk 2012).
+// Merges neighbouring stretches of `length` ordered keys, of `total` in all; a thread makes kKeys keys of the result
+// and searches for their start in both stretches (Odeh, Green, Mwassi, Shmueli, Birk 2012).
 template <std::uint32_t kKeys>
 __device__ inline void merge(const std::uint32_t* from, std::uint32_t* to, std::uint32_t length, std::uint32_t total) {
   const std::uint32_t first = kKeys * threadIdx.x;
@@ -160,7 +161,7 @@ __device__ inline void merge(const std::uint32_t* from, std::uint32_t* to, std::
   store_keys(merged, to + first);
 }
 
-// The block's smallest and largest of the depths that its threads have seen.
+// Smallest and largest depth that the block's threads have seen.
 struct DepthRange {
   std::uint32_t low = ~0u, high = 0;
 
@@ -175,8 +176,8 @@ struct DepthRange {
   }
 };
 
-// Orders keys of the s.n entries, depth and index without their last `shift` bits above and position below: kKeys a lane by
-// warps, then merged. Where they are then.
+// Orders keys of the s.n entries (depth and index without their last `shift` bits above, position below): kKeys a lane
+// by warps, then merged. Returns where they are.
 template <std::uint32_t kKeys>
 __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shift, int position_bits) {
   constexpr std::uint32_t kWarpKeys = 32 * kKeys;
@@ -203,7 +204,7 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shi
   return s.exchange[at];
 }
 
-// Orders the s.n entries themselves, where keys of 32 bits leave too much open: a bitonic network in shared memory.
+// Orders the s.n entries themselves if 32-bit keys leave too much open: a bitonic network in shared memory.
 template <class IsBehind>
 __device__ inline void sort_whole_by(Shared& s, const IsBehind& is_behind) {
   const std::uint32_t total = 1u << (32 - __clz(static_cast<int>(s.n - 1)));
@@ -222,38 +223,38 @@ __device__ inline void sort_whole_by(Shared& s, const IsBehind& is_behind) {
   if (threadIdx.x == 0) s.order = s.exchange[0], s.positions = kTurboRound - 1;
   __syncthreads();
 }
-// Seldom called: not at the cost of the others' registers.
+// Rarely called: must not cost the other code registers.
 __device__ __noinline__ void sort_whole(Shared& s) {
   sort_whole_by(s, [](TurboEntry a, TurboEntry b) { return a > b; });
 }
 __device__ __noinline__ void sort_whole_by_value(Shared& s, ChosenRows rows) {
   sort_whole_by(s, [&](TurboEntry a, TurboEntry b) {
-    // What fills up has no row.
+    // Padding has no row.
     if (a == b || depth_of(a) != depth_of(b)) return a > b;
     return is_chosen_before(rows, index_of(b), index_of(a));
   });
 }
 
-// Position of each of the s.n entries in their order, into s.order: by depth, then by index; or, if has_ties, in tie order.
-// Keys of 32 bits are ordered first. Their depth is relative to the list's own range; what it leaves of the key tells equal
-// depths apart by the first bits of the index, since far away many depths are equal. Neighbours whose keys do not decide are
-// then put right by looking at the entries themselves; if that takes too long, these are ordered as they are. `range` is that of
-// the depths of the list. False if ties are too many to be put right so: they want ranks in the entries.
+// Writes the position of each of the s.n entries in their order to s.order: by depth, then by index or, if has_ties, in
+// tie order. First orders 32-bit keys, whose depth is relative to the list's range, `range`; the remaining bits hold
+// the first bits of the index, since far away many depths are equal. Neighbours whose keys do not decide are then
+// corrected by their entries; if that takes too long, the entries themselves are ordered. False if there are too many
+// ties to correct: the entries need ranks.
 template <class Ties>
 __device__ inline bool sort_entries(Shared& s, DepthRange range, const Ties& ties, bool has_ties) {
   constexpr std::uint32_t kMostTurns = 24, kMostTurnsOfTies = 8;
-  // Padding, all ones, comes last: it shares its depth with no position as high.
+  // Padding, all ones, comes last: no entry of its depth has a position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
   const std::uint32_t positions = (1u << position_bits) - 1;
-  s.positions = positions;  // the same from all threads
+  s.positions = positions;  // all threads write the same
   const std::uint64_t low = std::uint64_t{range.low} << kTurboIndexBits;
   const int bits = 32 - __clz(static_cast<int>(range.high - range.low + 1)) + kTurboIndexBits;
   const int shift = math::max(0, bits - (32 - position_bits));
-  // Short lists are spread over more warps: all wait for the last.
+  // Short lists use more warps, since all wait for the last.
   std::uint32_t* const order =
       s.n <= 4 * kThreads ? sort_keys<4>(s, low, shift, position_bits) : sort_keys<8>(s, low, shift, position_bits);
   s.order = order;
-  // Of a key, what does not decide: the position, and with ties the bits of the index.
+  // Bits of a key that do not decide: the position, and with ties the index.
   const int open_bits = position_bits + (has_ties ? math::max(0, kTurboIndexBits - shift) : 0);
   const auto is_inverted = [&](std::uint32_t k) {
     const std::uint32_t a = order[k], b = order[k + 1];
@@ -284,8 +285,8 @@ __device__ inline bool sort_entries(Shared& s, DepthRange range, const Ties& tie
   return true;
 }
 
-// The same of entries with the index or, s.has_ranks, with ranks; where most depths are equal, the former are given them. `range`
-// is that of the depths that the thread has seen.
+// The same for entries with the index or, if s.has_ranks, with ranks; if most depths are equal, entries with indices
+// get ranks. `range` holds the depths that the thread has seen.
 template <class Ties>
 __device__ inline void order_entries(Shared& s, const Ties& ties, DepthRange range) {
   range.combine(s);
@@ -307,14 +308,14 @@ __device__ inline void order_entries(Shared& s, const Ties& ties, DepthRange ran
   }
 }
 
-// The lane's of a group of 32 entries in order, which begins at position `begin`; 0 past the last.
+// The lane's entry of a group of 32 ordered entries from position `begin` on; 0 past the last.
 __device__ inline TurboEntry ordered_entry(const Shared& s, std::uint32_t begin) {
   const std::uint32_t k = begin + threadIdx.x % 32;
   return k < s.n ? s.entries[s.order[k] & s.positions] : 0;
 }
 
-// How many of each group touch each cell: a warp counts a group, then sums up a cell. s.cell_n becomes the sums over the
-// round.
+// Counts how many of each group touch each cell: a warp counts a group, then sums a cell. s.cell_n becomes the sums
+// over the round.
 __device__ inline void count_groups(Shared& s) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   for (std::uint32_t group = warp; 32 * group < s.n; group += kWarps) {
@@ -362,7 +363,7 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   }
 }
 
-// A list that fits shared memory, and is not empty.
+// Orders a non-empty list that fits shared memory.
 template <class Ties>
 __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                       const TurboRankedList& list) {
@@ -384,8 +385,8 @@ __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::Til
   if (s.fits) deal_out(s, a);
 }
 
-// A part of scratch memory, and what of it a unit orders: entries from <= entry < to. Where it gives ranks, entries have the
-// index in memory, and get the rank when they are read: shares cut equal depths, too.
+// A part of scratch memory, of which a unit orders the entries from <= entry < to. With gives_ranks, entries in memory
+// have the index and get the rank as they are read, since shares also cut equal depths.
 struct Part {
   const TurboEntry* entries;
   std::uint32_t n;
@@ -397,8 +398,8 @@ struct Part {
   }
 };
 
-// Cuts a part in equal shares, by a sample of it: all blocks find the same. Entries are unique, so that equal depths
-// are cut, too; but not where their order is to follow from values.
+// Cuts a part into equal shares by a sample; all blocks compute the same. Entries are unique, so equal depths are cut
+// too, unless values decide their order.
 template <class Ties>
 __device__ inline Part share_of(Shared& s, const Ties& order, const TieOrder& ties, Part part, std::uint32_t share,
                                 std::uint32_t n_shares) {
@@ -421,8 +422,8 @@ __device__ inline Part share_of(Shared& s, const Ties& order, const TieOrder& ti
   return part;
 }
 
-// Puts what a unit orders into s.entries, as far as there is room, their number into s.n, how many touch each cell into
-// s.cell_n; and the range of their depths.
+// Loads the unit's entries into s.entries as far as they fit, their number into s.n, and counts by cell into s.cell_n;
+// returns the range of their depths.
 __device__ inline DepthRange load(Shared& s, const TieOrder& ties, const Part& part) {
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
   if (threadIdx.x == 0) s.n = part.n <= kTurboRound ? part.n : 0;
@@ -442,9 +443,9 @@ __device__ inline DepthRange load(Shared& s, const TieOrder& ties, const Part& p
   return range;
 }
 
-// End of the round that begins at part.from, where the part has more than kTurboRound entries: at most kTurboRound of them, and
-// at least one, lie in part.from <= entry < end. Looks for it among kBins bins of equal width, then in the one that holds
-// too many, and so on: entries are unique, so that bins of width 1 hold one each.
+// End of the round that starts at part.from, if the part has more than kTurboRound entries: at most kTurboRound, and at
+// least one, lie in part.from <= entry < end. Searches kBins bins of equal width, then the one that holds too many, and
+// so on; entries are unique, so bins of width 1 hold one each.
 __device__ inline TurboEntry round_end(Shared& s, const TieOrder& ties, const Part& part) {
   constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
   __shared__ std::uint32_t bins[kBins];
@@ -468,19 +469,19 @@ __device__ inline TurboEntry round_end(Shared& s, const TieOrder& ties, const Pa
   }
 }
 
-// The same where rounds cut no equal depths; but where all of a round are.
+// The same if rounds must not cut equal depths, unless a round has only one depth.
 template <class Ties>
 __device__ inline TurboEntry whole_depths(const TurboArrays& a, const Part& part, TurboEntry end) {
   if constexpr (!Ties::kGivesRanks) {
     const TurboEntry nearer = make_entry(depth_of(end), 0, 0);
     if (nearer > part.from) return nearer;
-    if (end != part.to) Ties(a).give_up();
+    if (end != part.to) Ties(a).request_ranks();
   }
   return end;
 }
 
-// Tells how many of the unit's entries touch each cell, and learns the same of the units before it: s.cell_begin. A
-// number and 1 are one word, which is there or is not, so that nothing else has to be waited for.
+// Publishes how many of the unit's entries touch each cell, and sums the counts of the units before it: s.cell_begin.
+// Count plus 1 is a single word, 0 until written, so it needs no other synchronisation.
 __device__ inline void tell(const Shared& s, const TurboArrays& a, std::uint32_t unit) {
   if (threadIdx.x < kTurboCells) {
     static_cast<volatile std::uint32_t*>(a.unit_cells)[kTurboCells * unit + threadIdx.x] = s.cell_n[threadIdx.x] + 1;
@@ -492,7 +493,7 @@ __device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint
   const auto told = [&](std::uint32_t k) {
     return *static_cast<const volatile std::uint32_t*>(a.unit_cells + kTurboCells * (list.first_unit + k) + cell);
   };
-  // Groups of 32 units, four at a time, from another one on in every unit: otherwise all would wait for the same words.
+  // Groups of 32 units, four at a time, starting elsewhere in every unit, so that not all wait for the same words.
   constexpr std::uint32_t kAhead = 4;
   const std::uint32_t n = unit - list.first_unit, n_groups = (n + 31) / 32;
   std::uint32_t before = 0, group = n_groups > 0 ? unit % n_groups : 0;
@@ -514,7 +515,7 @@ __device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint
   if (lane == 0) s.cell_begin[cell] = list.cell_begin[cell] + before;
 }
 
-// Orders a unit. All of it at a time, but where a share has become larger than the sample said: then as much as fits.
+// Orders a unit: at once, or, if a share is larger than the sample said, as much as fits at a time.
 template <class Ties>
 __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint32_t unit) {
   const TurboUnit own = a.units[unit];
@@ -549,7 +550,6 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   }
 }
 
-// Units, until there are no more.
 template <class Ties>
 __device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
   for (const std::uint32_t n = a.state->n_units;;) {

@@ -1,31 +1,30 @@
-// turbo_tensor.cu - blends the cells by matrix products in FP16: a block a cell, or several.
+// turbo_tensor.cu - blends the cells by matrix products in FP16; a block a cell, or several.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/blend.hpp: fold(); docs/format/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
 // Cost    a Gaussian of a cell: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
 //         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each
-// Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell. For the cells of
-//         long lists, and then for what long cells have left, as many blocks as the device holds at a time, which take cells
-//         and segments in turn
+// Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell. For cells of long lists,
+//         and then for the rest of long cells, as many blocks as the device holds at a time, which take cells and segments in turn
 // Shared  Staging: 128 Gaussians; 5 KiB (numbers for cells 8 high)
 // Order   that of the cells' lists: deterministic
 //
-// Blending 32 Gaussians into 16 pixels is two matrix products with something in between, as attention is (the register
-// reuse is that of Dao et al. 2022):
+// Blending 32 Gaussians into 16 pixels is two matrix products with a step in between, like attention (register reuse as
+// in Dao et al. 2022):
 //
 //   exponents [16 px, 32]  =  (1, X, Y, X^2, XY, Y^2) [16 px, 6]  x  folded coefficients [6, 32]
 //   weights   [16 px, 32]  =  alpha T, T the product of 1 - alpha over the Gaussians before
 //   colours   [16 px, 3]  +=  weights  x  colours [32, 3]
 //
-// The basis about the cell's centre is exact in FP16; each coefficient is the sum of two FP16 numbers, 22 bits, in two products of
-// depth 8. Exponents, opacities and weights are FP16, colours gather in FP32.
+// The basis about the cell's centre is exact in FP16; each coefficient is the sum of two FP16 numbers, 22 bits, in two
+// products of depth 8. Exponents, opacities and weights are FP16; colours accumulate in FP32.
 //
-// mma leaves two columns of 8 and two rows to a lane: pixels g and g + 8, g = lane / 4, Gaussians in the columns 2q and
-// 2q + 1, q = lane % 4, of four products. Column c of product j is Gaussian 4 c + j: so each half of a lane's registers
-// holds four Gaussians in a row, a chain, and a pixel's 32 Gaussians are eight chains. Transmittance goes down each
-// chain on its own and then over the chains (it is associative). What the lanes hold is the left operand of the product
-// with colours as it is.
+// mma gives a lane two columns of 8 and two rows: pixels g and g + 8, g = lane / 4, and Gaussians in columns 2q and 2q
+// + 1, q = lane % 4, of four products. Column c of product j is Gaussian 4 c + j, so each half of a lane's registers
+// holds four consecutive Gaussians, a chain, and a pixel's 32 Gaussians are eight chains. Transmittance is multiplied
+// down each chain and then over the chains (it is associative). The lanes' values are then the left operand of the
+// product with colours.
 #include <cuda_fp16.h>
 
 #include <bit>
@@ -47,15 +46,15 @@ constexpr int kThreads = 32 * kWarps;
 constexpr int kResident = resident_blocks(1280 / kThreads, kThreads);
 static_assert(kTurboCellWidth == 16, "a row of a cell's pixels is the 16 rows of a product's left operand");
 static_assert(kTurboCellHeight % kRows == 0, "a warp has whole rows");
-// Transmittance below which a warp's pixels are finished: what comes after adds less to one than half of what FP16 tells
-// apart at 1, an eighth of a step of 8 bits.
+// Transmittance below which a warp's pixels are finished: the rest adds less to 1 than half of FP16's step there, an
+// eighth of an 8-bit step.
 constexpr float kOpaque = 1.0F / 2048;
 constexpr float kCenterX = 0.5F * (kTurboCellWidth - 1), kCenterY = 0.5F * (kTurboCellHeight - 1);
 // Squares and products are odd numbers over 4.
 static_assert((kTurboCellHeight - 1) * (kTurboCellHeight - 1) < 1 << 11, "the basis is exact in FP16's 11 bits");
 
-// D = A B, FP16, [16, 8] x [8, 8], where B is the sum of b.x and b.y, the smaller. In two products of depth 8: one of depth 16
-// would take each register of A twice, in four in a row.
+// D = A B, FP16, [16, 8] x [8, 8], where B is b.x + b.y, the latter smaller. Two products of depth 8: one of depth 16
+// would take each register of A twice, four in a row.
 __device__ inline void multiply(__half2 (&d)[2], uint2 a, uint2 b) {
   std::uint32_t low, high;
   asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%5, %5};"
@@ -92,24 +91,24 @@ __device__ inline __half2 exp2_approximate(__half2 x) {
       : "r"(reinterpret_cast<const std::uint32_t&>(x)));
   return y;
 }
-// Opacities are kept over kAlphaMax, as it is in FP16: saturation at 1 then clamps them.
+// Opacities are kept divided by kAlphaMax as FP16 rounds it, so that saturation at 1 clamps them.
 inline constexpr float kAlphaScale = 0.990234375F;
-// The exponential's mean relative error over [-8, 0] is -2.9e-4 (measured on sm_90): 4.2e-4 of the exponent. The rest is
-// -log2(kAlphaScale).
+// The exponential's mean relative error over [-8, 0] is -2.9e-4 (measured on sm_90), which 4.2e-4 of the exponent
+// corrects. The rest is -log2(kAlphaScale).
 inline constexpr float kExponentBias = 4.2e-4F + 0.01415806F;
 
-// 1 where the exponent is at least kLog2AlphaMin + kExponentBias = -7.9798, 0 elsewhere: FP16 has -7.9766 and -7.9805
-// there.
+// 1 if the exponent is at least kLog2AlphaMin + kExponentBias = -7.9798, else 0; FP16's neighbours are -7.9766 and
+// -7.9805.
 __device__ inline __half2 counts(__half2 exponent) {
   return __hfma2_sat(exponent, __float2half2_rn(256.0F), __float2half2_rn(2043.0F));
 }
 
 // 32 Gaussians as right operands.
 struct alignas(16) Staging {
-  // Of the first product, Gaussian 4 c + j at 8 j + c: high and low halves of two coefficients for each q; those of q = 3
-  // meet zeros.
+  // Of the first product, Gaussian 4 c + j at 8 j + c: high and low halves of two coefficients for each q; those of q =
+  // 3 are multiplied by zeros.
   uint2 coefficients[32][4];
-  // Of the second, times kAlphaMax. Of a channel, lane q's four registers lie together.
+  // Of the second, times kAlphaMax. Lane q's four registers of a channel are contiguous.
   __half color[3][32];
 };
 
@@ -121,20 +120,21 @@ __device__ inline uint2 split(float a, float b) {
   return {reinterpret_cast<const std::uint32_t&>(high), reinterpret_cast<const std::uint32_t&>(low)};
 }
 
-// A warp stages gaussians[0 .. n - 1], n <= 32, a lane each. Up to 16 take the first two products: Gaussian 2 c + j.
+// A warp stages gaussians[0 .. n - 1], n <= 32, one a lane. Up to 16 need only the first two products: Gaussian 2 c +
+// j.
 __device__ inline void stage(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float corner_x,
                              float corner_y, Staging& staging) {
   const std::uint32_t slot = threadIdx.x % 32;
   const std::uint32_t column = slot % 8, product = slot / 8;
   const std::uint32_t place = 8 * (column / 2) + 2 * product + column % 2;
-  math::Folded<float> f{0, 0, 0, 0, 0, -1000.0F};  // nothing
+  math::Folded<float> f{0, 0, 0, 0, 0, -1000.0F};  // no Gaussian
   math::Vec3<float> color{0, 0, 0};
   const std::uint32_t own = n > 16 ? 4 * column + product : product < 2 ? 2 * column + product : 32;
   if (own < n) {
     const ScreenSplat splat = splats[gaussians[own]];
     f = math::fold(splat.conic, {splat.mean.u - corner_x - kCenterX, splat.mean.v - corner_y - kCenterY},
                    splat.log2_opacity + kExponentBias);
-    // Finite also where the colour is not: a weight of 0 then leaves a pixel as it is.
+    // Finite even if the colour is not, so that a weight of 0 leaves a pixel as it is.
     const auto scaled = [](float c) { return kAlphaScale * math::min(c, kHalfMax); };
     color = {scaled(splat.color.x), scaled(splat.color.y), scaled(splat.color.z)};
   }
@@ -147,8 +147,8 @@ __device__ inline void stage(const ScreenSplat* splats, const std::uint32_t* gau
   staging.color[2][place] = __float2half_rn(color.z);
 }
 
-// What a lane has of the left operands of its warp's rows, in FP16: of each row the pixels g and g + 8, and of each pixel (1, X),
-// (Y, X^2), (XY, Y^2) or zeros, by q. A table, because it depends on the thread alone.
+// A lane's part of the left operands of its warp's rows, in FP16: pixels g and g + 8 of each row, and by q (1, X), (Y,
+// X^2), (XY, Y^2) or zeros. A table, since it depends on the thread alone.
 struct Bases {
   std::uint32_t pixel[kThreads][kRows][2];
 };
@@ -175,17 +175,17 @@ constexpr Bases bases() {
 }
 __device__ constexpr Bases kBases = bases();
 
-// 16 pixels of a row, as lane (g, q) has them.
+// 16 pixels of a row, as lane (g, q) holds them.
 struct Row {
   uint2 basis;     // left operand of the first product
   __half2 t;       // transmittance of the pixels g and g + 8
-  float color[4];  // channels 2q and 2q + 1 of the pixels g and g + 8; what comes after the third means nothing
+  float color[4];  // channels 2q and 2q + 1 of the pixels g and g + 8; the fourth is unused
 
   __device__ Row(int x, int y, int row, int width, int height) {
     const int g = static_cast<int>(threadIdx.x % 32 / 4);
     const auto& own = kBases.pixel[threadIdx.x][row];
     basis = {own[0], own[1]};
-    // A pixel outside the image keeps nobody waiting.
+    // A pixel outside the image counts as finished.
     t = __floats2half2_rn(y < height && x + g < width ? 1.0F : 0.0F, y < height && x + g + 8 < width ? 1.0F : 0.0F);
     for (float& sum : color) sum = 0;
   }
@@ -197,8 +197,8 @@ struct Row {
 template <int Products>
 __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& colors) {
   const __half2 one = __float2half2_rn(1.0F), scale = __float2half2_rn(-kAlphaScale);
-  __half2 weight[Products][2];    // [place in the chain][pixel], two chains each; opacities at first
-  __half2 chain[2] = {one, one};  // what each chain lets through
+  __half2 weight[Products][2];    // [index in the chain][pixel], two chains each; opacities at first
+  __half2 chain[2] = {one, one};  // transmittance of each chain
 #pragma unroll
   for (int j = 0; j < Products; ++j) {
     multiply(weight[j], basis, coefficients[j]);
@@ -209,15 +209,15 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
       chain[p] = __hfma2(scale, weight[j][p], chain[p]);
     }
   }
-  // Over the chains, both pixels at a time: what the lanes before let through, and all of them.
+  // Over the chains, both pixels at a time: transmittance of the lanes before, and of all.
   const __half2 first = __lows2half2(chain[0], chain[1]);
   const __half2 both = __hmul2(first, __highs2half2(chain[0], chain[1]));
   const __half2 neighbour = __shfl_xor_sync(kFullWarp, both, 1);
   const __half2 pair = __hmul2(both, neighbour);
   const __half2 others = __shfl_xor_sync(kFullWarp, pair, 2);
   const __half2 before = __hmul2((threadIdx.x & 1) != 0 ? neighbour : one, (threadIdx.x & 2) != 0 ? others : one);
-  const __half2 low = __hmul2(t, before);    // at the lane's first chain
-  const __half2 high = __hmul2(low, first);  // at its second
+  const __half2 low = __hmul2(t, before);    // before the lane's first chain
+  const __half2 high = __hmul2(low, first);  // before its second
   t = __hmul2(t, __hmul2(pair, others));
   const __half2 begin[2] = {__lows2half2(low, high), __highs2half2(low, high)};
 #pragma unroll
@@ -237,10 +237,10 @@ struct Rows {
   __device__ Rows(int x, int y, int width, int height)
       : rows{Row(x, y + first(), 0, width, height), Row(x, y + first() + 1, 1, width, height)} {}
   __device__ static int first() { return kRows * static_cast<int>(threadIdx.x / 32); }
-  // Blends gaussians[0 .. n - 1] of a cell whose first pixel is (x, y). True if no warp's pixels let anything through.
+  // Blends gaussians[0 .. n - 1] of the cell. True once all warps' pixels are opaque.
   __device__ bool blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x, float y,
                         Staging (&staged)[kWarps]);
-  // The thread's own pixel, number threadIdx.x of the cell row by row. blend() comes before it.
+  // The thread's own pixel, number threadIdx.x of the cell row by row. Call after blend().
   __device__ TurboPixel own_pixel(Staging (&staged)[kWarps]) const;
 };
 
@@ -248,7 +248,7 @@ __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_
                                    float y, Staging (&staged)[kWarps]) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   const auto* const own_coefficients = &staged[0].coefficients[lane / 4][lane % 4];
-  // Where there is no channel, the product's columns are never read.
+  // Columns without a channel are never read.
   const auto* const own_colors =
       reinterpret_cast<const uint4*>(staged[0].color[math::min(lane / 4, 2u)] + 8 * (lane % 4));
   bool opaque = false;
@@ -281,7 +281,7 @@ __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_
 }
 
 __device__ inline TurboPixel Rows::own_pixel(Staging (&staged)[kWarps]) const {
-  // Through the warp's part of shared memory, which no warp reads any more: lanes q = 0 hold red and green, lanes q = 1 blue.
+  // Through the warp's part of shared memory, which no warp reads any more: lanes q = 0 hold red and green, q = 1 blue.
   static_assert(sizeof(Staging) >= 32 * sizeof(TurboPixel) && kRows * kTurboCellWidth == 32, "a lane a pixel");
   const std::uint32_t lane = threadIdx.x % 32, q = lane % 4;
   auto* const pixels = reinterpret_cast<float2*>(&staged[threadIdx.x / 32]);
@@ -312,7 +312,7 @@ constexpr const char* kNotLaunched = "a kernel of matrix products could not be l
 constexpr std::uint32_t kPixels = TurboLongCellSizes::kPixels;
 static_assert(kPixels == kThreads, "a thread a pixel when segments are joined");
 
-// Leaves what comes after a cell's front to turbo_segment_kernel.
+// Leaves a cell's Gaussians after the front to turbo_segment_kernel.
 __device__ inline void leave(const TurboBlendArguments& a, const TurboPixel& pixel, std::uint32_t cell, std::uint32_t n,
                              std::uint32_t front) {
   __shared__ std::uint32_t own, first, places[kTurboWaves];
@@ -364,7 +364,7 @@ __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_kernel(Turbo
   __shared__ Staging staged[kWarps];
   if (blockIdx.x >= kTurboCells * a.arrays.state->n_long_lists) blend_cell(a, blockIdx.x, staged);
 }
-// Of a picture that is filled: tiles without Gaussians have what they show.
+// For a filled picture, whose tiles without Gaussians are done.
 __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_sparse_kernel(TurboBlendArguments a) {
   __shared__ Staging staged[kWarps];
   const std::uint32_t first = kTurboCells * a.arrays.state->n_long_lists, end = kTurboCells * listed_tiles(a.arrays);
@@ -378,7 +378,7 @@ __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_long_kernel(
   __shared__ std::uint32_t next;
   const std::uint32_t n = kTurboCells * a.arrays.state->n_long_lists;
   for (std::uint32_t number = blockIdx.x; number < n;) {
-    // Asked for before it is needed: the first cells are the blocks' own, and the others are taken in turn.
+    // Prefetched: a block's first cell is its own, the others are taken in turn.
     std::uint32_t taken = 0;
     if (threadIdx.x == 0) taken = atomicAdd(&a.arrays.state->n_long_cells_taken, 1u);
     blend_cell(a, number, staged);
@@ -395,19 +395,19 @@ __device__ inline std::uint32_t read(const std::uint32_t& word) {
 __device__ inline float4* pixels_of(TurboPixel* pixels, std::uint64_t place) {
   return reinterpret_cast<float4*>(pixels + kPixels * place) + threadIdx.x;
 }
-// What `behind` shows through `front`, and `front`.
+// `behind` seen through `front`, composited.
 __device__ inline float4 over(const float4& front, const float4& behind) {
   return {fmaf(front.w, behind.x, front.x), fmaf(front.w, behind.y, front.y), fmaf(front.w, behind.z, front.z),
           front.w * behind.w};
 }
-// What all threads have written is seen by others before what thread 0 then writes.
+// Makes all threads' writes visible before thread 0's next write.
 __device__ inline void publish() {
   __threadfence();
   __syncthreads();
 }
 
-// Puts segment k of a wave of n, whose first is `first`, together with its neighbours: of two, then of four, ... whoever is
-// done last does it for both. True once it is the whole wave, which then lies at `first`.
+// Joins segment k of a wave of n, whose first is `first`, with its neighbours: of two, then of four, ...; the last to
+// finish joins both. True once the whole wave is joined, at `first`.
 __device__ inline bool join_wave(const TurboArrays& a, std::uint32_t first, std::uint32_t k, std::uint32_t n) {
   __shared__ bool is_second;
   for (std::uint32_t width = 1; width < n; width *= 2) {
@@ -424,11 +424,11 @@ __device__ inline bool join_wave(const TurboArrays& a, std::uint32_t first, std:
   return true;
 }
 
-// Puts the waves that are done behind those before them, as far as there is none missing; the last, or the first behind
-// which nothing shows, ends the cell. One block at a time does it for a cell: which, does not change what comes out.
+// Joins finished waves with the ones before them, as far as none is missing. The last wave, or the first behind which
+// nothing shows, ends the cell. One block at a time does it for a cell; which one does not change the result.
 __device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& cell, std::uint32_t wave) {
   __shared__ bool is_mine;
-  __shared__ std::uint32_t done;  // one word for all threads: it may change between their looks
+  __shared__ std::uint32_t done;  // one word for all threads, since it may change between their reads
   const TurboArrays& arrays = a.arrays;
   const TurboCell at = arrays.cells[cell.cell];
   const int x = static_cast<int>(at.x) + static_cast<int>(threadIdx.x) % kTurboCellWidth;
@@ -447,7 +447,7 @@ __device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& c
       __threadfence();
     }
     __syncthreads();
-    if (!is_mine) return;  // who has it will look again
+    if (!is_mine) return;  // its owner will look again
     std::uint32_t joined = read(cell.n_joined);
     bool is_over = read(cell.is_opaque) != 0;
     if (!is_over) {
@@ -521,7 +521,7 @@ __global__ void __launch_bounds__(kThreads, kResident) turbo_segment_kernel(Turb
 
 constexpr int kFillThreads = 256;
 
-// A row a block, until there are no more.
+// Takes rows until none are left, a row a block.
 __global__ void __launch_bounds__(kFillThreads) turbo_fill_kernel(TurboBlendArguments a) {
   for (int y = static_cast<int>(blockIdx.x); y < a.height; y += static_cast<int>(gridDim.x)) {
     for (int x = static_cast<int>(threadIdx.x); x < a.width; x += kFillThreads) store(a, x, y, {0, 0, 0, 1});
@@ -533,7 +533,7 @@ __global__ void __launch_bounds__(kFillThreads) turbo_fill_kernel(TurboBlendArgu
 Status launch_turbo_fill(const TurboBlendArguments& a, Stream stream) {
   const auto n = multiprocessors();
   if (!n) return tl::unexpected(n.error());
-  // Few: memory is busy with them, and what finds out what there is to see has room beside them.
+  // Few blocks: they saturate memory, and leave room for the stages beside them.
   const std::uint32_t blocks = math::min(2 * *n, static_cast<std::uint32_t>(a.height));
   turbo_fill_kernel<<<blocks, kFillThreads, 0, stream>>>(a);
   return launched("the kernel that fills the picture could not be launched");

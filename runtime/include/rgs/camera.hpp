@@ -1,4 +1,4 @@
-// camera.hpp - pinhole cameras: one value type, views of a scene without cameras, and paths between cameras.
+// camera.hpp - pinhole cameras, default views of scenes without cameras, and paths between cameras.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Frames. Camera axes are OpenCV's: x right, y down, z forward. A world point p has camera coordinates
@@ -34,9 +34,9 @@ struct Camera {
 };
 
 static_assert(sizeof(glm::dvec3) == 24 && alignof(glm::dmat4) == alignof(double),
-              "RoofGS needs GLM's packed types: do without GLM_FORCE_DEFAULT_ALIGNED_GENTYPES");
+              "RoofGS needs GLM's packed types: do not define GLM_FORCE_DEFAULT_ALIGNED_GENTYPES");
 
-/// Files, documents and kernels have matrices row by row.
+/// Files, documents and kernels store matrices row by row.
 std::array<double, 16> row_major(const glm::dmat4& matrix);
 glm::dmat4 from_row_major(const std::array<double, 16>& matrix);
 
@@ -45,10 +45,10 @@ struct Intrinsics {
   double fx = 0, fy = 0, cx = 0, cy = 0;  ///< as in Camera
 };
 
-/// Where a camera's own x, y and z point: right, down, forward, or right, up, backward as for glm::lookAt.
+/// Directions of a camera's x, y and z: right, down, forward; or right, up, backward as for glm::lookAt.
 enum class CameraAxes : std::uint8_t { opencv, opengl };
 
-/// Camera from a view matrix, glm::mat4 too. Errors: bad_camera, see validate().
+/// Camera from a view matrix, also a glm::mat4. Errors: bad_camera, see validate().
 Result<Camera> make_camera(const glm::dmat4& world_to_camera, const Intrinsics& intrinsics,
                            CameraAxes axes = CameraAxes::opencv);
 
@@ -56,58 +56,58 @@ Result<Camera> make_camera(const glm::dmat4& world_to_camera, const Intrinsics& 
 /// (orthonormal to 1e-3, determinant +1) and the last row 0 0 0 1.
 Status validate(const Camera& camera);
 
-/// The same view at W x H pixels. The horizontal field of view is kept: s = W / width scales both focal lengths and the
-/// principal point's distance from the image centre. A centred principal point becomes exactly (W / 2, H / 2).
+/// The same view at W x H pixels with the same horizontal field of view: s = W / width scales both focal lengths and
+/// the principal point's distance from the image centre. A centred principal point becomes exactly (W / 2, H / 2).
 Camera resized(const Camera& camera, int width, int height);
 
-/// Position of the camera in the world: -R^-1 t, also of a rotation that is one to a few digits only.
+/// Position of the camera in the world, -R^-1 t; R may be a rotation to a few digits only.
 glm::dvec3 camera_centre(const Camera& camera);
-/// Unit directions of the camera's axes in the world: right, down, forward.
+/// Unit direction of a camera axis in the world: right, down, forward.
 glm::dvec3 camera_axis(const Camera& camera, int axis);
 
-/// Image format of a view that no camera file describes. Angles in degrees.
+/// Image format of a view without a camera file. Angles in degrees.
 struct ViewFormat {
   int width = 1280, height = 720;
   double horizontal_fov = 60;
 };
 
 /// Camera at `eye` that sees `target` in the image centre, with `up` pointing up in the image. An `up` along the line
-/// of sight is replaced by the world axis that is farthest from it. eye == target looks along +z.
+/// of sight is replaced by the world axis farthest from it. eye == target looks along +z.
 Camera look_at(const glm::dvec3& eye, const glm::dvec3& target, const glm::dvec3& up, const ViewFormat& format = {});
 
-/// Axis-aligned box that holds the bulk of a scene.
+/// Axis-aligned box of the bulk of a scene.
 struct SceneBounds {
   glm::dvec3 low{0, 0, 0}, high{0, 0, 0};
 };
 
-/// Points [n, 3], such as a scene's means, as vectors without a copy.
+/// Views [n, 3] floats, such as a scene's means, as vectors.
 std::span<const glm::vec3> as_points(std::span<const float> coordinates);
 
-/// Box of the 2nd to 98th percentile of each coordinate of `origin` + `mean` [n, 3]; non-finite points are left out. Floaters
-/// far away, which every trained scene has, do not count. No points: the unit box around the origin.
+/// Box of the 2nd to 98th percentile of each coordinate of `origin` + `mean` [n, 3], so that distant floaters, which
+/// every trained scene has, do not count. Non-finite points are ignored. No points: the unit box around the origin.
 SceneBounds robust_bounds(std::span<const float> mean, const Origin& origin = kNoOrigin);
 
-/// Up direction of worlds with 3DGS/COLMAP axes (y down); what the views below assume unless told better.
+/// Up in worlds with 3DGS/COLMAP axes (y down); the default of the views below.
 inline constexpr glm::dvec3 kWorldUp{0, -1, 0};
 
-/// What an .rgs file states: its robust box in the world, and where up is by the axis that points up or down; kWorldUp if none does.
+/// What an .rgs file declares: its robust box in the world, and up by the axis that points up or down, else kWorldUp.
 SceneBounds declared_bounds(const Declarations& declarations);
 glm::dvec3 declared_up(const Declarations& declarations);
 
-/// Mean up direction of the cameras (a walk around an object agrees on it); kWorldUp if there is none.
+/// Mean up direction of the cameras; kWorldUp if it is zero.
 glm::dvec3 mean_up(std::span<const Camera> cameras);
 
-/// The view of a scene without cameras: from the front (-z side) and 20 degrees above, far enough to see the box whole.
+/// View of a scene without cameras: from the front (-z side), 20 degrees above, far enough to see the whole box.
 Camera default_view(const SceneBounds& bounds, const ViewFormat& format = {}, const glm::dvec3& up = kWorldUp);
 
 /// `n` cameras on a circle around the box at default_view's distance and elevation; camera 0 is default_view.
 std::vector<Camera> orbit(const SceneBounds& bounds, int n, const ViewFormat& format = {},
                           const glm::dvec3& up = kWorldUp);
 
-/// `n_frames` cameras along a smooth path through `keys` in their order, first and last included. Positions follow a
-/// centripetal Catmull-Rom spline (Barry and Goldman 1988; Yuksel et al. 2011), orientations a spherical linear
-/// interpolation (Shoemake 1985), focal lengths a linear one; frames are spaced evenly in path length. Image size is
-/// the first key's. Empty without keys or for n_frames < 1; one key is repeated.
+/// `n_frames` cameras along a smooth path through `keys` in order, first and last included. Positions follow a
+/// centripetal Catmull-Rom spline (Barry and Goldman 1988; Yuksel et al. 2011), orientations spherical linear
+/// interpolation (Shoemake 1985), focal lengths linear interpolation; frames are evenly spaced along the path. Image
+/// size is the first key's. Empty without keys or for n_frames < 1; one key is repeated.
 std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames);
 
 }  // namespace rgs

@@ -1,8 +1,8 @@
 // cuda_renderer.hpp - frames on an NVIDIA GPU: scenes and pictures in device memory, on the caller's stream.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Needs no header of the CUDA toolkit. Renderer (renderer.hpp) is the simple way to the same pictures in host memory;
-// this is for programs that keep scenes and frames on the device.
+// Needs no header of the CUDA toolkit. Renderer (renderer.hpp) gives the same pictures in host memory; this is for
+// programs that keep scenes and frames on the device.
 #pragma once
 
 #include <cstdint>
@@ -24,36 +24,37 @@ namespace RGS_API rgs {
 /// cudaStream_t; null is the default stream.
 using CudaStream = CUstream_st*;
 
-/// Where device memory comes from; both functions or none. By default it comes from a pool of the library's own, so
-/// that taking it and giving it back stops no stream of the caller's; where the driver has no pools, or the pool finds no
-/// room, from cudaMalloc(), which may stop them. The functions are called on the thread that calls the library and must not throw.
+/// Allocates device memory; both functions or none. The default is a pool of the library's own, so that allocation and
+/// release stop none of the caller's streams; if the driver has no pools, or the pool finds no room, cudaMalloc(),
+/// which may. The functions run on the thread that calls the library and must not throw.
 struct DeviceAllocator {
-  /// `bytes` > 0 of the current device's memory, aligned to 256 bytes, for what is queued on `stream` from now on; null
-  /// if there is not that much.
+  /// `bytes` > 0 of the current device's memory, aligned to 256 bytes, for work queued on `stream` from now on; null if
+  /// there is not enough.
   void* (*allocate)(void* user, std::uint64_t bytes, CudaStream stream) = nullptr;
-  /// Takes it back. Nothing on the device uses it any longer.
+  /// Releases it. The device no longer uses it.
   void (*free)(void* user, void* memory, std::uint64_t bytes) = nullptr;
-  void* user = nullptr;  ///< handed to both; must outlive all memory that is not taken back
+  void* user = nullptr;  ///< passed to both; must outlive all memory not yet released
 };
 
-/// Where the time of DeviceScene::upload() of a file goes. What happens side by side is counted once: with what it ends
-/// with.
+/// Where DeviceScene::upload() of a file spends its time, in consecutive phases; overlapping work counts in the phase
+/// in which it ends.
 struct UploadTimes {
   double setup_ms = 0;   ///< page-locked and device memory, streams
-  double host_ms = 0;    ///< then, until everything is read, decompressed and on its way to the device
-  double device_ms = 0;  ///< then, until the device has copied, decoded and checked what was left, and has ordered ties
+  double host_ms = 0;    ///< then, until all is read, decompressed and queued for the device
+  double device_ms = 0;  ///< then, until the device has copied, decoded, checked and ordered ties
 };
 
 struct UploadOptions {
-  CudaStream stream = nullptr;  ///< for the copies and what is made of them
-  /// Return once the copies are queued. What is uploaded must keep its place and its values, and the stream must live,
-  /// until the stream has done its work. Frames on any stream wait for the upload, on the device. The scene holds the 4 bytes
-  /// a Gaussian that its tie order (docs/format/RENDERING.md) takes to make until the first frame that begins after it.
+  CudaStream stream = nullptr;  ///< for the copies and the kernels after them
+  /// Return once the copies are queued. The uploaded arrays must stay unchanged, and the stream must live, until the
+  /// stream has done its work. Frames on any stream wait for the upload on the device. Until the first frame that
+  /// starts after it, the scene also holds the 4 bytes a Gaussian that making its tie order takes
+  /// (docs/format/RENDERING.md).
   bool asynchronous = false;
   DeviceAllocator allocator = {};
-  /// Of a FileView alone. validate: as LoadOptions has it; without, the file has been validated before.
+  /// The rest is for a FileView alone. validate: as in LoadOptions; false if the file has been validated before.
   bool validate = true;
-  bool decode_on_host = false;   ///< by load_direct(), and copied then: to compare with
+  bool decode_on_host = false;   ///< decode with load_direct() and copy: for comparison
   UploadTimes* times = nullptr;  ///< filled on success
 };
 
@@ -62,39 +63,40 @@ class CudaBackend;
 struct SceneStorage;
 }  // namespace detail
 
-/// Gaussians in the current device's memory. Copies share them; the last one frees them. Reading is thread-safe.
+/// Gaussians in the current device's memory. Copies share them; the last one frees them. Thread-safe to read.
 class DeviceScene {
  public:
   DeviceScene() = default;  ///< no Gaussians
 
-  /// Activated FP32 attributes, 236 bytes a Gaussian at SH degree 3: the original's layout; and 8 bytes of its place in tie
-  /// order. Needs 4 bytes a Gaussian more for its time. Waits for all that unless it is asynchronous. Errors: bad_argument
-  /// (sizes that contradict each other, an SH degree not 0..3, half an allocator), limit_exceeded (2^31 Gaussians or more),
-  /// device_out_of_memory, device_failed.
+  /// Activated FP32 attributes in the original's layout, 236 bytes a Gaussian at SH degree 3, and 8 of its rank in tie
+  /// order; 4 more while it is made. Waits unless asynchronous. Errors: bad_argument (sizes that contradict each other,
+  /// an SH degree not 0..3, half an allocator), limit_exceeded (2^31 Gaussians or more), device_out_of_memory,
+  /// device_failed.
   static Result<DeviceScene> upload(const SceneView& scene, const UploadOptions& options = {});
-  /// The sections of an .rgs file, or of some of its chunks, byte for byte: 76 bytes a Gaussian at SH degree 3, and 8 of its
-  /// place in tie order. They are what load_direct() or read_chunks() has validated: of values only what the kernels use as an index is
-  /// checked again. Errors: those of FileView::chunk() and of the other overload.
+  /// The sections of an .rgs file, or of some of its chunks, byte for byte: 76 bytes a Gaussian at SH degree 3, and 8
+  /// of its rank in tie order. load_direct() or read_chunks() has validated them; only values that kernels use as an
+  /// index are checked again. Errors: those of FileView::chunk() and of the other overload.
   static Result<DeviceScene> upload(const DirectData& data, const UploadOptions& options = {});
-  /// The same of a whole file, which is decoded and checked on the way: threads of the host decompress what is packed into
-  /// a ring of page-locked memory (32 MiB, or two frames), the device makes rows of it and checks their values, in
-  /// up to 96 MiB of memory that it gives back. The host never holds the scene, but for Profile::archive, which it decodes itself.
-  /// Always waits: nothing of the file is used on return. Errors: those of load_direct(), with its offsets, and of the
+  /// The same of a whole file, decoded and checked on the way: host threads decompress coded sections into a ring of
+  /// page-locked memory (32 MiB, or two frames), and the device makes rows of them and checks their values, in up to 96
+  /// MiB that it then releases. The host never holds the scene, except for Profile::archive, which it decodes itself.
+  /// Always waits: the file is not used after the return. Errors: those of load_direct(), with its offsets, and of the
   /// other overloads.
   static Result<DeviceScene> upload(const FileView& file, const UploadOptions& options = {});
 
-  /// All pages of a file with levels of detail that are there, in the same form, decoded and checked by the host's threads, a few
-  /// at a time, in 40 MB of page-locked memory: 84 bytes a Gaussian at SH degree 3, with up to a chunk of padding a page that is no
-  /// leaf, and 48 bytes a page. CudaRenderer chooses among them by RenderOptions::detail_px, on the device. Always waits. Errors:
-  /// pages_missing (not even the root is there), those of PageDecoder and check_page_values(), and of the other overloads.
+  /// All pages that a file with levels of detail contains, in the same form, decoded and checked by host threads a few
+  /// at a time, in 40 MB of page-locked memory: 84 bytes a Gaussian at SH degree 3, up to a chunk of padding a page
+  /// that is not a leaf, and 48 bytes a page. CudaRenderer chooses the cut on the device, by RenderOptions::detail_px.
+  /// Always waits. Errors: pages_missing (even the root), those of PageDecoder and check_page_values(), and of the
+  /// other overloads.
   static Result<DeviceScene> upload(const PagedFile& file, const UploadOptions& options = {});
 
   std::uint64_t size() const;  ///< Gaussians; with levels of detail those of the finest pages
   int sh_degree() const;
-  bool compact() const;          ///< as in the file, dequantised by the kernels
+  bool compact() const;          ///< as stored in the file, dequantised by the kernels
   bool has_levels() const;       ///< of a PagedFile
   std::uint64_t bytes() const;   ///< device memory held now
-  const Origin& origin() const;  ///< that its means are relative to
+  const Origin& origin() const;  ///< of its means
   /// What the .rgs file declares; absent for FP32 scenes.
   const std::optional<Declarations>& declarations() const;
 
@@ -106,13 +108,13 @@ class DeviceScene {
   std::shared_ptr<const detail::SceneStorage> storage_;
 };
 
-/// Bytes from a row to the next of each output, a multiple of its element's size; 0 = rows follow each other.
+/// Bytes from one row to the next of each output, a multiple of its element's size; 0 = contiguous rows.
 struct RowPitches {
   std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0;
 };
 
-/// Device memory of the caller's for a frame: arrays of camera.width * camera.height pixels as in RenderTarget, null
-/// where an output is not wanted. Nothing is written between rows.
+/// The caller's device memory for a frame: arrays of camera.width * camera.height pixels as in RenderTarget, null for
+/// outputs not wanted. Padding between rows is not written.
 struct DeviceTarget {
   float* rgb = nullptr;                ///< [height, width, 3]
   float* alpha = nullptr;              ///< [height, width]
@@ -121,22 +123,21 @@ struct DeviceTarget {
   std::uint32_t* blended = nullptr;    ///< [height, width]
   void* packed = nullptr;              ///< [height, width] colour and alpha in one word each, aligned to its size
   math::PixelFormat format = math::PixelFormat::rgba8;  ///< of `packed` or `surface`
-  /// A cudaSurfaceObject_t that takes the packed pixels in place of `packed`: a two-dimensional array of at least the
-  /// image's size whose elements are as large as the format's. 0 = none.
+  /// A cudaSurfaceObject_t that takes the packed pixels instead of `packed`: a two-dimensional array of at least the
+  /// image's size whose elements have the format's size. 0 = none.
   std::uint64_t surface = 0;
   RowPitches pitch = {};
 };
 
 struct CudaRendererOptions {
-  DeviceAllocator allocator = {};  ///< of the workspace
+  DeviceAllocator allocator = {};  ///< for the workspace
 };
 
-/// Renders frames into device memory. Holds the workspace, which is sized for the first scene and grows by half when a
-/// frame needs more, or by what it needs where that is all there is; no frame allocates otherwise. To grow, it waits for
-/// its own last frame alone. One CudaRenderer serves one thread at a time; its frames follow each other also on different
+/// Renders frames into device memory. Owns the workspace, which is sized for the first scene; when a frame needs more
+/// it grows by half, or by what is needed if there is no more; other frames do not allocate. To grow, it waits for its
+/// own last frame alone. One CudaRenderer serves one thread at a time; its frames run in order, also on different
 /// streams. Several may run on streams of their own and share scenes. The device current at create() must be current at
-/// every call. Everything is freed with it, once its last frame is made; a moved-from one may only be destroyed or
-/// assigned to.
+/// every call. The destructor waits for the last frame; a moved-from one may only be destroyed or assigned to.
 class CudaRenderer {
  public:
   /// On the current device. Errors: unavailable (no device or driver answers, or this build has no code for the device),
@@ -147,26 +148,25 @@ class CudaRenderer {
   CudaRenderer& operator=(CudaRenderer&&) noexcept;
   ~CudaRenderer();
 
-  /// Enqueues a frame on `stream` and returns; the target is complete when the stream has done its work. The scene may be
-  /// destroyed before that: its destructor waits for the frame. Of a scene with levels of detail, options are read as
-  /// Renderer::render() reads them, and room for what is drawn is a part of the workspace. Waits for the
-  /// number of (tile, Gaussian) pairs; where the workspace is too small it grows, and the frame is made and waited for
-  /// again. That can happen three times in a row, each time for another of turbo's counts, and before these for a cut that draws more
-  /// than before. With options.measure.timings or
-  /// .count_pairs also waits for the end of the frame. All counts but evaluated and blended (0 unless counted) are exact
-  /// on return. Errors: bad_camera, bad_argument (see Renderer::render(); a target that is not aligned, a pitch smaller
-  /// than a row, a surface that does not hold the image), limit_exceeded (2^31 pairs or more), device_out_of_memory
-  /// (Error::expected: bytes wanted; the renderer remains usable), device_failed; also those of the frame before, if that
-  /// was asynchronous: it is given up then.
+  /// Enqueues a frame on `stream` and returns; the target is complete when the stream has done its work. The scene may
+  /// be destroyed before that: its destructor waits for the frame. With levels of detail, options are read as by
+  /// Renderer::render(), and the drawn pages' memory is part of the workspace. Waits for the number of (tile, Gaussian)
+  /// pairs; if the workspace is too small it grows, and the frame is repeated and waited for, up to three times in a
+  /// row for turbo's different counts, and once before these for a larger cut. With options.measure.timings or
+  /// .count_pairs it also waits for the end of the frame. All counts but evaluated and blended (0 unless counted) are
+  /// exact on return. Errors: bad_camera, bad_argument (see Renderer::render(); an unaligned target, a pitch smaller
+  /// than a row, a surface smaller than the image), limit_exceeded (2^31 pairs or more), device_out_of_memory
+  /// (Error::expected: bytes wanted; the renderer remains usable), device_failed; also those of the frame before, if
+  /// that was asynchronous; this frame is then not drawn.
   ///
-  /// With options.turbo.asynchronous nothing is waited for. The stream and the target must live until finish() or the
-  /// next render() has returned, which first learns whether the frame fitted, and if not makes it again on its stream:
-  /// a picture that must be right is one that finish() has seen.
+  /// With options.turbo.asynchronous it waits for nothing. The stream and the target must live until finish() or the
+  /// next render() has returned, which first checks whether the frame fitted and otherwise repeats it on its stream:
+  /// only finish() confirms a picture.
   Result<FrameStats> render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                             const RenderOptions& options = {}, CudaStream stream = nullptr);
 
-  /// Waits for the last frame, asynchronous or not, and returns what render() would have returned had it waited; zeros
-  /// before the first frame. Errors: those of render() that a frame has once it is queued.
+  /// Waits for the last frame, asynchronous or not, and returns what a waiting render() would have returned; zeros
+  /// before the first frame. Errors: those of render() for a queued frame.
   Result<FrameStats> finish();
 
   std::uint64_t bytes() const;  ///< device memory held by the workspace

@@ -1,4 +1,4 @@
-// image.hpp - pixels as values, and the set of pixel arrays that a renderer fills.
+// image.hpp - pixels as values, and the arrays that a renderer fills.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -37,14 +37,14 @@ struct Image {
   }
 };
 
-/// 8-bit code of a colour value: round(255 * clamp(v, 0, 1)), halves up; NaN gives 0.
+/// 8-bit code of a colour value: round(255 * clamp(v, 0, 1)), halves up; 0 for NaN.
 inline std::uint8_t to_8bit(float value) {
   return math::code8(value);
 }
 
-/// What one Gaussian gave to pixels: alpha T, the weight with which its colour was blended into each of them.
+/// What one Gaussian contributed to pixels: the sum and the largest of its blending weights, alpha T.
 struct Contribution {
-  /// Value of 1 in `sum`: a weight that counts is never below 1e-4 / 255, a hundred of them.
+  /// Value of 1 in `sum`: a hundredth of the smallest weight that counts, 1e-4 / 255.
   static constexpr double kUnit = 1.0 / (1 << 28);
   std::uint64_t sum = 0;  ///< over pixels, in kUnit; holds 6.8e10 pixels at weight 1
   float largest = 0;      ///< of any pixel
@@ -52,29 +52,29 @@ struct Contribution {
   double weight() const { return static_cast<double>(sum) * kUnit; }
 };
 
-/// Where pictures of several cameras of one size go: caller-owned arrays, one picture behind the other, rows from top to bottom.
+/// Caller-owned arrays for pictures of several cameras of one size, picture after picture, rows from top to bottom.
 /// Null: not wanted.
 struct PictureArrays {
   float* rgb = nullptr;           ///< [n, height, width, 3] colour over the background
-  std::uint8_t* codes = nullptr;  ///< [n, height, width, 3] to_8bit() of it
+  std::uint8_t* codes = nullptr;  ///< [n, height, width, 3] to_8bit() of the colour
   float* alpha = nullptr;         ///< [n, height, width] as in RenderTarget
   float* depth = nullptr;         ///< [n, height, width] as in RenderTarget
-  /// They are in the memory of the device that draws, and are written after what is queued on `stream` (a cudaStream_t; null is the
-  /// default stream). Otherwise they are in the host's.
+  /// The arrays are in the memory of the drawing device, and are written after the work queued on `stream` (a
+  /// cudaStream_t; null is the default stream). Otherwise they are in the host's memory.
   bool on_device = false;
   CUstream_st* stream = nullptr;
 };
 
-/// Where a frame goes: caller-owned arrays of camera.width * camera.height pixels, rows from top to bottom.
-/// An empty span means that this output is not wanted; every pixel of the others is written.
+/// Caller-owned arrays of camera.width * camera.height pixels, rows from top to bottom. An empty span: not wanted;
+/// every pixel of the others is written.
 struct RenderTarget {
   std::span<float> rgb = {};    ///< [height, width, 3] colour over the background
   std::span<float> alpha = {};  ///< [height, width] 1 - transmittance
   std::span<float> depth = {};  ///< [height, width] expected camera-space z, world units; 0 where alpha is 0
-  std::span<std::uint32_t> evaluated = {};  ///< [height, width] Gaussians that the pixel went through before it stopped
+  std::span<std::uint32_t> evaluated = {};  ///< [height, width] Gaussians that the pixel visited before it stopped
   std::span<std::uint32_t> blended = {};    ///< [height, width] Gaussians that contributed
-  /// [Gaussians of the scene], CPU only. A frame adds to what is there: zero it before the first. The same bits for any
-  /// number of threads.
+  /// [Gaussians of the scene], CPU only. Frames add to it: zero it before the first. The same bits for any number of
+  /// threads.
   std::span<Contribution> contributions = {};
 };
 

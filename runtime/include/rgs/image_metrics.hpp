@@ -1,9 +1,9 @@
-// image_metrics.hpp - how far two pictures are apart: squared error, PSNR and the SSIM of 3D Gaussian splatting.
+// image_metrics.hpp - how much two pictures differ: squared error, PSNR and the SSIM of 3D Gaussian splatting.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Both functions take pictures of equal size, use all cores, and give the same bits on any number of threads.
-// Errors: bad_argument (sizes or channels differ, a picture without pixels or whose pixel array does not fit its size),
-// bad_value (a value is not finite; Error::offset is its index in the pixel array).
+// Both functions take pictures of equal size, use all cores, and return the same bits for any number of threads.
+// Errors: bad_argument (sizes or channels differ, no pixels, an array that does not match its size), bad_value (a value
+// is not finite; Error::offset is its index in the pixel array).
 #pragma once
 
 #include <cstddef>
@@ -17,10 +17,10 @@ struct ImageDifference {
   double mse = 0;                 ///< mean of the squared differences over all pixels and channels
   double psnr = 0;                ///< -10 log10(mse), dB: the peak is 1; infinity for equal pictures
   float largest = 0;              ///< largest absolute difference of any channel
-  std::size_t largest_index = 0;  ///< where it is in Image::pixels, the first one of several
+  std::size_t largest_index = 0;  ///< its index in Image::pixels, the first of several
 };
 
-/// Differences of the values as they are, not clamped to 0..1 and not rounded to 8 bits.
+/// Differences of the values themselves, neither clamped to 0..1 nor rounded to 8 bits.
 Result<ImageDifference> difference(const Image& a, const Image& b);
 
 /// Structural similarity (Wang et al. 2004) as 3DGS training defines it: Gaussian window of 11x11 pixels with

@@ -1,4 +1,4 @@
-// camera.cpp - camera values: validation, resizing, views around a box and smooth paths.
+// camera.cpp - cameras: validation, resizing, views of a box, smooth paths.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/camera.hpp"
 
@@ -20,11 +20,11 @@ namespace {
 
 using Vec3 = glm::dvec3;
 
-// A 3x3 rotation that was written with single precision or five decimals passes; a scaled or mirrored one does not.
+// Accepts a 3x3 rotation written with single precision or five decimals, not a scaled or mirrored one.
 constexpr double kRotationTolerance = 1e-3;
 constexpr double kElevation = 20 * std::numbers::pi / 180;
 
-// Not glm::length, whose squares overflow or vanish where numbers are very large or small.
+// Not glm::length, whose squares overflow or underflow for very large or small numbers.
 double norm(const Vec3& a) {
   return std::hypot(a.x, a.y, a.z);
 }
@@ -62,13 +62,13 @@ glm::dquat quaternion(const glm::dmat4& m) {
   }
 }
 
-// Not glm::dot, which adds in pairs: paths keep their last bits.
+// Not glm::dot, which adds in another order: paths would change in their last bits.
 double dot(const glm::dquat& a, const glm::dquat& b) {
   return a.w * b.w + a.x * b.x + a.y * b.y + a.z * b.z;
 }
 
-// Spherical linear interpolation on the shorter arc (Shoemake 1985); nearly equal ends fall back to the chord. Unlike
-// glm::slerp's, its result has length 1.
+// Spherical linear interpolation on the shorter arc (Shoemake 1985); nearly equal ends use the chord. Unlike
+// glm::slerp's, the result has length 1.
 glm::dquat slerp(const glm::dquat& a, const glm::dquat& b, double t) {
   const double cosine = dot(a, b), angle = std::acos(std::min(std::abs(cosine), 1.0));
   const bool near = angle < 1e-6;
@@ -96,7 +96,7 @@ Vec3 catmull_rom(const Vec3& p0, const Vec3& p1, const Vec3& p2, const Vec3& p3,
 
 enum class Defect : std::size_t { none, side, focal, principal, pose, rigid };
 
-// As a caller's mistake and, with the camera's index in Error::found, as a mistake in a file.
+// For a caller's camera and, with the camera's index in Error::found, for one in a file.
 constexpr const char* kDefectText[] = {"",
                                        "image sides must be 1 to 65536 pixels",
                                        "focal lengths must be positive and finite",
@@ -257,7 +257,7 @@ std::vector<Camera> orbit(const SceneBounds& bounds, int n, const ViewFormat& fo
   const Vec3 up = normalized(up_wish, kWorldUp);
   const Vec3 target = 0.5 * (bounds.low + bounds.high);
   const double radius = std::max(0.5 * norm(bounds.high - bounds.low), 1e-6);
-  // The box's sphere fits the narrower of the two fields of view.
+  // The box's sphere fits the narrower field of view.
   const double tan_x = std::tan(format.horizontal_fov * std::numbers::pi / 360);
   const double half_angle = std::atan(tan_x * std::min(1.0, static_cast<double>(format.height) / format.width));
   const double distance = radius / std::sin(half_angle);
@@ -286,7 +286,7 @@ std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames
     centres.push_back(camera_centre(key));
     rotations.push_back(quaternion(key.world_to_camera));
   }
-  // A phantom key before the first and after the last one, mirrored, gives the ends the slope of their segment.
+  // A mirrored phantom key beyond each end gives it the slope of its segment.
   const auto position = [&](std::size_t segment, double t) {
     const Vec3 &p1 = centres[segment], &p2 = centres[segment + 1];
     const Vec3 p0 = segment > 0 ? centres[segment - 1] : p1 + (p1 - p2);
@@ -294,8 +294,8 @@ std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames
     return catmull_rom(p0, p1, p2, p3, t);
   };
 
-  // Path length at kSteps samples a segment; frames are placed by inverting this table. A turn on the spot counts too:
-  // one radian as much as the mean distance between keys, so that pure rotations take time as well.
+  // Path length at kSteps samples a segment; frames are placed by inverting this table. One radian of turning counts as
+  // much as the mean distance between keys, so that pure rotations take time too.
   constexpr std::size_t kSteps = 32;
   double mean_distance = 0;
   for (std::size_t i = 0; i < last; ++i) mean_distance += norm(centres[i + 1] - centres[i]) / static_cast<double>(last);

@@ -9,7 +9,7 @@
 
 namespace rgs::detail {
 
-/// As validate(), but as the error of camera `index` of a file whose record starts at byte `offset`: bad_value.
+/// validate(), but as the error of camera `index` of a file, whose record starts at byte `offset`: bad_value.
 Status validate_record(const Camera& camera, std::uint64_t offset, std::uint64_t index);
 
 glm::dmat4 rigid_motion(const glm::dmat3& rotation, const glm::dvec3& translation);

@@ -1,8 +1,8 @@
 // cameras_colmap.cpp - COLMAP sparse models: cameras and images, binary and text (colmap.github.io/format.html).
 // SPDX-License-Identifier: Apache-2.0
 //
-// An image's pose is world to camera with OpenCV axes, a quaternion w x y z and a translation, as ours; the image plane
-// has its origin in the upper left corner of the first pixel, as ours. 2D points are skipped.
+// As in our cameras, an image's pose is world to camera with OpenCV axes (a quaternion w x y z and a translation), and
+// the image plane's origin is the upper left corner of the first pixel. 2D points are skipped.
 #include <algorithm>
 #include <bit>
 #include <charconv>
@@ -20,7 +20,7 @@
 namespace rgs {
 namespace {
 
-// Models in the order of their numbers in cameras.bin, and what is said of those with lens distortion.
+// Models in the order of their numbers in cameras.bin, with the error message for those with lens distortion.
 #define RGS_UNDISTORT(model)                                        \
   "the camera of this index is of " model                           \
   "; run colmap image_undistorter and use the model in its sparse " \
@@ -42,11 +42,11 @@ constexpr Model kModels[] = {
     {"RADIAL_FISHEYE", RGS_UNDISTORT("model RADIAL_FISHEYE, which has lens distortion k1, k2")},
     {"THIN_PRISM_FISHEYE",
      RGS_UNDISTORT("model THIN_PRISM_FISHEYE, which has lens distortion k1 to k4, p1, p2, sx1, sy1")}};
-constexpr const char* kUnknownModel = RGS_UNDISTORT("a model that is not known here");
+constexpr const char* kUnknownModel = RGS_UNDISTORT("a model unknown to this program");
 #undef RGS_UNDISTORT
 constexpr std::uint64_t kImageBytes = 4 + 7 * 8 + 4 + 1 + 8;  // smallest record: empty name, no points
 
-// Little-endian reader whose failure is sticky.
+// Little-endian reader whose first failure sticks.
 class Cursor {
  public:
   explicit Cursor(std::span<const std::byte> bytes) : bytes_(bytes) {}
@@ -70,7 +70,7 @@ class Cursor {
     }
   }
 
-  // Text up to a zero byte, which is skipped.
+  // Text up to a zero byte, which is consumed.
   std::string text() {
     const auto rest = bytes_.subspan(offset_);
     const auto end = std::find(rest.begin(), rest.end(), std::byte{0});
@@ -109,7 +109,7 @@ bool set_lens(Camera& camera, std::uint64_t width, std::uint64_t height, std::sp
   return validate(camera).has_value();  // the pose is still the identity
 }
 
-// Division by the squared norm instead of normalising first; a zero or non-finite quaternion fails validation.
+// Divides by the squared norm instead of normalising first; a zero or non-finite quaternion then fails validation.
 glm::dmat3 rotation_of(const glm::dquat& q) {
   const double w = q.w, x = q.x, y = q.y, z = q.z, s = 2 / (w * w + x * x + y * y + z * z);
   return {1 - s * (y * y + z * z), s * (x * y + w * z),     s * (x * z - w * y),  //
@@ -134,7 +134,7 @@ Result<Lenses> binary_lenses(std::span<const std::byte> bytes) {
   const auto n = in.read<std::uint64_t>();
   if (!in.ok()) return make_error(Errc::truncated, bytes.size(), "cameras.bin: no count", 8, bytes.size());
   if (n > in.left() / kSmallest)
-    return make_error(Errc::truncated, 0, "cameras.bin: more cameras announced than the file can hold", n,
+    return make_error(Errc::truncated, 0, "cameras.bin: it announces more cameras than it can hold", n,
                       in.left() / kSmallest);
   Lenses lenses;
   for (std::uint64_t i = 0; i < n; ++i) {
@@ -161,7 +161,7 @@ Result<Lenses> binary_lenses(std::span<const std::byte> bytes) {
   return lenses;
 }
 
-// Text split into lines and these into words, with the byte offset of each.
+// Text split into lines and these into words, with their byte offsets.
 class Lines {
  public:
   explicit Lines(std::string_view text) : text_(text) {}
@@ -192,7 +192,7 @@ class Lines {
     while (word_ < end_ && !is_space(text_[word_])) ++word_;
     return text_.substr(from, word_ - from);
   }
-  // What is left of the line, without spaces around it.
+  // The rest of the line without spaces around it.
   std::string_view rest() {
     skip_spaces();
     std::size_t last = end_;
@@ -260,7 +260,7 @@ Result<CameraSet> parse_colmap_binary(std::span<const std::byte> cameras_bin, st
     const auto n = in.read<std::uint64_t>();
     if (!in.ok()) return make_error(Errc::truncated, images_bin.size(), "images.bin: no count", 8, images_bin.size());
     if (n > in.left() / kImageBytes)
-      return make_error(Errc::truncated, 0, "images.bin: more images announced than the file can hold", n,
+      return make_error(Errc::truncated, 0, "images.bin: it announces more images than it can hold", n,
                         in.left() / kImageBytes);
     std::vector<Camera> cameras;
     for (std::uint64_t i = 0; i < n; ++i) {

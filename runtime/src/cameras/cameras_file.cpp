@@ -1,4 +1,4 @@
-// cameras_file.cpp - finds out what kind of camera file a path is and reads it.
+// cameras_file.cpp - detects the kind of a camera file or folder and reads it.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>

@@ -1,5 +1,5 @@
-// cameras_json.cpp - the three JSON camera formats: the plain list, cameras.json of 3DGS training, NeRF
-// transforms.json. SPDX-License-Identifier: Apache-2.0
+// cameras_json.cpp - the JSON camera formats: a plain list, cameras.json of 3DGS training, NeRF transforms.json.
+// SPDX-License-Identifier: Apache-2.0
 #include <cmath>
 #include <exception>
 #include <glm/gtc/type_ptr.hpp>
@@ -15,8 +15,8 @@ namespace {
 
 using nlohmann::json;
 
-// Byte at which element `index` of the cameras' array starts, for error messages: the array is the whole text, or, in
-// an object, the value of `key`. `text` has been parsed before, so only strings and nesting need to be followed.
+// Byte at which element `index` of the cameras' array starts, for error messages: the array is the whole text or, in an
+// object, the value of `key`. `text` has been parsed before, so it suffices to follow strings and nesting.
 std::uint64_t element_offset(std::string_view text, std::string_view key, std::size_t index) {
   int depth = 0, array_depth = key.empty() ? 1 : 0;
   std::size_t element = 0;
@@ -47,10 +47,10 @@ std::uint64_t element_offset(std::string_view text, std::string_view key, std::s
   return Error::kNone;
 }
 
-// Typed access to the fields of one camera. The first failure sticks; values read after it are meaningless.
+// Typed access to a camera's fields. The first failure sticks; values read after it are meaningless.
 class Fields {
  public:
-  // Fields that `object` does not have are looked up in `defaults`.
+  // Fields that `object` lacks are looked up in `defaults`.
   explicit Fields(const json& object, const json* defaults = nullptr) : object_(object), defaults_(defaults) {
     if (!object.is_object()) refuse(Errc::bad_syntax, "the camera of this index is not a JSON object");
   }
@@ -171,7 +171,7 @@ void read_training_entry(Fields& fields, Camera& camera) {
   camera.world_to_camera = detail::world_to_camera(axes, centre);
 }
 
-// Coefficients of lens distortion, and what is said of one that is not 0.
+// Lens distortion coefficients, and the error for one that is not 0.
 #define RGS_DISTORTED(key)                                                                        \
   {                                                                                               \
     key, "the camera of this index has lens distortion (" key                                     \
@@ -278,7 +278,7 @@ Result<CameraSet> parse_camera_json(std::string_view text) {
     try {
       root = json::parse(text.begin(), text.end());
     } catch (const json::parse_error& error) {
-      // The library counts bytes from 1 and names the last one it read.
+      // The library counts bytes from 1 and reports the last one it read.
       const std::uint64_t offset = error.byte > 0 ? error.byte - 1 : 0;
       if (offset >= text.size()) return make_error(Errc::truncated, text.size(), "the JSON text ends early");
       return make_error(Errc::bad_syntax, offset, "the JSON text cannot be parsed here");

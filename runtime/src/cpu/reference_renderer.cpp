@@ -1,10 +1,10 @@
 // reference_renderer.cpp - the frame on the CPU: project, order, list, blend.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Gaussians are ordered by depth once, and a stable counting sort by tile then gives every tile its list in that order:
-// no (tile, depth) key exists. Equal depths are then put into tie order (rgs/math/tie_order.hpp): few have any. The image
-// does not depend on the number of threads: blocks only decide who does the work, never in which order anything is listed
-// or summed.
+// Gaussians are ordered by depth once; a stable counting sort by tile then gives every tile its list in that order, so
+// there is no (tile, depth) key. Equal depths, which are few, are then put into tie order (rgs/math/tie_order.hpp). The
+// image does not depend on the number of threads: blocks decide who does the work, never the order in which Gaussians
+// are listed or summed.
 #include "cpu/reference_renderer.hpp"
 
 #include <hwy/cache_control.h>
@@ -36,40 +36,40 @@ namespace {
 
 using math::TileGrid;
 
-// Gaussians per projection block: small enough to balance threads, large enough for its lists to be long.
+// Gaussians per projection block: small enough to balance threads, large enough for long lists.
 constexpr std::uint64_t kBlock = 8192;
 
 // (tile, Gaussian) pairs of a frame; 16 GiB of lists.
 constexpr std::uint64_t kMaxInstances = std::numeric_limits<std::uint32_t>::max();
 
-/// Depth key above, index of the splat below: sorting the upper half stably orders by depth, then by index.
+/// Depth key above, splat index below: a stable sort by the upper half orders by depth, then by index.
 using SortItem = std::uint64_t;
 
-// 16 bits hold a tile coordinate: the largest image side is 65536 pixels.
+// 16 bits hold a tile coordinate: image sides are at most 65536 pixels.
 struct Span16 {
   std::uint16_t first, last;
 };
 
-// Items begin .. end - 1 of the depth order have one key.
+// Items begin .. end - 1 of the depth order have equal keys.
 struct Tie {
   std::uint64_t begin, end;
 };
 
-// Visible Gaussians of one projection block: splats first .. first + n - 1 of the frame's array.
+// Visible Gaussians of a projection block: splats first .. first + n - 1 of the frame's array.
 struct Block {
   std::uint64_t n = 0;
   std::uint64_t n_instances = 0;
-  std::vector<Span16> spans;  // row by row for each visible Gaussian
+  std::vector<Span16> spans;  // of each visible Gaussian, row by row
 };
 
-// Storage that only grows and whose pages are touched when written: sized for the worst case, resident for the actual.
+// Storage that only grows and is not touched before it is written: reserved for the worst case, resident as used.
 template <class T>
 class Scratch {
  public:
   T* at_least(std::uint64_t n) {
     if (n > capacity_) {
       const std::uint64_t capacity = std::max(n, capacity_ + capacity_ / 2);
-      capacity_ = 0;  // what it is if there is no memory for more
+      capacity_ = 0;  // stays 0 if the allocation fails
       data_.reset();
       data_ = std::make_unique_for_overwrite<T[]>(capacity);
       capacity_ = capacity;
@@ -83,7 +83,7 @@ class Scratch {
   std::uint64_t capacity_ = 0;
 };
 
-// Finds the part that a Gaussian is in: Gaussians are counted over the parts, one after the other.
+// Finds the part of a Gaussian; indices run on over the parts.
 class PartIndex {
  public:
   void build(std::span<const ScenePart> parts) {
@@ -127,7 +127,7 @@ class Stopwatch {
 }  // namespace
 
 struct ReferenceRenderer::Workspace {
-  // Asking oneTBB for more threads than the machine has makes it print.
+  // oneTBB prints a warning if asked for more threads than the machine has.
   explicit Workspace(int threads)
       : arena(threads > 0 ? std::min(threads, tbb::info::default_concurrency()) : tbb::task_arena::automatic) {}
 
@@ -139,8 +139,8 @@ struct ReferenceRenderer::Workspace {
   void blend(const math::View<float>& view, const RenderTarget& target, const FrameSettings& settings,
              const BlendTile& blend_tile, FrameStats& stats);
 
-  // Parts of the visible Gaussians that a counting sort with `bins` bins works on in parallel: four a thread, so that
-  // one that starts late is no hindrance, and no more than 32 MiB of histograms.
+  // Parts of the visible Gaussians for a parallel counting sort with `bins` bins: four a thread, so that a late thread
+  // delays little, and at most 32 MiB of histograms.
   std::uint64_t parts(std::uint64_t bins) const {
     const std::uint64_t wanted = 4 * static_cast<std::uint64_t>(arena.max_concurrency());
     return std::clamp<std::uint64_t>(std::min(n_visible / kBlock, (std::uint64_t{1} << 22) / bins), 1, wanted);
@@ -170,7 +170,7 @@ struct ReferenceRenderer::Workspace {
 
 namespace {
 
-// Tile rows that list a Gaussian, with their column ranges appended to `spans`; rows without a tile are trimmed.
+// Tile rows that list a Gaussian, without empty ones at either end; appends their column ranges to `spans`.
 void append_spans(const math::Projected<float>& p, math::Extent extent, TileGrid grid,
                   const math::Ellipse<float>& ellipse, std::vector<Span16>& spans, ScreenSplat& splat,
                   std::uint64_t& n_instances) {
@@ -223,7 +223,7 @@ void ReferenceRenderer::Workspace::project(const SceneParts& scene, const math::
     Block& block = blocks[b];
     block.n = block.n_instances = 0;
     block.spans.clear();
-    if (n_listed.load(std::memory_order_relaxed) > kMaxInstances) return;  // the frame is refused: spend no more on it
+    if (n_listed.load(std::memory_order_relaxed) > kMaxInstances) return;  // the frame fails anyway
     ScreenSplat* out = all + b * kBlock;
     const std::uint64_t end = std::min(part_index.n(), (b + 1) * kBlock);
     std::uint64_t first = b * kBlock;
@@ -231,7 +231,7 @@ void ReferenceRenderer::Workspace::project(const SceneParts& scene, const math::
       const ScenePart& part = scene.parts[p];
       const std::uint64_t begin = part_index.begin(p), part_end = std::min(end - begin, part.n);
       for (std::uint64_t i = first - begin; i < part_end; ++i) {
-        // Harmonics are most of the bytes: they arrive while the geometry of the Gaussians before is computed.
+        // Harmonics are most of the bytes: prefetched while earlier Gaussians' geometry is computed.
         if (const std::uint64_t next = i + kAhead; next < part.n) {
           for (std::uint64_t k = 0; k < sh_floats; k += 16) hwy::Prefetch(&part.sh[next * sh_floats + k]);
         }
@@ -265,8 +265,8 @@ void ReferenceRenderer::Workspace::project(const SceneParts& scene, const math::
   for (const Block& block : blocks) n_visible += block.n, n_instances += block.n_instances;
 }
 
-// Least-significant-digit radix sort of (depth key, splat), 11 bits a pass, parallel over contiguous parts; digits in
-// which all keys agree are skipped.
+// Least-significant-digit radix sort of (depth key, splat), 11 bits a pass, parallel over contiguous parts; skips
+// digits in which all keys agree.
 void ReferenceRenderer::Workspace::sort_by_depth() {
   constexpr int kDigitBits = 11;
   constexpr std::uint64_t kDigits = std::uint64_t{1} << kDigitBits;
@@ -316,7 +316,7 @@ void ReferenceRenderer::Workspace::sort_by_depth() {
 
 namespace {
 
-// A scene as the tie order reads it.
+// A scene's values, for the tie order.
 struct TieValues {
   const SceneParts& scene;
   const PartIndex& index;
@@ -354,15 +354,15 @@ struct TieValues {
   }
 };
 
-// One of some Gaussians of equal depth, with what tells most of them apart.
+// A Gaussian of a tie, with the value that tells most of them apart.
 struct TiedItem {
   std::uint64_t place = 0;
   std::uint32_t splat, gaussian = 0;
 };
-constexpr std::size_t kTiedAtOnce = 4096;    // loads that need not wait for each other
-constexpr std::size_t kSortAlone = 1 << 16;  // items that one thread sorts
+constexpr std::size_t kTiedAtOnce = 4096;    // loads that overlap
+constexpr std::size_t kSortAlone = 1 << 16;  // items that one thread sorts alone
 
-// x above y: of the mean, the first values that decide.
+// x and y of the mean, the first values that decide.
 std::uint64_t place_of(const TieValues& values, std::uint32_t gaussian) {
   return std::uint64_t{math::order_bits(values.mean(gaussian, 0))} << 32 | math::order_bits(values.mean(gaussian, 1));
 }
@@ -379,7 +379,7 @@ void sort_tied(std::span<TiedItem> items, const TieValues& values) {
 
 }  // namespace
 
-// All ties are found before any is put in order: threads read their neighbours' items.
+// Finds all ties before ordering any, since threads read their neighbours' items.
 void ReferenceRenderer::Workspace::order_ties(const SceneParts& scene) {
   SortItem* const items = order.get();
   const auto same_key = [items](std::uint64_t i) { return items[i - 1] >> 32 == items[i] >> 32; };
@@ -389,7 +389,7 @@ void ReferenceRenderer::Workspace::order_ties(const SceneParts& scene) {
     ties[part].clear();
     const std::uint64_t part_end = n_visible * (part + 1) / n_parts;
     for (std::uint64_t i = n_visible * part / n_parts + 1; i <= part_end && i < n_visible; ++i) {
-      if (!same_key(i) || (i > 1 && same_key(i - 1))) continue;  // one that begins before the part is that part's
+      if (!same_key(i) || (i > 1 && same_key(i - 1))) continue;  // a tie that starts earlier belongs to that part
       const std::uint64_t begin = i - 1;
       while (i < n_visible && same_key(i)) ++i;
       ties[part].push_back({begin, i});
@@ -419,7 +419,7 @@ void ReferenceRenderer::Workspace::order_ties(const SceneParts& scene) {
   });
 }
 
-// Stable counting sort of all (tile, Gaussian) pairs by tile, from the depth order.
+// Stable counting sort of all (tile, Gaussian) pairs by tile, in depth order.
 void ReferenceRenderer::Workspace::list_by_tile() {
   constexpr std::uint64_t kAhead = 12;
   const std::uint64_t tiles = n_tiles();
@@ -428,7 +428,7 @@ void ReferenceRenderer::Workspace::list_by_tile() {
   const auto for_each_tile = [&](std::uint64_t part, const auto& f) {
     const std::uint64_t end = part_begin(part + 1);
     for (std::uint64_t i = part_begin(part); i < end; ++i) {
-      // Depth order is no memory order: the splat, and after it its spans, are fetched ahead of their use.
+      // Depth order is not memory order: prefetches the splat, then its spans.
       if (i + 2 * kAhead < end) hwy::Prefetch(&splats.get()[static_cast<std::uint32_t>(order.get()[i + 2 * kAhead])]);
       if (i + kAhead < end) hwy::Prefetch(rows_of(static_cast<std::uint32_t>(order.get()[i + kAhead])).data());
       const auto index = static_cast<std::uint32_t>(order.get()[i]);
@@ -465,7 +465,7 @@ void ReferenceRenderer::Workspace::list_by_tile() {
 
 namespace {
 
-// Writes a tile's pixels to the outputs that are wanted.
+// Writes a tile's pixels to the wanted outputs.
 void store_tile(const TileJob& job, const TilePixels& pixels, int width, const math::Vec3<float>& background,
                 const RenderTarget& target) {
   for (int y = 0; y < job.height; ++y) {
@@ -486,8 +486,8 @@ void store_tile(const TileJob& job, const TilePixels& pixels, int width, const m
   }
 }
 
-// Adds what a tile's list gave. Each weight is rounded to a multiple of the unit once, and integers add up to the same in any
-// order, as maxima do: threads may come in as they like.
+// Adds a tile's contributions. Each weight is rounded to a multiple of the unit once; integer sums and maxima do not
+// depend on the order of the threads.
 void add_contributions(const TileJob& job, std::span<Contribution> contributions) {
   for (std::size_t k = 0; k < job.list.size(); ++k) {
     const TileWeight& w = job.weights[k];

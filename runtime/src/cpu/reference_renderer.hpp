@@ -15,7 +15,7 @@
 
 namespace rgs::detail {
 
-/// Some Gaussians, as SceneView has them.
+/// Some Gaussians, in SceneView's arrays.
 struct ScenePart {
   std::uint64_t n = 0;
   const float* mean = nullptr;      ///< [n, 3]
@@ -24,7 +24,7 @@ struct ScenePart {
   const float* opacity = nullptr;   ///< [n]
   const float* sh = nullptr;        ///< [n, sh_coefficients(sh_degree), 3]
 };
-/// A scene in pieces, which are drawn as if they lay one after the other. Fewer than 2^31 Gaussians.
+/// A scene in pieces, drawn as if concatenated. Fewer than 2^31 Gaussians.
 struct SceneParts {
   int sh_degree = 0;
   Origin origin = kNoOrigin;
@@ -38,7 +38,7 @@ class ReferenceRenderer {
   ReferenceRenderer(const ReferenceRenderer&) = delete;
   ReferenceRenderer& operator=(const ReferenceRenderer&) = delete;
 
-  /// Camera, settings and target are valid (the caller has checked them). Errors: limit_exceeded.
+  /// The caller has checked camera, settings and target. Errors: limit_exceeded.
   Result<FrameStats> render(const SceneView& scene, const Camera& camera, const RenderTarget& target,
                             const FrameSettings& settings);
   Result<FrameStats> render(const SceneParts& scene, const Camera& camera, const RenderTarget& target,

@@ -1,4 +1,4 @@
-// tile_blend.hpp - the inner loop's interface: one tile's list of Gaussians to its pixels, in two implementations.
+// tile_blend.hpp - the inner loop: blends a tile's list of Gaussians into its pixels, in two implementations.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,7 +12,7 @@ namespace rgs::detail {
 
 inline constexpr int kTilePixels = math::kTileSize * math::kTileSize;
 
-/// What blending needs of a Gaussian on the image; one cache line.
+/// What blending needs of a projected Gaussian; one cache line.
 struct alignas(64) ScreenSplat {
   math::PixelPoint<float> mean;  // px
   math::Conic<float> conic;
@@ -27,7 +27,7 @@ struct alignas(64) ScreenSplat {
 };
 static_assert(sizeof(ScreenSplat) == 64);
 
-/// What a Gaussian gave to a tile's pixels: alpha T, the weight of its colour.
+/// A Gaussian's weight, alpha T, in a tile's pixels.
 struct TileWeight {
   float sum = 0, largest = 0;
 };
@@ -40,23 +40,23 @@ struct TileJob {
   int width, height;  // pixels inside the image, 1..16 each
   math::Exponent exponent;
   math::Exp exp;
-  bool details;         // depth, blended or weights are wanted; otherwise the pixels' may stay unset
+  bool details;         // depth, blended or weights are wanted; otherwise they may stay unset
   TileWeight* weights;  // [list.size()], zero at first, or null: not wanted
 };
 
-/// Pixels of a tile, row by row, 16 apart; those outside the image are unspecified.
+/// Pixels of a tile, row by row, stride 16; those outside the image are unspecified.
 struct alignas(64) TilePixels {
   float r[kTilePixels], g[kTilePixels], b[kTilePixels], depth[kTilePixels], transmittance[kTilePixels];
   std::uint32_t evaluated[kTilePixels], blended[kTilePixels];
 };
 
-/// The definition: rgs::math pixel by pixel. Returns the number of pairs that were blended.
+/// The definition: rgs::math pixel by pixel. Returns the number of blended pairs.
 std::uint64_t blend_tile_scalar(const TileJob& job, TilePixels& pixels);
 
-/// The same in the widest vectors that the machine has. Rows and vectors without a pair that counts are passed over;
-/// results differ from the definition by the rounding of the exponent.
+/// The same with the machine's widest vectors. Skips rows and vectors without a pair that counts; differs from the
+/// definition by the exponent's rounding.
 std::uint64_t blend_tile_simd(const TileJob& job, TilePixels& pixels);
-/// Name of the instruction set in use, static text.
+/// Name of the instruction set in use; static text.
 const char* simd_target_name();
 
 }  // namespace rgs::detail

@@ -1,4 +1,4 @@
-// tile_blend_scalar.cpp - the definition of a pixel, executed literally: each pixel walks its tile's list.
+// tile_blend_scalar.cpp - the definition of a pixel: each pixel walks its tile's list.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <vector>
@@ -11,7 +11,7 @@ namespace {
 using math::Exp;
 using math::Exponent;
 
-// Folded coefficients of a tile's list, made once per tile as the kernels do; nothing for the direct exponent.
+// Folded coefficients of a tile's list, made once per tile as in the kernels; empty for the direct exponent.
 template <Exponent X>
 std::vector<math::Folded<float>> fold_list(const TileJob& job) {
   std::vector<math::Folded<float>> folded;

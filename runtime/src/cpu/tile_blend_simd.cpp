@@ -1,12 +1,13 @@
-// tile_blend_simd.cpp - one tile, a row of pixels per vector, compiled for each instruction set and chosen at run time.
+// tile_blend_simd.cpp - one tile, a row of pixels per vector, compiled for each instruction set and dispatched at run
+// time.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Gaussians are the outer loop. Which rows one reaches is found for all 16 at once, so that the inner loop runs over
-// rows in which something counts, without a branch that guesses. Pixel state lives in the first-level cache (7 KiB a
-// tile). A pixel that stops keeps its transmittance in the output and gets a working one of 0, which no later pair
-// passes.
+// Gaussians are the outer loop. The rows that one reaches are found for all 16 at once, so the inner loop visits only
+// rows in which something counts, without mispredicted branches. Pixel state stays in the first-level cache (7 KiB a
+// tile). A pixel that stops keeps its transmittance in the output and works with 0 instead, which rejects all later
+// pairs.
 
-// x86 gets AVX-512, AVX2 and the portable fallback for machines from before 2013, others what they have.
+// On x86 AVX-512, AVX2, and the portable fallback for machines from before 2013; elsewhere all targets.
 #define HWY_DISABLED_TARGETS (HWY_SSSE3 | HWY_SSE4)
 
 #undef HWY_TARGET_INCLUDE
@@ -52,7 +53,7 @@ HWY_INLINE V exp2_exact(V p) {
   return hn::BitCast(d, hn::Add(hn::BitCast(di, e), hn::ShiftLeft<23>(n)));
 }
 
-// rgs::math::exp2_bits in vectors, the same operations in the same order.
+// rgs::math::exp2_bits in vectors: the same operations in the same order.
 template <Exp E>
 HWY_INLINE V exp2_of(V p) {
   if constexpr (E == Exp::exact) {
@@ -92,13 +93,13 @@ HWY_INLINE Quadratic quadratic(const ScreenSplat& s, const TileJob& job) {
   }
 }
 
-// Rows of the tile in which the exponent reaches the cutoff between the outermost columns, one bit each. Lanes are
+// Rows of the tile, one bit each, in which the exponent reaches the cutoff between the outermost columns. Lanes are
 // rows: along a row the quadratic is largest at dx = -linear / (2 xx), clamped to the columns.
 HWY_INLINE std::uint32_t rows_reached(const Quadratic& q) {
   const D d;
   const float first = -q.u, last = static_cast<float>(kTileSize - 1) - q.u;
   const float reach = std::max(last, -first);
-  const float slack = 1e-3F - 1e-6F * q.xx * reach * reach;  // rounding of the terms, which may cancel
+  const float slack = 1e-3F - 1e-6F * q.xx * reach * reach;  // for rounding of terms that may cancel
   const V cutoff = hn::Set(d, q.cutoff - slack);
   const V top = hn::Set(d, -0.5F / std::min(q.xx, -1e-30F));
   std::uint32_t rows = 0;
@@ -117,10 +118,10 @@ HWY_INLINE std::uint32_t rows_reached(const Quadratic& q) {
 
 template <Exponent X, Exp E, bool kDetails>
 HWY_NOINLINE std::uint64_t blend_tile(const TileJob& job, TilePixels& out) {
-  constexpr std::uint32_t kAhead = 6;  // list entries between the fetch of a splat and its use
+  constexpr std::uint32_t kAhead = 6;  // list entries between prefetch and use of a splat
   const D d;
   const DU du;
-  const std::size_t lanes = hn::Lanes(d);  // a power of two, 16 at most: rows are whole vectors
+  const std::size_t lanes = hn::Lanes(d);  // a power of two, at most 16, so rows are whole vectors
   const auto n_list = static_cast<std::uint32_t>(job.list.size());
   HWY_ALIGN float working[kTilePixels];  // transmittance, 0 where the pixel has stopped or lies outside the image
   for (int y = 0; y < kTileSize; ++y) {
@@ -166,9 +167,9 @@ HWY_NOINLINE std::uint64_t blend_tile(const TileJob& job, TilePixels& out) {
         const V dx = hn::Add(columns, hn::Set(d, static_cast<float>(x) - q.u));
         const V p = hn::MulAdd(hn::MulAdd(xx, dx, linear), dx, constant);
         const auto counts = hn::And(hn::Gt(t, zero), hn::And(hn::Ge(p, cutoff), hn::Le(p, limit)));
-        // A row that is one vector was tested already.
+        // A row of a single vector was tested already.
         if (lanes < static_cast<std::size_t>(kTileSize) && hn::AllFalse(d, counts)) continue;
-        // Lanes that do not count, and folded exponents that rounding has carried above 1, stay in exp2's domain.
+        // Keeps lanes that do not count, and folded exponents that rounding raised above 1, in exp2's domain.
         const V e = exp2_of<E>(hn::Min(hn::Max(p, cutoff), ceiling));
         const V alpha = hn::IfThenElseZero(counts, hn::Min(alpha_max, hn::Mul(gain, e)));
         V after = hn::NegMulAdd(t, alpha, t);

@@ -1,4 +1,4 @@
-// cuda_backend.cpp - frames in host memory by way of the CUDA renderer.
+// cuda_backend.cpp - frames in host memory, drawn by the CUDA renderer.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/cuda_backend.hpp"
 
@@ -17,7 +17,7 @@
 namespace rgs::detail {
 namespace {
 
-// A kept file's attributes as they lie in it, a third of the others' size. What the host has decoded is not decoded again.
+// Uploads a kept file's attributes as stored, a third of the FP32 size. What the host has decoded is not decoded again.
 Result<DeviceScene> upload(const Scene& scene) {
   if (scene.levels() != nullptr) return DeviceScene::upload(*scene.levels());
   if (scene.is_decoded()) {
@@ -88,7 +88,7 @@ Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene& scene, std:
   return impl_->batch.render(impl_->scene, cameras, pictures, options);
 }
 
-// Not of the pool: who frees it may have work queued that reads it, for which cudaFree() waits.
+// Not from the pool: whoever frees it may have queued work that reads it, and cudaFree() waits for that.
 Result<DeviceBlock> CudaBackend::allocate(std::uint64_t bytes) {
   void* data = nullptr;
   DeviceBlock block;
@@ -104,7 +104,7 @@ Result<DeviceBlock> CudaBackend::allocate(std::uint64_t bytes) {
   return block;
 }
 
-// The storage of such a scene lives as long as its frame: its destructor waits for it, so that the slots may be others' afterwards.
+// The destructor of the temporary storage waits for the frame, so the slots may be reused on return.
 Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
                                        const RenderOptions& options) {
   int device = 0;

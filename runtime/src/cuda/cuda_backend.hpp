@@ -1,4 +1,4 @@
-// cuda_backend.hpp - what Renderer needs of a GPU, in builds with and without CUDA.
+// cuda_backend.hpp - what Renderer needs of a GPU. Built with and without CUDA.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,16 +13,16 @@
 
 namespace rgs::detail {
 
-/// What a frame draws of a scene whose pages are in slots of a device. Nothing of it changes until the frame is made.
+/// What a frame draws of a scene whose pages are in a device's slots. Constant until the frame is drawn.
 struct SlotDraw {
   const DeviceSlots& slots;
-  std::span<const std::uint32_t> chunks;  ///< of all slots' chunks, page after page in the order of leaves
+  std::span<const std::uint32_t> chunks;  ///< among all slots' chunks, page after page in the order of leaves
   std::uint64_t gaussians;                ///< of these pages
   std::uint32_t pages;
   const Declarations& declarations;
 };
 
-/// Frames in host memory by way of a device. Keeps the last scene on the device.
+/// Draws frames on a device and copies them to host memory. Keeps the last scene on the device.
 class CudaBackend {
  public:
   /// Errors: unavailable (not built, or no device answers), device_out_of_memory, device_failed.
@@ -31,15 +31,16 @@ class CudaBackend {
   CudaBackend& operator=(CudaBackend&&) noexcept;
   ~CudaBackend();
 
-  /// Brings the scene to the device. Errors: those of DeviceScene::upload().
+  /// Uploads the scene. Errors: those of DeviceScene::upload().
   Status prepare(const Scene& scene);
-  /// Camera, options and target are valid (the caller has checked them). Errors: those of CudaRenderer::render().
+  /// The caller has checked camera, options and target. Errors: those of CudaRenderer::render().
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
-  /// The same of a part of a scene; the frame is made on return, whatever that is. Errors: also bad_argument (another device is current).
+  /// The same of resident pages; the frame is complete after any return. Errors: also bad_argument (another device is
+  /// current).
   Result<FrameStats> render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
-  /// Cameras are valid and of one size, options valid. Errors: those of PictureBatch::render().
+  /// Takes valid cameras of one size and valid options. Errors: those of PictureBatch::render().
   Result<std::vector<FrameStats>> render_all(const Scene& scene, std::span<const Camera> cameras,
                                              const PictureArrays& pictures, const RenderOptions& options);
   /// `bytes` > 0. Errors: device_out_of_memory, device_failed.

@@ -1,4 +1,4 @@
-// cuda_backend_absent.cpp - stands for the CUDA backend in builds without CUDA.
+// cuda_backend_absent.cpp - the CUDA backend of builds without CUDA.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/cuda_backend.hpp"
 

@@ -10,14 +10,15 @@
 
 namespace rgs::detail {
 
-/// device_failed with the runtime's error number in Error::found. The runtime forgets the error: it is none of later calls.
+/// device_failed with the runtime's error number in Error::found. Clears the runtime's error, so that later calls do
+/// not report it.
 inline Status device_status(cudaError_t error, const char* what) {
   if (error == cudaSuccess) return {};
   cudaGetLastError();
   return make_error(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
 }
 
-/// A point in a stream's work. Errors of all functions: device_failed.
+/// A point in a stream's work. All functions may fail with device_failed.
 class Event {
  public:
   Event() = default;
@@ -32,13 +33,13 @@ class Event {
   Status record(cudaStream_t stream) const {
     return device_status(cudaEventRecord(event_, stream), "an event could not be recorded");
   }
-  /// What is queued on `stream` from now on waits for the event.
+  /// Work queued on `stream` from now on waits for the event.
   Status hold(cudaStream_t stream) const {
     return device_status(cudaStreamWaitEvent(stream, event_), "a stream could not be made to wait");
   }
-  /// The host waits for it; at once if it was never recorded.
+  /// Blocks the host until the event; returns at once if it was never recorded.
   Status wait() const { return device_status(cudaEventSynchronize(event_), "a kernel failed"); }
-  /// Whether it has come, without waiting; also if it was never recorded.
+  /// Whether the event has passed, without waiting; true if it was never recorded.
   Result<bool> is_done() const {
     const cudaError_t error = cudaEventQuery(event_);
     if (error == cudaErrorNotReady) {
@@ -54,7 +55,7 @@ class Event {
   cudaEvent_t event_ = nullptr;
 };
 
-/// A stream that the default stream does not wait for.
+/// A stream that does not synchronise with the default stream.
 class OwnedStream {
  public:
   OwnedStream() = default;
@@ -73,8 +74,9 @@ class OwnedStream {
   cudaStream_t stream_ = nullptr;
 };
 
-/// Copies what is on the device to any host memory, and returns once it is there. Launches of other threads wait while cudaMemcpy() copies.
-/// Where the memory is not page-locked, they also wait while cudaMemcpyAsync() copies on the default stream. Errors: device_failed.
+/// Copies device memory to any host memory and waits for it. Avoids what blocks launches of other threads:
+/// cudaMemcpy(), and for memory that is not page-locked also cudaMemcpyAsync() on the default stream. Errors:
+/// device_failed.
 inline Status copy_to_host(void* to, const void* from, std::uint64_t bytes, const OwnedStream& stream,
                            const char* what) {
   const Status copied = device_status(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToHost, stream.get()), what);
@@ -82,8 +84,8 @@ inline Status copy_to_host(void* to, const void* from, std::uint64_t bytes, cons
   return copied ? done : copied;
 }
 
-/// Whether kernels reach page-locked memory under the host's address. Errors: device_failed; unavailable (they have another for it, as
-/// without unified addressing).
+/// Checks that kernels reach page-locked memory under the host's address. Errors: device_failed; unavailable (no
+/// unified addressing).
 inline Status reached_by_device(void* memory) {
   void* on_device = nullptr;
   const Status ok =
@@ -106,7 +108,7 @@ class PageLocked {
                                     "page-locked host memory could not be allocated");
     return ok ? reached_by_device(value_) : ok;
   }
-  /// For the host and, in kernels, for the device.
+  /// Valid on the host and in kernels.
   T* get() const { return value_; }
   T* operator->() const { return value_; }
 

@@ -1,4 +1,4 @@
-// cuda_renderer.cpp - what a frame asks for, the pipeline that draws it, and what it has cost.
+// cuda_renderer.cpp - what a frame needs, the pipeline that draws it, and what it cost.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/cuda_renderer.hpp"
 
@@ -22,13 +22,13 @@ using detail::device_status;
 using detail::Frame;
 using detail::FrameSettings;
 
-// What a valid camera's image can ask of a launch, on every device: a grid of 65,535 blocks in y and z and of 2^31 - 1 in x;
-// and of the words that hold tiles (TurboBox 16 bits, turbo_emit.cu 15).
+// The largest valid image must fit every device's grid (65,535 blocks in y and z, 2^31 - 1 in x) and the bits that hold
+// tiles (TurboBox 16, turbo_emit.cu 15).
 constexpr std::uint64_t kMaxRows = kMaxImageSide / math::kTileSize, kMaxTurboRows = kMaxImageSide / cuda::kTurboTile;
 static_assert(kMaxRows <= 65535 && kMaxTurboRows * kMaxTurboRows * cuda::kTurboCells < std::uint64_t{1} << 31);
 static_assert(kMaxTurboRows <= std::uint64_t{1} << 15);
 
-// Of a scene with levels it is not known before how much is drawn, unless the host has chosen it.
+// With levels, how much is drawn is not known before, unless the host has chosen the cut.
 bool draws_turbo(const FrameSettings& settings, const detail::SceneStorage* scene) {
   if (!settings.cuda.turbo || scene == nullptr) return settings.cuda.turbo;
   if (!scene->pages) return detail::TurboPipeline::takes(scene->n);
@@ -72,10 +72,11 @@ Status check_pairs(std::uint64_t pairs) {
 
 struct CudaRenderer::Impl {
   ~Impl() {
-    if (state.finished->get() != nullptr) cudaEventSynchronize(state.finished->get());  // it uses all this until then
+    // it uses all of this until then
+    if (state.finished->get() != nullptr) cudaEventSynchronize(state.finished->get());
   }
 
-  // What `use` makes of the pipeline that draws the frame.
+  // Calls `use` with the pipeline that draws the frame.
   template <class Use>
   auto with_pipeline(const Frame& f, const Use& use) {
     return f.is_turbo ? use(turbo) : use(sorted);
@@ -88,19 +89,19 @@ struct CudaRenderer::Impl {
   detail::FrameState state;
   detail::SortedPipeline sorted{state};
   detail::TurboPipeline turbo{state};
-  std::optional<Frame> open;  // queued; whether it fitted has not been looked at
-  FrameStats last;            // of the last frame that was looked at
+  std::optional<Frame> open;  // queued; not yet known to fit
+  FrameStats last;            // of the last frame that was settled
 };
 
 namespace {
 
-// Why none can be used, by what cudaGetDeviceCount() said. A driver of the toolkit's major version or a later one will do: CUDA
-// Compatibility, "Minor Version Compatibility", whose table has the releases.
+// Why no device can be used, given cudaGetDeviceCount()'s error. Any driver of the toolkit's major version or a later
+// one works: CUDA Compatibility, "Minor Version Compatibility", whose table has the releases.
 tl::unexpected<Error> no_device(cudaError_t counted) {
   static_assert(CUDART_VERSION >= 12000, "driver releases below are those of CUDA 12 and later");
   constexpr bool kCuda12 = CUDART_VERSION < 13000;
   cudaGetLastError();
-  int driver = 0;  // stays 0 where there is no driver
+  int driver = 0;  // stays 0 without a driver
   if (counted != cudaErrorInsufficientDriver || cudaDriverGetVersion(&driver) != cudaSuccess)
     return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers; use the CPU backend");
   if (driver == 0) {
@@ -153,8 +154,8 @@ const char* CudaRenderer::name() const {
   return impl_->name.c_str();
 }
 
-// Pairs of a queued frame, which becomes one of the sorted pipeline if turbo cannot number what it draws. Nothing of a frame that
-// fails is at work on return: the caller may free its scene.
+// Number of pairs of a queued frame; moves the frame to the sorted pipeline if turbo cannot index what it draws. After
+// an error nothing of the frame is running: the caller may free its scene.
 Result<std::uint64_t> CudaRenderer::Impl::settle(Frame& frame) {
   auto pairs = with_pipeline(frame, [&](auto& pipeline) { return pipeline.settle(frame); });
   if (pairs && *pairs == detail::kTooManyDrawn) {
@@ -171,7 +172,7 @@ Result<std::uint64_t> CudaRenderer::Impl::settle(Frame& frame) {
   return tl::unexpected(ok.error());
 }
 
-// What a settled frame has cost, once all that its settings ask for is known.
+// What a settled frame cost, including all that its settings measure.
 Result<FrameStats> CudaRenderer::Impl::outcome(Frame& f) {
   const auto pairs = settle(f);
   if (!pairs) return tl::unexpected(pairs.error());

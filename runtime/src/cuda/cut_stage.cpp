@@ -1,4 +1,4 @@
-// cut_stage.cpp - room for what a frame draws of a scene with levels of detail, and the launches that choose it.
+// cut_stage.cpp - memory for a frame's cut of a scene with levels of detail, and the launches that compute it.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/cut_stage.hpp"
 
@@ -11,7 +11,7 @@
 namespace rgs::detail {
 namespace {
 
-constexpr std::uint64_t kFirstRows = std::uint64_t{1} << 16;  // before a frame has shown how many there are
+constexpr std::uint64_t kFirstRows = std::uint64_t{1} << 16;  // before a frame has shown how many it draws
 
 std::uint32_t n_all_rows(const SceneStorage& scene) {
   return static_cast<std::uint32_t>(scene.n_rows());
@@ -19,7 +19,7 @@ std::uint32_t n_all_rows(const SceneStorage& scene) {
 
 }  // namespace
 
-// Chunks that there is memory for.
+// Chunks that the buffers have room for.
 std::uint64_t CutStage::held(const SceneStorage& scene, Order order, const DeviceBuffer& splats) const {
   std::uint64_t rows = splats.bytes() / sizeof(cuda::ScreenSplat);
   if (order != Order::none) rows = std::min(rows, std::min(order_.bytes(), rank_.bytes()) / sizeof(std::uint32_t));
@@ -55,7 +55,7 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
     const auto bytes = cuda::tie_order_bytes(static_cast<std::uint32_t>(chunks * pages.chunk_size));
     return bytes ? reserve(sort_, *bytes) : Status(tl::unexpected(bytes.error()));
   };
-  // What has grown would keep the memory that the others need.
+  // Grown buffers would hold memory that the others need.
   const auto forget = [&] { chunks_ = {}, order_ = {}, rank_ = {}, sort_ = {}, splats = {}; };
   const std::uint64_t before = held(scene, order, splats);
   const std::uint64_t guess = std::max<std::uint64_t>(kFirstRows / pages.chunk_size, 1);
@@ -75,7 +75,7 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
   }
   capacity_ = ok ? std::min(held(scene, order, splats), limit) : 0;
   if (!ok || !sorts) return ok;
-  // Of what frames of other scenes, or without this order, have made room for.
+  // Frames of other scenes, or without this order, may have grown the rest alone.
   ok = reserve_sort(capacity_);
   if (!ok) {
     forget();
@@ -92,8 +92,8 @@ cuda::ChosenRows CutStage::rows(const SceneStorage& scene) const {
   return {std::get<cuda::PagedAttributes>(scene.attributes), chunks_.as<std::uint32_t>()};
 }
 
-// The list goes to the device, and its rows are put in tie order if that is wanted: slots have others from frame to frame, so that
-// there is no order of all rows to take it from. Nothing is drawn where there is no room for the list.
+// Copies the list to the device and sorts its rows in tie order if wanted: slots hold other rows from frame to frame,
+// so there is no order of all rows to take it from. Draws nothing if the list does not fit.
 Status CutStage::launch_chosen(const SceneStorage& scene, Order order, CudaStream stream) const {
   const ChosenChunks& chosen = *scene.pages->chosen;
   const bool has_room = chosen.chunks.size() <= capacity_;

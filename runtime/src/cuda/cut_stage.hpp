@@ -1,5 +1,5 @@
-// cut_stage.hpp - the stage before the front ends, of scenes with levels of detail: which chunks a frame draws, and the tie
-// order of what is in them.
+// cut_stage.hpp - the stage before the front ends for scenes with levels of detail: chooses a frame's chunks and the
+// tie order of their rows.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -14,8 +14,8 @@
 
 namespace rgs::detail {
 
-/// Holds its part of the workspace. How much a frame draws, the host learns when the frame's counts come; the stage before has
-/// room for what frames before have drawn, and for half as much again where that was not enough.
+/// Owns its part of the workspace. The host learns how much a frame draws only with the frame's counts, so the stage
+/// has room for what earlier frames drew, and half as much again once that was not enough.
 class CutStage {
  public:
   /// FrameState::reserve() on the frame's stream.
@@ -23,27 +23,26 @@ class CutStage {
 
   /// Errors: device_failed.
   Status create() { return seen_.create(); }
-  /// What the front ends want besides the list of chunks.
+  /// What the front ends need besides the list of chunks.
   enum class Order {
     of_drawn_rows,  ///< the tie order of drawn rows, and their ranks
-    of_rows,        ///< the same rows as the scene numbers them, without ranks
-    none            ///< only of a scene whose chunks the host has chosen: rows() will do
+    of_rows,        ///< the same rows by number, without ranks
+    none            ///< only if the host has chosen the chunks: rows() suffices
   };
-  /// Makes room for `n_chunks` and more, or, if that is 0, for a first guess where there is none; but for at most `max_chunks`.
-  /// `splats` gets room for as many. Before every launch. Errors: those of `reserve`.
+  /// Makes room for at least `n_chunks`, or for a first guess if that is 0 and there is none, but at most `max_chunks`;
+  /// `splats` gets room for as many. Call before every launch. Errors: those of `reserve`.
   Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, Order order,
                  DeviceBuffer& splats, const Reserve& reserve);
-  /// What a frame draws, and how.
   struct Choice {
     cuda::CutEye eye;
     cuda::ViewParameters view;
-    bool by_view;  ///< leave out what is not in view, which holds for tiles that a Gaussian's ellipse touches
+    bool by_view;  ///< leave out what is out of view, by the tiles that a Gaussian's ellipse touches
     Order order;
   };
   /// Queues the choice. Errors: device_failed.
   Status launch(const SceneStorage& scene, const Choice& choice, CudaStream stream) const;
 
-  /// Of the frame queued last, once the device has come so far.
+  /// Counts of the frame queued last, once the device has written them.
   const cuda::CutCounts& seen() const { return *seen_.get(); }
   /// Whether it had room. If not, nothing was drawn.
   bool fits() const { return seen().chunks <= capacity_; }
@@ -60,14 +59,14 @@ class CutStage {
 
   std::uint64_t capacity_ = 0;
   PageLocked<cuda::CutCounts> seen_;
-  DeviceBuffer counts_;   ///< [2 + blocks] what is chosen, what is listed, and sums of blocks
+  DeviceBuffer counts_;   ///< [2 + blocks] chosen, listed, and sums of blocks
   DeviceBuffer chosen_;   ///< [all chunks]
   DeviceBuffer in_view_;  ///< sums of blocks
   DeviceBuffer chunks_;   ///< [capacity]
   DeviceBuffer places_;   ///< [all chunks]
   DeviceBuffer bits_, bit_sums_;
   DeviceBuffer order_, rank_;  ///< [rows]
-  DeviceBuffer sort_;          ///< of what the host has chosen
+  DeviceBuffer sort_;          ///< for chunks that the host has chosen
 };
 
 }  // namespace rgs::detail

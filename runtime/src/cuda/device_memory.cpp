@@ -1,4 +1,4 @@
-// device_memory.cpp - the pool that all renderers and scenes of a device share, and what stands in for it.
+// device_memory.cpp - the pool that a device's renderers and scenes share, and its substitutes.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/device_memory.hpp"
 
@@ -9,9 +9,9 @@
 
 namespace rgs::detail {
 
-/// A pool of our own, so that no setting of the device's default pool, and nothing that others leave in it, counts. It
-/// keeps no memory that nobody holds: its release threshold is 0, and every free() is followed by a synchronisation,
-/// which is when a pool gives memory back.
+/// A pool of our own, so that settings of the device's default pool and memory that others leave in it do not matter.
+/// It keeps no unused memory: its release threshold is 0, and every free() is followed by a synchronisation, at which a
+/// pool releases memory.
 class DevicePool {
  public:
   DevicePool() = default;
@@ -21,7 +21,8 @@ class DevicePool {
     if (pool_ != nullptr) cudaMemPoolDestroy(pool_);
   }
 
-  /// The current device's, as long as anybody holds it; null where the driver has no pools. Errors: device_failed.
+  /// The current device's pool, which lives while anyone holds it; null if the driver has no pools. Errors:
+  /// device_failed.
   static Result<std::shared_ptr<const DevicePool>> shared() {
     static std::mutex mutex;
     static std::map<int, std::weak_ptr<const DevicePool>> pools;
@@ -44,8 +45,9 @@ class DevicePool {
   cudaError_t allocate(void** memory, std::uint64_t bytes) const {
     cudaError_t error = cudaMallocFromPoolAsync(memory, bytes, pool_, idle_.get());
     if (error != cudaErrorMemoryAllocation) return error == cudaSuccess ? cudaStreamSynchronize(idle_.get()) : error;
-    cudaGetLastError();  // it is no error of later calls
-    // A pool grows in pieces of 32 MiB; cudaMalloc() has smaller ones, and stalls other streams only where memory is short.
+    cudaGetLastError();  // later calls must not report it
+    // A pool grows in pieces of 32 MiB; cudaMalloc() has smaller ones, and stalls other streams only when memory is
+    // short.
     cudaMemPoolTrimTo(pool_, 0);
     cudaStreamSynchronize(idle_.get());
     error = cudaMalloc(memory, bytes);
@@ -53,7 +55,7 @@ class DevicePool {
     try {
       const std::lock_guard lock(mutex_);
       outside_.insert(*memory);
-    } catch (const std::bad_alloc&) {  // a workspace that grows cleans up after errors, not after exceptions
+    } catch (const std::bad_alloc&) {  // growing workspaces clean up after errors, not exceptions
       cudaFree(*memory);
       return cudaErrorMemoryAllocation;
     }
@@ -83,19 +85,19 @@ class DevicePool {
     return ok ? device_status(cudaMemPoolCreate(&pool_, &properties), "a memory pool could not be made") : ok;
   }
 
-  // What is taken and given back in the order of a stream on which nothing else is queued, and which is waited for, is
-  // so for all streams, and no other stream has to stop for it.
+  // Allocations and frees ordered by a stream on which nothing else is queued, and which is waited for, hold for all
+  // streams, and no other stream has to stop.
   OwnedStream idle_;
   cudaMemPool_t pool_ = nullptr;
   mutable std::mutex mutex_;
-  mutable std::set<void*> outside_;  // what the pool had no room for
+  mutable std::set<void*> outside_;  // not from the pool, which had no room
 };
 
 Result<std::shared_ptr<const DeviceMemory>> DeviceMemory::create(const DeviceAllocator& allocator) {
   auto memory = std::make_shared<DeviceMemory>();
   memory->allocator_ = allocator;
   if ((allocator.allocate == nullptr) != (allocator.free == nullptr)) {
-    return make_error(Errc::bad_argument, Error::kNone, "an allocator has one of its two functions only");
+    return make_error(Errc::bad_argument, Error::kNone, "an allocator has only one of its two functions");
   }
   if (allocator.allocate == nullptr) {
     auto pool = DevicePool::shared();
@@ -111,18 +113,18 @@ Result<void*> DeviceMemory::allocate(std::uint64_t bytes, CudaStream stream) con
   if (allocator_.allocate != nullptr) {
     memory = allocator_.allocate(allocator_.user, bytes, stream);
     if (memory == nullptr) {
-      cudaGetLastError();  // a cudaMalloc() of the caller's that failed is no error of later calls
+      cudaGetLastError();  // a failed cudaMalloc() of the caller's; later calls must not report it
       error = cudaErrorMemoryAllocation;
     }
   } else {
     error = pool_ ? pool_->allocate(&memory, bytes) : cudaMalloc(&memory, bytes);
-    if (error != cudaSuccess) cudaGetLastError();  // it is no error of later calls
+    if (error != cudaSuccess) cudaGetLastError();  // later calls must not report it
   }
   if (error == cudaSuccess) return memory;
   if (error != cudaErrorMemoryAllocation) {
     return tl::unexpected(device_status(error, "device memory cannot be allocated").error());
   }
-  return make_error(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left", bytes);
+  return make_error(Errc::device_out_of_memory, Error::kNone, "the device does not have this much free memory", bytes);
 }
 
 void DeviceMemory::free(void* memory, std::uint64_t bytes) const {

@@ -1,4 +1,4 @@
-// device_memory.hpp - where device memory comes from: the caller's functions, or a pool of our own.
+// device_memory.hpp - allocates device memory: by the caller's functions, or from a pool of our own.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -14,24 +14,23 @@ namespace rgs::detail {
 
 class DevicePool;
 
-/// Memory of the device that was current at create(). Thread-safe as far as the caller's functions are.
+/// Memory of the device current at create(). As thread-safe as the caller's functions.
 class DeviceMemory {
  public:
   /// Errors: bad_argument (one function without the other), device_failed.
   static Result<std::shared_ptr<const DeviceMemory>> create(const DeviceAllocator& allocator);
 
-  /// `bytes` > 0 for what is queued on `stream` from now on. Errors: device_out_of_memory with the bytes in
+  /// `bytes` > 0 for work queued on `stream` from now on. Errors: device_out_of_memory with the bytes in
   /// Error::expected, device_failed.
   Result<void*> allocate(std::uint64_t bytes, CudaStream stream) const;
-  /// Nothing on the device uses the memory any longer.
+  /// The device no longer uses the memory.
   void free(void* memory, std::uint64_t bytes) const;
 
  private:
   DeviceAllocator allocator_;
-  std::shared_ptr<const DevicePool> pool_;  // neither: cudaMalloc(), where the driver has no pools
+  std::shared_ptr<const DevicePool> pool_;  // null and no allocator: cudaMalloc(), if the driver has no pools
 };
 
-/// Owned device memory.
 class DeviceBuffer {
  public:
   DeviceBuffer() = default;
@@ -49,12 +48,11 @@ class DeviceBuffer {
     if (data_ != nullptr) memory_->free(data_, bytes_);
   }
 
-  /// At least `bytes`, for what is queued on `stream` from now on; contents are lost when it grows. Nothing on the device
-  /// may use the buffer then, nor when it is destroyed. Errors: those of DeviceMemory::allocate() (the buffer is then
-  /// empty).
+  /// At least `bytes`, for work queued on `stream` from now on; growing loses the contents. The device must not use the
+  /// buffer then, nor when it is destroyed. Errors: those of DeviceMemory::allocate(), which leave the buffer empty.
   Status reserve(std::uint64_t bytes, const std::shared_ptr<const DeviceMemory>& memory, CudaStream stream) {
     if (bytes <= bytes_) return {};
-    *this = {};  // first: both may not fit
+    *this = {};  // first, since both may not fit
     const auto data = memory->allocate(bytes, stream);
     if (!data) return tl::unexpected(data.error());
     memory_ = memory, data_ = *data, bytes_ = bytes;

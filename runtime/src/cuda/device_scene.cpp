@@ -1,4 +1,4 @@
-// device_scene.cpp - scenes into device memory: FP32 attributes, or a file's sections or pages in their direct layout.
+// device_scene.cpp - uploads scenes: FP32 attributes, or a file's sections or pages in their direct layout.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/device_scene.hpp"
 
@@ -28,7 +28,7 @@ double ms_since(Clock::time_point start) {
 
 Status check_size(std::uint64_t n) {
   if (n < kMaxGaussians) return {};
-  return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1,
+  return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index", kMaxGaussians - 1,
                     n);
 }
 
@@ -48,7 +48,7 @@ Status check(const SceneView& s) {
 using Sections = std::array<std::span<const std::byte>, 5>;
 using Places = detail::SectionPlaces;
 
-// Each section at a multiple of 256 bytes of one allocation.
+// Places each section at a multiple of 256 bytes of one allocation.
 Result<Places> place_sections(const std::array<std::uint64_t, 5>& sizes, SceneStorage& storage,
                               const UploadOptions& options) {
   const auto aligned = [](std::uint64_t bytes) { return (bytes + 255) / 256 * 256; };
@@ -79,7 +79,7 @@ Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, co
         "a scene could not be copied to the device");
   }
   if (ok && options.asynchronous) ok = storage.copied->record(options.stream);
-  if (!ok || !options.asynchronous) {  // after an error, too: the memory goes back
+  if (!ok || !options.asynchronous) {  // after an error too: the memory is freed
     const Status done =
         device_status(cudaStreamSynchronize(options.stream), "a scene could not be copied to the device");
     if (ok) ok = done;
@@ -88,8 +88,7 @@ Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, co
   return places;
 }
 
-// Numbers the Gaussians in tie order, once their attributes are where the kernels read them: behind the copies on their stream,
-// and waited for if they were.
+// Sorts the Gaussians in tie order, behind the copies on their stream; waits if the copies were waited for.
 Status order_ties(SceneStorage& storage, const UploadOptions& options) {
   if (storage.n == 0) return {};
   const auto n = static_cast<std::uint32_t>(storage.n_rows());
@@ -137,7 +136,7 @@ Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOpti
   return detail::guard_memory([&]() -> Result<DeviceScene> {
     const Header& header = data.header();
     if (const auto ok = check_size(data.size()); !ok) return tl::unexpected(ok.error());
-    for (std::uint64_t i = 0; i < data.n_chunks(); ++i) {  // its set of SH steps is an index
+    for (std::uint64_t i = 0; i < data.n_chunks(); ++i) {  // a chunk's SH step set is an index
       if (const auto entry = data.file().chunk(data.first_chunk() + i); !entry) return tl::unexpected(entry.error());
     }
     const auto chunks =
@@ -158,7 +157,6 @@ Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOpti
   });
 }
 
-// As before there was a decoder on the device.
 Result<DeviceScene> DeviceScene::upload_decoded(const FileView& file, const UploadOptions& options) {
   const auto start = Clock::now();
   const auto data = load_direct(file, {options.validate, 0});
@@ -187,7 +185,7 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOption
                                         file.step_table().size(), file.chunk_table().size()},
                                        *storage, options);
     if (!placed) {
-      // A damaged file is one, also where no device answers.
+      // A damaged file is reported as such even without a device.
       if (placed.error().code == Errc::device_failed && options.validate) {
         if (const auto data = load_direct(file); !data) return tl::unexpected(data.error());
       }
@@ -201,7 +199,7 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOption
     storage->attributes = detail::compact_attributes(header, *placed);
     if (const auto ok = order_ties(*storage, options); !ok) return tl::unexpected(ok.error());
     times.setup_ms += placed_ms;
-    times.device_ms = ms_since(start) - times.setup_ms - times.host_ms;  // what was borrowed is given back in it, too
+    times.device_ms = ms_since(start) - times.setup_ms - times.host_ms;  // includes freeing the staging memory
     if (options.times != nullptr) *options.times = times;
     DeviceScene result;
     result.storage_ = std::move(storage);

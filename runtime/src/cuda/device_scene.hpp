@@ -17,9 +17,9 @@
 
 namespace rgs::detail {
 
-/// Of a streamed scene: what the host has chosen to draw, of chunks that are there.
+/// For a streamed scene: resident chunks that the host has chosen to draw.
 struct ChosenChunks {
-  std::span<const std::uint32_t> chunks;  ///< on the host; constant until the frame is made
+  std::span<const std::uint32_t> chunks;  ///< on the host; constant until the frame is drawn
   cuda::CutCounts counts;
 };
 
@@ -29,7 +29,7 @@ struct ScenePages {
   std::uint32_t n_pages = 0;
   std::uint32_t chunk_size = 0;
   std::uint64_t n_chunks = 0;  ///< of all pages
-  /// In place of a table, from which the device chooses, and of the tie order of all rows.
+  /// Replaces the table, from which the device chooses, and the tie order of all rows.
   std::optional<ChosenChunks> chosen;
 };
 
@@ -44,17 +44,16 @@ struct SceneStorage {
     }
   }
 
-  std::uint64_t n = 0;  ///< Gaussians; of a scene with levels its finest ones
+  std::uint64_t n = 0;  ///< Gaussians; with levels, the finest ones
   int sh_degree = 0;
   std::optional<ScenePages> pages;
   std::optional<Declarations> declarations;
   Origin origin = kNoOrigin;
   cuda::Attributes attributes;
   DeviceBuffer memory;
-  DeviceBuffer ties;            ///< [n_rows()] Gaussians in tie order, [n_rows()] the places of each
+  DeviceBuffer ties;            ///< [n_rows()] Gaussians in tie order, then [n_rows()] the rank of each
   std::optional<Event> copied;  ///< the end of an upload that nobody has waited for
 
-  /// That attributes are stored in.
   std::uint64_t n_rows() const { return pages ? pages->n_chunks * pages->chunk_size : n; }
   cuda::TieOrder tie_order() const {
     const auto* const order = ties.as<std::uint32_t>();
@@ -65,21 +64,21 @@ struct SceneStorage {
     const std::scoped_lock lock(mutex);
     return memory.bytes() + (pages ? pages->table.bytes() : 0) + ties.bytes() + temporary.bytes();
   }
-  /// A renderer draws it: what is freed waits for that renderer's last frame, `finished`. Thread-safe.
+  /// A renderer draws the scene, so freeing it waits for the renderer's last frame, `finished`. Thread-safe.
   void drawn_by(const std::shared_ptr<Event>& finished) const {
     const std::scoped_lock lock(mutex);
-    std::erase_if(frames_, [](const auto& frame) { return frame.expired(); });  // a renderer that is gone has waited
+    std::erase_if(frames_, [](const auto& frame) { return frame.expired(); });  // a destroyed renderer has waited
     for (const auto& frame : frames_) {
       if (frame.lock() == finished) return;
     }
     frames_.emplace_back(finished);
   }
-  /// Gives back what the upload alone has needed, if it is over by now. Thread-safe.
+  /// Frees what only the upload needed, if it is over. Thread-safe.
   void settle() const {
     const std::scoped_lock lock(mutex);
     if (temporary.bytes() == 0) return;
     if (cudaEventQuery(copied->get()) == cudaSuccess) temporary = {};
-    cudaGetLastError();  // that it is not over is no error of later calls
+    cudaGetLastError();  // an upload in progress is no error of later calls
   }
   mutable std::mutex mutex;        // of what follows
   mutable DeviceBuffer temporary;  // of an upload that nobody has waited for

@@ -1,11 +1,11 @@
-// device_slots.cpp - one allocation for the pages of a pool, and copies into it through page-locked memory.
+// device_slots.cpp - one allocation for a pool's pages, and copies into it through page-locked memory.
 // SPDX-License-Identifier: Apache-2.0
 #include "stream/device_slots.hpp"
 
 #include <array>
 #include <utility>
 
-#include "common/bring.hpp"
+#include "common/copy_pieces.hpp"
 #include "common/device_code.hpp"
 #include "cuda/cuda_objects.hpp"
 #include "page_sections.hpp"
@@ -15,7 +15,7 @@
 namespace rgs::detail {
 namespace {
 
-// Pieces are whole rows: of Gaussians, those of whole chunks, of which each has a multiple of kMinChunkSize.
+// Pieces are whole rows, and of Gaussians whole chunks, whose size is a multiple of kMinChunkSize.
 constexpr bool pieces_are_whole() {
   for (int degree = 0; degree <= kMaxShDegree; ++degree) {
     const auto row = section_row_bytes(degree);
@@ -27,8 +27,8 @@ constexpr bool pieces_are_whole() {
 }
 static_assert(pieces_are_whole());
 
-/// The pool's device is the current one of a thread as long as this lives, then the one that was before. Where the thread has it
-/// already nothing is set: cudaSetDevice() makes a context, of hundreds of megabytes, on a device that has none.
+/// Makes the pool's device current for its lifetime, then restores the one before. Sets nothing if it is current
+/// already: cudaSetDevice() creates a context of hundreds of megabytes on a device without one.
 class OnDevice {
  public:
   explicit OnDevice(int device) {
@@ -64,8 +64,7 @@ Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape& shape,
   if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0 ||
       cudaGetDevice(&slots->device_) != cudaSuccess) {
     cudaGetLastError();
-    return make_error(Errc::unavailable, Error::kNone,
-                      "no CUDA device answers, so that a pool cannot have a device's memory");
+    return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers, so a pool cannot have device memory");
   }
   if (const Status ok = cuda::check_device_code(); !ok) return tl::unexpected(ok.error());
   void* memory = nullptr;
@@ -73,7 +72,7 @@ Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape& shape,
   if (error == cudaErrorMemoryAllocation) {
     cudaGetLastError();
     return make_error(Errc::device_out_of_memory, Error::kNone,
-                      "the device has not as much memory left as the pool's budget", plan->bytes);
+                      "the device has less free memory than the pool's budget", plan->bytes);
   }
   if (Status ok = device_status(error, "device memory cannot be allocated"); !ok) return tl::unexpected(ok.error());
   slots->memory_ = static_cast<std::byte*>(memory);
@@ -88,16 +87,16 @@ DeviceSlots::~DeviceSlots() {
   if (here.status()) cudaFree(memory_);
 }
 
-// If it fails, each write() says so.
+// If it fails, each write() reports it.
 void DeviceSlots::stay_on_device() const {
   static_cast<void>(device_status(cudaSetDevice(device_), OnDevice::kNotCurrent));
 }
 
 struct SlotWriter::Impl {
-  /// What was sent together.
+  /// One send().
   struct Sent {
     Event copied;
-    std::uint64_t taken = 0;  // of the ring, up to its end
+    std::uint64_t taken = 0;  // ring.taken() at its end
   };
   static constexpr std::size_t kMostSent = 16;
 
@@ -116,9 +115,9 @@ struct SlotWriter::Impl {
   std::shared_ptr<const DeviceSlots> slots;
   std::byte* memory = nullptr;
   StagingRing ring;
-  cuda::Pieces pieces;  // of pages that were taken and not sent
+  cuda::Pieces pieces;  // staged and not sent
   std::array<Sent, kMostSent> all_sent;
-  Ticket last_sent = 0, last_there = 0;  // in between is what is on its way
+  Ticket last_sent = 0, last_done = 0;  // sends in between are in flight
   OwnedStream stream;
 };
 
@@ -145,23 +144,23 @@ Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots> slots, 
 
 Status SlotWriter::Impl::wait_for_oldest() {
   const StreamTimer timer(StreamStep::room);
-  Sent& oldest = sent(last_there + 1);
+  Sent& oldest = sent(last_done + 1);
   Status there = oldest.copied.wait();
   if (!there) return there;
-  ++last_there;
-  ring.give_up_to(oldest.taken);
+  ++last_done;
+  ring.release_up_to(oldest.taken);
   return {};
 }
 
 Status SlotWriter::Impl::send() {
   if (pieces.n == 0) return {};
-  if (last_sent - last_there == kMostSent) {
+  if (last_sent - last_done == kMostSent) {
     if (Status there = wait_for_oldest(); !there) return there;
   }
   const StreamTimer timer(StreamStep::queue);
-  const Status queued = cuda::launch_bring(pieces, stream.get());
+  const Status queued = cuda::launch_copy_pieces(pieces, stream.get());
   pieces.n = 0;
-  // After an error, too: what was queued reads staged pages.
+  // After an error too: queued copies read staged pages.
   Sent& now = sent(last_sent + 1);
   if (Status recorded = now.copied.record(stream.get()); !recorded) return queued ? recorded : queued;
   now.taken = ring.taken();
@@ -206,14 +205,14 @@ Result<SlotWriter::Ticket> SlotWriter::send() {
   return impl_->last_sent;
 }
 
-Result<bool> SlotWriter::is_there(Ticket ticket) {
+Result<bool> SlotWriter::is_done(Ticket ticket) {
   const StreamTimer timer(StreamStep::wait);
-  while (impl_->last_there < ticket) {
-    const Impl::Sent& oldest = impl_->sent(impl_->last_there + 1);
+  while (impl_->last_done < ticket) {
+    const Impl::Sent& oldest = impl_->sent(impl_->last_done + 1);
     const auto is_done = oldest.copied.is_done();
     if (!is_done || !*is_done) return is_done;
-    ++impl_->last_there;
-    impl_->ring.give_up_to(oldest.taken);
+    ++impl_->last_done;
+    impl_->ring.release_up_to(oldest.taken);
   }
   return true;
 }
@@ -226,8 +225,8 @@ Status SlotWriter::finish() {
   const Status done =
       device_status(cudaStreamSynchronize(impl_->stream.get()), "a page could not be copied to the device");
   impl_->pieces.n = 0;
-  impl_->last_there = impl_->last_sent;
-  impl_->ring.give_up_to(impl_->ring.taken());
+  impl_->last_done = impl_->last_sent;
+  impl_->ring.release_up_to(impl_->ring.taken());
   return sent ? done : sent;
 }
 

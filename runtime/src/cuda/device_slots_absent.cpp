@@ -1,4 +1,4 @@
-// device_slots_absent.cpp - stands for a device's memory in builds without CUDA: there is none.
+// device_slots_absent.cpp - slots in builds without CUDA: none.
 // SPDX-License-Identifier: Apache-2.0
 #include <utility>
 
@@ -8,8 +8,7 @@ namespace rgs::detail {
 namespace {
 
 tl::unexpected<Error> not_built() {
-  return make_error(Errc::unavailable, Error::kNone,
-                    "this build has no CUDA, so that a pool cannot have a device's memory");
+  return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA, so a pool cannot have device memory");
 }
 
 }  // namespace
@@ -24,7 +23,7 @@ struct SlotWriter::Impl {};
 SlotWriter::SlotWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 SlotWriter::SlotWriter(SlotWriter&&) noexcept = default;
 SlotWriter::~SlotWriter() = default;
-// NOLINTNEXTLINE(performance-unnecessary-value-param): as where there is a device
+// NOLINTNEXTLINE(performance-unnecessary-value-param): the signature of CUDA builds
 Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots>, std::uint32_t) {
   return not_built();
 }
@@ -34,7 +33,7 @@ Status SlotWriter::write(const PageRows&, std::uint32_t) {
 Result<SlotWriter::Ticket> SlotWriter::send() {
   return not_built();
 }
-Result<bool> SlotWriter::is_there(Ticket) {
+Result<bool> SlotWriter::is_done(Ticket) {
   return not_built();
 }
 Status SlotWriter::finish() {

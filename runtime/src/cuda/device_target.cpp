@@ -22,8 +22,9 @@ struct Output {
 }  // namespace
 
 Status validate(const DeviceTarget& t, const Camera& camera) {
-  if (t.format > math::PixelFormat::rgba16f) return refuse("a pixel format has no such value");
-  if (t.surface != 0 && t.packed != nullptr) return refuse("packed pixels go to memory or to a surface, not to both");
+  if (t.format > math::PixelFormat::rgba16f) return refuse("the pixel format is unknown");
+  if (t.surface != 0 && t.packed != nullptr)
+    return refuse("packed pixels are written to memory or to a surface, not to both");
   const std::uint64_t packed_bytes = math::pixel_bytes(t.format);
   for (const Output& o :
        {Output{t.rgb, t.pitch.rgb, 4, 12}, Output{t.alpha, t.pitch.alpha, 4, 4}, Output{t.depth, t.pitch.depth, 4, 4},

@@ -1,4 +1,4 @@
-// device_target.hpp - whether a frame can be written where the caller wants it, and what the kernels get to write to.
+// device_target.hpp - checks a frame's target and turns it into what the kernels write to.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,8 +9,8 @@
 
 namespace rgs::detail {
 
-/// bad_argument, naming the rule, unless every output is aligned and every pitch 0 or an aligned row or more. Needs no
-/// device: a surface is not looked at.
+/// bad_argument, naming the rule, unless every output is aligned and every pitch is 0 or an aligned row or more. Needs
+/// no device and ignores the surface.
 Status validate(const DeviceTarget& target, const Camera& camera);
 /// bad_argument unless the target has no surface, or one that holds the camera's image. Errors: also device_failed.
 Status validate_surface(const DeviceTarget& target, const Camera& camera);

@@ -1,14 +1,14 @@
-// file_upload.cpp - a ring of page-locked memory between the threads that decompress and the streams that copy and decode.
+// file_upload.cpp - a ring of page-locked memory between threads that decompress and streams that copy and decode.
 //
-// A job is what one frame index, or a piece of a section that is stored as is, brings. A thread takes a job and a place in
-// the ring and fills the place (hash, Zstandard; nothing else is left to the host). The caller's thread, which alone calls
-// CUDA, so that any context will do, queues on one of a few streams the copy to the device and the kernels that make rows
-// of it. The place is free again once it has been copied, the stream and its memory on the device once the rows are made.
-// A frame's SH keep a few threads busy for long, however large the device: there are many streams, and frames are decoded
-// side by side.
+// A job is one frame index, or a piece of a section that is stored as is. A thread takes a job and a slot of the ring
+// and fills the slot (hash, Zstandard; the host does nothing else). The caller's thread, the only one to call CUDA, so
+// that any context will do, queues on one of a few streams the copy to the device and the kernels that decode it to
+// rows. The slot is free once copied; the stream and its device memory are free once the rows are made. Decoding a
+// frame's SH keeps only a few threads busy, but for long, on any device; so there are many streams, and frames are
+// decoded side by side.
 //
-// What the device finds damaged it does not explain. The host then decodes the file again, by its own path, and its error
-// is the one that is returned.
+// If the device finds damage, the host decodes the file again on its own path and returns its error, which names the
+// place.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/file_upload.hpp"
 
@@ -37,9 +37,9 @@
 namespace rgs::detail {
 namespace {
 
-constexpr std::uint64_t kPieceBytes = std::uint64_t{1} << 20;     // of what is stored as is
-constexpr std::uint64_t kRingBytes = std::uint64_t{32} << 20;     // page-locked, unless two places take more
-constexpr std::uint64_t kStagingBytes = std::uint64_t{96} << 20;  // on the device, unless two streams take more
+constexpr std::uint64_t kPieceBytes = std::uint64_t{1} << 20;     // of sections stored as is
+constexpr std::uint64_t kRingBytes = std::uint64_t{32} << 20;     // page-locked, unless two slots need more
+constexpr std::uint64_t kStagingBytes = std::uint64_t{96} << 20;  // on the device, unless two streams need more
 constexpr std::uint64_t kMaxStreams = 32;
 
 constexpr std::uint64_t align(std::uint64_t bytes) {
@@ -50,17 +50,17 @@ struct Section {
   SectionType type = SectionType::means;
   std::uint64_t row_bytes = 0;
   std::byte* place = nullptr;
-  const FrameTable* table = nullptr;  // of a section of Codec::planes
-  std::span<const std::byte> bytes;   // of any other
+  const FrameTable* table = nullptr;  // of a section with Codec::planes
+  std::span<const std::byte> bytes;   // of any other section
 };
 
 struct Part {
   const Section* section = nullptr;
   std::uint64_t index = 0;     // frame, or piece of kPieceBytes
-  std::uint64_t at = 0;        // in its place of the ring
+  std::uint64_t at = 0;        // offset in its slot
   std::uint64_t bytes = 0;     // of the content or the piece
   std::uint64_t n_steps = 0;   // SHI8: chunks of the frame
-  std::uint64_t steps_at = 0;  // their steps
+  std::uint64_t steps_at = 0;  // offset of their steps
 };
 
 struct Job {
@@ -71,7 +71,7 @@ struct Job {
   std::span<const Part> all() const { return std::span(parts).first(n_parts); }
 };
 
-// Sections whose frames, or pieces, of one index are a job.
+// Sections whose frames, or pieces, of one index form a job.
 struct Group {
   std::array<const Section*, 3> sections;
   std::size_t n_sections = 0;
@@ -93,8 +93,7 @@ class PageLockedBytes {
   void* bytes_ = nullptr;
 };
 
-// A place of the ring.
-struct HostPlace {
+struct HostSlot {
   std::byte* memory = nullptr;
   Event copied;
 };
@@ -106,22 +105,22 @@ struct Lane {
 };
 
 struct Filled {
-  HostPlace* place = nullptr;
+  HostSlot* slot = nullptr;
   Job job;
 };
 
-// Hands things from thread to thread, first come, first served.
+// A queue between threads.
 template <class T>
 class Queue {
  public:
-  void give(const T& one) {
+  void put(const T& one) {
     {
       const std::lock_guard lock(mutex_);
       waiting_.push_back(one);
     }
     given_.notify_one();
   }
-  /// Nobody waits from now on.
+  /// Wakes all waiting threads; from now on take() does not wait.
   void close() {
     {
       const std::lock_guard lock(mutex_);
@@ -129,7 +128,7 @@ class Queue {
     }
     given_.notify_all();
   }
-  /// Absent if nothing is there, and after close().
+  /// Absent if the queue is empty, and after close().
   std::optional<T> take(bool wait) {
     std::unique_lock lock(mutex_);
     if (wait) given_.wait(lock, [this] { return is_closed_ || !waiting_.empty(); });
@@ -170,8 +169,8 @@ class FileUpload {
   Status fill_next(FrameContents& contents, bool& is_done);
   Status dispatch();
   Status reclaim(bool wait);
-  Status fill(const Job& job, HostPlace& place, FrameContents& contents);
-  Status queue(const Job& job, const HostPlace& place, const Lane& lane);
+  Status fill(const Job& job, HostSlot& slot, FrameContents& contents);
+  Status queue(const Job& job, const HostSlot& slot, const Lane& lane);
   Status unpack(const Part& part, const Lane& lane);
   Status check_tables() const;
   Status check_values();
@@ -183,23 +182,23 @@ class FileUpload {
   unsigned n_threads_ = 1;
   std::optional<DirectData> decoded_;  // of an archive
   std::array<Section, 3> sections_;
-  std::vector<Group> groups_;  // what takes longest first
+  std::vector<Group> groups_;  // the slowest first
   std::uint64_t n_jobs_ = 0;
   PageLockedBytes ring_;
   DeviceBuffer staging_;
-  Event ready_;  // the device's memory
-  std::vector<HostPlace> host_places_;
+  Event ready_;  // the device's memory is allocated
+  std::vector<HostSlot> host_slots_;
   std::vector<Lane> lanes_;
-  Queue<HostPlace*> free_places_;
+  Queue<HostSlot*> free_slots_;
   Queue<Filled> filled_;
-  std::deque<HostPlace*> copying_;  // places on their way to the device
+  std::deque<HostSlot*> copying_;  // being copied to the device
   std::atomic<std::uint64_t> next_{0};
   std::atomic<bool> has_failed_{false};
   std::mutex failing_;
   Status status_;
 };
 
-// Coded frames of one index are one job where all sections have as many rows a frame, as writers have it.
+// Sections with equally many rows a frame, as writers make them, share jobs.
 void FileUpload::plan() {
   const Header& h = file_.header();
   using Bytes = std::span<const std::byte>;
@@ -270,23 +269,23 @@ Status FileUpload::prepare() {
     const std::uint64_t fitting = std::clamp<std::uint64_t>(bytes / largest, 2, most);
     return static_cast<std::size_t>(std::min<std::uint64_t>(fitting, n_jobs_));
   };
-  // One to fill for each thread and some on their way. Locking pages takes time as well: the ring of a small file is small.
+  // One slot for each thread and some to copy. Locking pages takes time, so a small file gets a small ring.
   const std::uint64_t useful = std::min<std::uint64_t>(n_threads_ + n_threads_ / 2 + 1, n_jobs_ / 4);
-  host_places_ = std::vector<HostPlace>(limited(kRingBytes, std::max<std::uint64_t>(useful, 2)));
-  n_threads_ = std::min(n_threads_, static_cast<unsigned>(host_places_.size()));
+  host_slots_ = std::vector<HostSlot>(limited(kRingBytes, std::max<std::uint64_t>(useful, 2)));
+  n_threads_ = std::min(n_threads_, static_cast<unsigned>(host_slots_.size()));
   lanes_ = std::vector<Lane>(limited(kStagingBytes, kMaxStreams));
-  Status ok = ring_.create(host_places_.size() * largest);
+  Status ok = ring_.create(host_slots_.size() * largest);
   if (ok && is_coded) {
     const auto memory = DeviceMemory::create(options_.allocator);
     ok = memory ? staging_.reserve(lanes_.size() * largest, *memory, options_.stream) : tl::unexpected(memory.error());
   }
-  // The caller's allocator may give memory that is there once its stream has come so far.
+  // The caller's allocator may return memory that is valid only once its stream gets there.
   if (ok) ok = ready_.create();
   if (ok) ok = ready_.record(options_.stream);
-  for (std::size_t i = 0; i < host_places_.size() && ok; ++i) {
-    host_places_[i].memory = ring_.get() + i * largest;
-    ok = host_places_[i].copied.create();
-    free_places_.give(&host_places_[i]);
+  for (std::size_t i = 0; i < host_slots_.size() && ok; ++i) {
+    host_slots_[i].memory = ring_.get() + i * largest;
+    ok = host_slots_[i].copied.create();
+    free_slots_.put(&host_slots_[i]);
   }
   for (std::size_t i = 0; i < lanes_.size() && ok; ++i) {
     if (is_coded) lanes_[i].memory = staging_.as<std::byte>() + i * largest;
@@ -317,11 +316,11 @@ void FileUpload::fail(const Status& status) {
     if (!has_failed_) status_ = status;
     has_failed_ = true;
   }
-  free_places_.close();
+  free_slots_.close();
   filled_.close();
 }
 
-// A thread that fills places. The first job of all is the check of the tables.
+// A thread that fills slots. The very first job is the check of the tables.
 void FileUpload::work() {
   const Status worked = guard_memory([&]() -> Status {
     FrameContents contents;
@@ -338,34 +337,34 @@ Status FileUpload::fill_next(FrameContents& contents, bool& is_done) {
   is_done = i > n_jobs_;
   if (is_done) return {};
   if (i == 0) return check_tables();
-  const auto place = free_places_.take(true);
-  if (!place) return {};  // somebody has failed
-  const Filled filled{*place, job_at(i - 1)};
-  if (Status s = fill(filled.job, **place, contents); !s) return s;
-  filled_.give(filled);
+  const auto slot = free_slots_.take(true);
+  if (!slot) return {};  // another thread has failed
+  const Filled filled{*slot, job_at(i - 1)};
+  if (Status s = fill(filled.job, **slot, contents); !s) return s;
+  filled_.put(filled);
   return {};
 }
 
-// Gives back the places that have been copied; waits for the first if asked to.
+// Frees slots that have been copied; waits for the first if `wait`.
 Status FileUpload::reclaim(bool wait) {
   while (!copying_.empty()) {
-    HostPlace* const place = copying_.front();
+    HostSlot* const slot = copying_.front();
     if (wait) {
-      if (Status s = place->copied.wait(); !s) return s;
-    } else if (const cudaError_t error = cudaEventQuery(place->copied.get()); error == cudaErrorNotReady) {
-      cudaGetLastError();  // it is no error of later calls
+      if (Status s = slot->copied.wait(); !s) return s;
+    } else if (const cudaError_t error = cudaEventQuery(slot->copied.get()); error == cudaErrorNotReady) {
+      cudaGetLastError();  // later calls must not report it
       return {};
     } else if (error != cudaSuccess) {
       return device_status(error, "a scene could not be copied to the device");
     }
     wait = false;
     copying_.pop_front();
-    free_places_.give(place);
+    free_slots_.put(slot);
   }
   return {};
 }
 
-// The caller's thread: queues what is filled. Where it is the only one, it fills as well.
+// On the caller's thread: queues filled slots. If it is the only thread, it also fills them.
 Status FileUpload::dispatch() {
   FrameContents contents;
   bool is_done = false;
@@ -374,17 +373,17 @@ Status FileUpload::dispatch() {
   }
   for (std::uint64_t n_queued = 0; n_queued < n_jobs_ && !has_failed_;) {
     if (n_threads_ == 1) {
-      if (Status s = reclaim(copying_.size() == host_places_.size()); !s) return s;
+      if (Status s = reclaim(copying_.size() == host_slots_.size()); !s) return s;
       if (Status s = fill_next(contents, is_done); !s) return s;
     }
-    // With nothing to queue, places that are being copied come back, or else all are with threads that fill them.
+    // With nothing to queue, waits for a copy, or else for a thread that fills a slot.
     const auto filled = filled_.take(copying_.empty());
     Status ok;
     if (filled) {
       const Lane& lane = lanes_[n_queued++ % lanes_.size()];
       ok = lane.done.wait();
-      if (ok) ok = queue(filled->job, *filled->place, lane);
-      copying_.push_back(filled->place);
+      if (ok) ok = queue(filled->job, *filled->slot, lane);
+      copying_.push_back(filled->slot);
     }
     if (ok) ok = reclaim(!filled && !copying_.empty());
     if (!ok) return ok;
@@ -392,9 +391,9 @@ Status FileUpload::dispatch() {
   return {};
 }
 
-Status FileUpload::fill(const Job& job, HostPlace& place, FrameContents& contents) {
+Status FileUpload::fill(const Job& job, HostSlot& slot, FrameContents& contents) {
   for (const Part& part : job.all()) {
-    const std::span to(place.memory + part.at, part.bytes);
+    const std::span to(slot.memory + part.at, part.bytes);
     const Section& section = *part.section;
     if (section.table == nullptr) {
       std::memcpy(to.data(), section.bytes.data() + part.index * kPieceBytes, part.bytes);
@@ -404,19 +403,19 @@ Status FileUpload::fill(const Job& job, HostPlace& place, FrameContents& content
     if (section.type != SectionType::sh) continue;
     const auto steps = relative_sh_steps(file_, part.index);
     if (!steps) return tl::unexpected(steps.error());
-    std::memcpy(place.memory + part.steps_at, steps->data(), steps->size() * sizeof(RelativeShSteps));
+    std::memcpy(slot.memory + part.steps_at, steps->data(), steps->size() * sizeof(RelativeShSteps));
   }
   return {};
 }
 
-Status FileUpload::queue(const Job& job, const HostPlace& place, const Lane& lane) {
+Status FileUpload::queue(const Job& job, const HostSlot& slot, const Lane& lane) {
   const Part& first = job.parts[0];
   const bool is_coded = first.section->table != nullptr;
   std::byte* const to = is_coded ? lane.memory : first.section->place + first.index * kPieceBytes;
   Status ok = device_status(
-      cudaMemcpyAsync(to, place.memory, is_coded ? job.bytes : first.bytes, cudaMemcpyHostToDevice, lane.stream.get()),
+      cudaMemcpyAsync(to, slot.memory, is_coded ? job.bytes : first.bytes, cudaMemcpyHostToDevice, lane.stream.get()),
       "a scene could not be copied to the device");
-  if (ok) ok = place.copied.record(lane.stream.get());
+  if (ok) ok = slot.copied.record(lane.stream.get());
   for (const Part& part : job.all()) {
     if (ok && is_coded) ok = unpack(part, lane);
   }
@@ -442,7 +441,7 @@ Status FileUpload::unpack(const Part& part, const Lane& lane) {
   }
 }
 
-// What kernels use as an index is always checked.
+// Values that kernels use as an index are always checked.
 Status FileUpload::check_tables() const {
   if (options_.validate && !decoded_) return validate_tables(file_);
   for (std::uint64_t i = 0; i < file_.header().n_chunks; ++i) {
@@ -451,7 +450,7 @@ Status FileUpload::check_tables() const {
   return {};
 }
 
-// On the device, once everything is there and its tables are checked.
+// On the device, once it has everything and the tables are checked.
 Status FileUpload::check_values() {
   const Header& h = file_.header();
   cuda::CheckedValues found{};
@@ -502,7 +501,7 @@ Status FileUpload::run() {
   if (n_threads_ > 1) {
     try {
       while (threads.size() < n_threads_) threads.emplace_back([this] { work(); });
-    } catch (...) {  // no more threads, or no memory for one: those there are do the work
+    } catch (...) {  // no more threads, or no memory for one: the existing ones do the work
     }
     if (threads.empty()) n_threads_ = 1;
   }
@@ -524,7 +523,7 @@ Status FileUpload::run() {
   return ok;
 }
 
-// Whether the device or this process is to blame, and not the file.
+// Whether the device or this process is to blame, not the file.
 bool is_of_machine(Errc code) {
   return code == Errc::host_out_of_memory || code == Errc::device_out_of_memory || code == Errc::device_failed ||
          code == Errc::bad_argument;
@@ -544,9 +543,9 @@ Status upload_file(const FileView& file, const SectionPlaces& places, const Uplo
   if (uploaded || is_of_machine(uploaded.error().code)) return uploaded;
   const auto data = load_direct(file, {options.validate, 0});
   if (!data) return tl::unexpected(data.error());
-  // Without validation load_direct() does not look at all tables; whoever did says where the damage is.
+  // Without validation load_direct() does not check all tables; trust an error that has an offset.
   if (uploaded.error().offset != Error::kNone) return uploaded;
-  return make_error(Errc::device_failed, Error::kNone, "the device finds damage that the host does not find");
+  return make_error(Errc::device_failed, Error::kNone, "the device reports damage that the host does not find");
 }
 
 }  // namespace rgs::detail

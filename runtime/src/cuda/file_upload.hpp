@@ -1,4 +1,4 @@
-// file_upload.hpp - a file's attributes to the device, decoded and checked there.
+// file_upload.hpp - copies a file's attributes to the device and decodes and checks them there.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -16,11 +16,11 @@ using SectionPlaces = std::array<std::byte*, 5>;
 
 cuda::CompactAttributes compact_attributes(const Header& header, const SectionPlaces& places);
 
-/// Fills `places` with all of the file and waits for it. What has Codec::planes is decompressed by the host's threads and
-/// becomes rows on the device; Codec::archive is decoded by the host. Everything passes through a ring of page-locked
-/// memory, so that the host never holds the scene (but an archive's). All checks of load_direct() are made if
-/// options.validate asks for them, otherwise those of frames' hashes and of what kernels use as an index. Errors: those of
-/// load_direct(), with its offsets; device_out_of_memory, device_failed. After an error nothing is at work.
+/// Fills `places` with the whole file and waits for it. Host threads decompress Codec::planes, and the device makes
+/// rows of it; the host decodes Codec::archive. All data passes through a ring of page-locked memory, so the host never
+/// holds the scene, except an archive's. Makes all checks of load_direct() if options.validate is set, else those of
+/// frames' hashes and of values that kernels use as an index. Errors: those of load_direct(), with its offsets;
+/// device_out_of_memory, device_failed. After an error nothing is running.
 Status upload_file(const FileView& file, const SectionPlaces& places, const UploadOptions& options);
 
 }  // namespace rgs::detail

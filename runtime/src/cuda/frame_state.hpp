@@ -1,4 +1,4 @@
-// frame_state.hpp - a frame, and what both pipelines of a renderer share while they make it.
+// frame_state.hpp - a frame, and what a renderer's two pipelines share.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -24,13 +24,13 @@ inline constexpr std::uint64_t kMaxPairs = std::numeric_limits<std::int32_t>::ma
 /// Pairs that the workspace holds before a frame has shown how many there are.
 inline constexpr std::uint64_t kFirstPairs = std::uint64_t{1} << 20;
 
-/// What a pipeline says of a frame in place of its pairs, if it cannot number what a cut draws. Nothing was drawn.
+/// Returned in place of a frame's pairs if the pipeline cannot index what the cut draws. Nothing was drawn.
 inline constexpr std::uint64_t kTooManyDrawn = std::numeric_limits<std::uint64_t>::max();
 
 /// Ends of the stages, as FrameStats names them.
 enum Mark { kStart, kProjected, kDuplicated, kSorted, kRanged, kBlended, kMarks };
 
-/// A frame to be made, and all that it takes to make it again.
+/// A frame to draw, with all that repeating it takes.
 struct Frame {
   std::shared_ptr<const SceneStorage> scene;  ///< null: no Gaussians
   int width, height;                          ///< px
@@ -38,13 +38,13 @@ struct Frame {
   cuda::ViewParameters view;
   FrameSettings settings;
   CudaStream stream;
-  double depth_resolution;  ///< FrameStats has it
+  double depth_resolution;  ///< for FrameStats
   bool is_turbo;
   std::optional<cuda::CutEye> cut;  ///< of a scene with levels of detail
-  /// With a cut and turbo: what makes it a frame of the sorted pipeline, if turbo cannot number what it draws.
+  /// With a cut and turbo: for the sorted pipeline, which draws the frame if turbo cannot index the cut.
   std::optional<cuda::ViewParameters> sorted_view;
 
-  /// That its pipeline can number.
+  /// Chunks that its pipeline can index.
   std::uint64_t max_chunks() const {
     return (is_turbo ? cuda::kMaxTurboGaussians - 1 : kMaxPairs) / scene->pages->chunk_size;
   }
@@ -57,12 +57,12 @@ struct Frame {
   }
 };
 
-/// A renderer's frames follow each other, so that one of each serves all of them. Errors of all functions: device_failed.
+/// A renderer's frames run in order, so one of each serves all of them. All functions may fail with device_failed.
 struct FrameState {
   /// Numbers that the host waits for.
   struct HostCounters {
     cuda::Counters counters;
-    std::uint64_t pairs;  ///< of the separate front end: the last of its sums
+    std::uint64_t pairs;  ///< of the separate front end: its last sum
   };
 
   Status create() {
@@ -74,7 +74,7 @@ struct FrameState {
     return ok ? finished->create() : ok;
   }
 
-  /// The last frame may be on another stream, and still at work; so may the scene's upload.
+  /// Waits for the last frame, which may run on another stream, and for the scene's upload.
   Status begin(const Frame& f) const {
     if (f.scene) {
       f.scene->settle();
@@ -83,7 +83,7 @@ struct FrameState {
     const Status ok = finished->hold(f.stream);
     return ok && f.scene && f.scene->copied ? f.scene->copied->hold(f.stream) : ok;
   }
-  /// After every begin(), whatever became of the frame: nothing uses the workspace after it.
+  /// Call after every begin(), also after errors: marks the end of the frame's use of the workspace.
   Status end(const Frame& f) const { return finished->record(f.stream); }
 
   Status mark(Mark m, const Frame& f, CudaStream on) const {
@@ -97,22 +97,21 @@ struct FrameState {
   }
   Status wait(CudaStream stream) const { return device_status(cudaStreamSynchronize(stream), "a kernel failed"); }
 
-  /// DeviceBuffer::reserve() of a part of the workspace. What the frame itself has launched with it must be over; the
-  /// frame before is waited for if there is anything to do. Errors: also those of DeviceMemory::allocate().
+  /// DeviceBuffer::reserve() of a part of the workspace. Launches of this frame must not use it any more; waits for the
+  /// frame before if the buffer grows. Errors: also those of DeviceMemory::allocate().
   Status reserve(DeviceBuffer& buffer, std::uint64_t bytes, CudaStream stream) const {
     if (bytes <= buffer.bytes()) return {};
     const Status ok = finished->wait();
     return ok ? buffer.reserve(bytes, memory, stream) : ok;
   }
 
-  /// Room for the frame's cut, if it has one: for `n_chunks` and more, or, if that is 0, for what earlier frames drew. Errors:
-  /// those of the other reserve().
+  /// Makes room for the frame's cut, if any: for at least `n_chunks`, or for what earlier frames drew if that is 0.
+  /// Errors: those of the other reserve().
   Status reserve_cut(const Frame& f, CutStage::Order order, std::uint64_t n_chunks = 0) {
     if (!f.cut) return {};
     return cut.reserve(*f.scene, n_chunks, f.max_chunks(), order, splats,
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
   }
-  /// Queues the cut of a frame that has one.
   Status launch_cut(const Frame& f, CutStage::Order order) const {
     return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse, order}, f.stream);
   }
@@ -122,7 +121,7 @@ struct FrameState {
   std::shared_ptr<const DeviceMemory> memory;
   CutStage cut;
   std::array<Event, kMarks> marks;
-  /// The last frame no longer uses the workspace, nor its scene.
+  /// The last frame no longer uses the workspace or its scene.
   std::shared_ptr<Event> finished = std::make_shared<Event>();
   PageLocked<HostCounters> host;
   DeviceBuffer splats;  ///< [n]

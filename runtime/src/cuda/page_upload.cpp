@@ -1,6 +1,6 @@
-// page_upload.cpp - pages of a file with levels of detail, decoded by the host's threads into page-locked memory, batch by batch.
+// page_upload.cpp - host threads decode pages of a file with levels of detail into page-locked memory, batch by batch.
 //
-// Two batches take turns: while one is copied to the device, the other is decoded.
+// One batch is copied to the device while the other is decoded.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/page_upload.hpp"
 
@@ -18,14 +18,13 @@
 namespace rgs::detail {
 namespace {
 
-constexpr std::uint64_t kBatchRows = std::uint64_t{1} << 18;  // 20 MB at SH degree 3, page-locked twice
+constexpr std::uint64_t kBatchRows = std::uint64_t{1} << 18;  // 20 MB at SH degree 3, twice, page-locked
 
 // Pages begin .. end - 1 of the file.
 struct Batch {
   std::uint32_t begin, end;
 };
 
-// What decodes a page.
 struct Worker {
   explicit Worker(const PagedFile& file) : decoder(file), memory(file.largest_decoded_bytes() + 16) {}
 
@@ -63,7 +62,7 @@ class PageUpload {
         row_bytes_(section_row_bytes(sh_degree_)) {}
   PageUpload(const PageUpload&) = delete;
   PageUpload& operator=(const PageUpload&) = delete;
-  ~PageUpload() { cudaStreamSynchronize(stream_); }  // the copies read what is freed now
+  ~PageUpload() { cudaStreamSynchronize(stream_); }  // copies in progress read what is freed now
 
   Status run();
 
@@ -101,7 +100,6 @@ void PageUpload::cut_batches() {
   }
 }
 
-// Room for any batch.
 Status PageUpload::create(Staging& staging) const {
   std::array<std::uint64_t, 5> bytes{};
   std::uint64_t total = 0;
@@ -136,7 +134,7 @@ Status PageUpload::fill_page(std::uint32_t page, const Batch& batch, const Stagi
 Status PageUpload::fill(const Batch& batch, const Staging& staging) {
   std::mutex failing;
   Status status;
-  std::uint32_t failed = batch.end;  // the first page that is damaged, whichever thread comes upon one first
+  std::uint32_t failed = batch.end;  // the first damaged page, whichever thread finds one first
   const auto one = [&](std::uint64_t k) {
     const std::uint32_t page = batch.begin + static_cast<std::uint32_t>(k);
     std::unique_ptr<Worker> worker;
@@ -187,7 +185,7 @@ Status PageUpload::run() {
 
 }  // namespace
 
-// Whether all children of a page are there, so that it can give way to them.
+// Whether the file has all children of a page, so that they can replace it.
 bool PagePlan::has_children(const PagedFile& file, std::uint32_t page) const {
   const lod::Page& p = file.pages()[page];
   return p.n_children != 0 && std::uint64_t{p.first_child} + p.n_children <= n_pages;
@@ -200,7 +198,7 @@ PagePlan::PagePlan(const PagedFile& file) : n_pages(file.n_present()), chunk_siz
     const std::uint64_t chunks = (std::uint64_t{p.count} + chunk_size - 1) / chunk_size;
     first_chunk[page + 1] = first_chunk[page] + chunks;
     first_set[page + 1] = first_set[page] + file.stored(page).n_step_sets;
-    // The finest: without children, and a page that has given way to it.
+    // The finest pages: themselves without children, and their parent replaced by them.
     if (page == 0 ? !has_children(file, 0) : !has_children(file, page) && has_children(file, p.parent)) {
       n_finest += p.count;
     }

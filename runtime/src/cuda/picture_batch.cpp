@@ -1,4 +1,4 @@
-// picture_batch.cpp - pictures of several cameras, drawn by several renderers in turn.
+// picture_batch.cpp - draws pictures of several cameras with several renderers in turn.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/picture_batch.hpp"
 
@@ -13,14 +13,13 @@ namespace rgs::detail {
 namespace {
 
 constexpr std::size_t kLanes = 4;
-// Device memory of pictures that go to the host together.
+// Device memory of pictures that are copied to the host together.
 constexpr std::uint64_t kStagedBytes = std::uint64_t{64} << 20;
 
 std::uint64_t pixels_of(const Camera& camera) {
   return static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
 }
 
-// The arrays from picture `first` on.
 PictureArrays from(PictureArrays p, std::uint64_t first, std::uint64_t n_pixels) {
   const auto move = [&](auto*& data, std::uint64_t n) {
     if (data != nullptr) data += first * n;
@@ -37,7 +36,7 @@ Status check_place(const void* data) {
   int device = 0;
   cudaPointerAttributes attributes{};
   Status ok = device_status(cudaGetDevice(&device), "the current device could not be read");
-  if (ok) ok = device_status(cudaPointerGetAttributes(&attributes, data), "an output's memory could not be looked at");
+  if (ok) ok = device_status(cudaPointerGetAttributes(&attributes, data), "an output's memory could not be inspected");
   if (!ok) return ok;
   const bool is_on_device = attributes.type == cudaMemoryTypeManaged ||
                             (attributes.type == cudaMemoryTypeDevice && attributes.device == device);
@@ -69,7 +68,7 @@ Status PictureBatch::add_lane() {
   return {};
 }
 
-// How many more workspaces as large as the first fit into half of what is free.
+// How many more workspaces of the first one's size fit into half of the free memory.
 std::size_t PictureBatch::room_for_lanes() const {
   std::size_t free = 0, all = 0;
   if (cudaMemGetInfo(&free, &all) != cudaSuccess) {
@@ -112,7 +111,7 @@ Result<std::vector<FrameStats>> PictureBatch::render_on_device(const DeviceScene
     std::ranges::copy(drawn, stats.begin() + static_cast<std::ptrdiff_t>(first));
     return done;
   };
-  // The first one tells how much memory a renderer takes.
+  // The first one shows how much memory a renderer takes.
   std::size_t n_drawn = 0;
   if (cameras.size() > 1 && lanes_.size() == 1) {
     const std::span<const Camera> all = std::exchange(cameras, cameras.first(1));
@@ -133,7 +132,7 @@ Result<std::vector<FrameStats>> PictureBatch::render_on_device(const DeviceScene
   return stats;
 }
 
-// Codes are made once a frame is known to be whole: one that has outgrown the workspace is made again. No lane is at work on return.
+// Codes are made once a frame is known to fit, since a frame that does not is repeated. No lane is running on return.
 Status PictureBatch::draw(const DeviceScene& scene, std::span<const Camera> cameras, const PictureArrays& pictures,
                           const RenderOptions& options, std::span<Lane* const> lanes, std::vector<FrameStats>& stats) {
   const std::uint64_t n_pixels = pixels_of(cameras.front());

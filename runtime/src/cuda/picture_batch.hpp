@@ -1,4 +1,4 @@
-// picture_batch.hpp - pictures of several cameras, of which several are on their way at once.
+// picture_batch.hpp - pictures of several cameras, several of them in flight.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -14,16 +14,16 @@
 
 namespace rgs::detail {
 
-/// Small frames leave most of a device idle, and each waits for the host. So they are drawn by several renderers in turn, each
-/// with a workspace and a stream of its own.
+/// Small frames leave most of a device idle, and each waits for the host. So several renderers, each with a workspace
+/// and a stream, draw them in turn.
 class PictureBatch {
  public:
-  /// `first` is one of the renderers and outlives this.
+  /// `first` is one of the renderers and must outlive this.
   PictureBatch(CudaRenderer& first, std::shared_ptr<const DeviceMemory> memory)
       : first_(first), memory_(std::move(memory)) {}
 
-  /// Cameras are valid and of one size. Everything is done on return, also where it fails. Errors: those of CudaRenderer::render();
-  /// bad_argument (an array is not in the current device's memory).
+  /// Takes valid cameras of one size. Everything is complete on return, also after errors. Errors: those of
+  /// CudaRenderer::render(); bad_argument (an array is not in the current device's memory).
   Result<std::vector<FrameStats>> render(const DeviceScene& scene, std::span<const Camera> cameras,
                                          const PictureArrays& pictures, const RenderOptions& options);
 
@@ -32,7 +32,7 @@ class PictureBatch {
     CudaRenderer* renderer = nullptr;
     std::unique_ptr<CudaRenderer> own = {};  // of all lanes but the first
     OwnedStream stream = {};
-    DeviceBuffer rgb = {};  // of a picture of which only codes are wanted
+    DeviceBuffer rgb = {};  // of a picture whose codes alone are wanted
   };
 
   Result<std::vector<FrameStats>> render_on_device(const DeviceScene& scene, std::span<const Camera> cameras,
@@ -47,7 +47,7 @@ class PictureBatch {
   CudaRenderer& first_;
   std::shared_ptr<const DeviceMemory> memory_;
   std::vector<std::unique_ptr<Lane>> lanes_;
-  DeviceBuffer rgb_, codes_, alpha_, depth_;  // on their way to the host
+  DeviceBuffer rgb_, codes_, alpha_, depth_;  // staged for the host
 };
 
 }  // namespace rgs::detail

@@ -1,4 +1,4 @@
-// sorted_pipeline.cpp - launches of the sorted pipeline, its workspace, and the number that comes back in between.
+// sorted_pipeline.cpp - launches of the sorted pipeline, its workspace, and the one number it reads back.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/sorted_pipeline.hpp"
 
@@ -20,7 +20,7 @@ bool is_separate(const Frame& f) {
 
 }  // namespace
 
-// What the front ends take in turn; none where pairs lie in the order in which blocks happen to run.
+// The order in which front ends visit Gaussians; null if pairs may lie in the order in which blocks run.
 const std::uint32_t* SortedPipeline::order_of(const Frame& f) const {
   if (f.cut) return state_.cut.ties().order;
   return f.settings.cuda.deterministic || is_separate(f) ? f.tie_order().order : nullptr;
@@ -35,7 +35,7 @@ std::uint64_t SortedPipeline::bytes() const {
   return sum;
 }
 
-// How many Gaussians are drawn, and if there is a cut, which: in the order of their rows.
+// How many Gaussians are drawn and, with a cut, which, in the order of their rows.
 Status SortedPipeline::choose(const Frame& f) {
   n_ = f.n();
   if (!f.cut) return {};
@@ -48,14 +48,15 @@ Status SortedPipeline::choose(const Frame& f) {
     n_ = n_chunks * f.scene->pages->chunk_size;
     if (state_.cut.fits()) return {};
     if (n_chunks > f.max_chunks()) {
-      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxPairs, n_);
+      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index", kMaxPairs,
+                        n_);
     }
     ok = state_.reserve_cut(f, CutStage::Order::of_rows, n_chunks);
   }
 }
 
 Status SortedPipeline::reserve_scene(const Frame& f) {
-  const std::uint64_t n = state_.n_drawn(f);  // with room that a cut may grow into
+  const std::uint64_t n = state_.n_drawn(f);  // with room for a growing cut
   const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f.stream); };
   Status ok = reserve(counters_, sizeof(cuda::Counters));
   if (ok) ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));
@@ -76,12 +77,12 @@ Status SortedPipeline::reserve_scene(const Frame& f) {
   return ok ? reserve(ranges_, f.n_tiles() * sizeof(cuda::TileRange)) : ok;
 }
 
-// Room for `generous` pairs and the sort of them, or for `needed` ones if that is too much.
+// Makes room to sort `generous` pairs, or `needed` ones if that is too much memory.
 Status SortedPipeline::reserve_pairs(const Frame& f, std::uint64_t needed, std::uint64_t generous) {
   const std::uint64_t key_bytes = has_narrow_keys(f) ? 4 : 8;
   return reserve_growing([&](bool is_generous) -> Status {
     const std::uint64_t wanted = is_generous ? generous : needed;
-    // For keys of either width: those of the next frame may be the other.
+    // For either key width, since the next frame may use the other.
     const auto narrow = cuda::sort_bytes(wanted, true), wide = cuda::sort_bytes(wanted, false);
     if (!narrow) return tl::unexpected(narrow.error());
     if (!wide) return tl::unexpected(wide.error());
@@ -93,7 +94,7 @@ Status SortedPipeline::reserve_pairs(const Frame& f, std::uint64_t needed, std::
       if (ok) ok = state_.reserve(*b, wanted * sizeof(std::uint32_t), f.stream);
     }
     if (ok) return {};
-    // All or nothing: of the arrays that have grown and those that have not, the next frame would see the latter alone.
+    // All or nothing: the next frame would not notice that some arrays did not grow.
     for (DeviceBuffer* b : {&keys_, &spare_keys_, &gaussians_, &spare_gaussians_, &sort_temporary_}) *b = {};
     return ok;
   });
@@ -105,7 +106,7 @@ cuda::PairArrays SortedPipeline::pair_arrays(const Frame& f) const {
   return {keys_.as<void>(), gaussians_.as<std::uint32_t>(), capacity, narrow};
 }
 
-// The fused front end: one kernel, which runs a second time if its pairs did not fit.
+// The fused front end: one kernel, repeated if its pairs did not fit.
 Status SortedPipeline::count_and_write(const Frame& f) {
   for (;;) {
     Status ok = device_status(cudaMemsetAsync(counters_.as<void>(), 0, sizeof(cuda::Counters), f.stream),
@@ -132,7 +133,7 @@ Status SortedPipeline::count_and_write(const Frame& f) {
   }
 }
 
-// The original's front end: a kernel that counts each Gaussian's pairs, a sum, a kernel that writes them.
+// The original's front end: count each Gaussian's pairs, sum, write them.
 Status SortedPipeline::count_then_write(const Frame& f) {
   const auto n = static_cast<std::uint32_t>(n_);
   Status ok = device_status(cudaMemsetAsync(counters_.as<void>(), 0, sizeof(cuda::Counters), f.stream),

@@ -1,4 +1,4 @@
-// sorted_pipeline.hpp - the original's and the paper's pipelines: pairs, one sort over the frame, ranges, pixels.
+// sorted_pipeline.hpp - the pipelines of the original and of the paper: pairs, one sort over the frame, ranges, pixels.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,14 +9,14 @@
 
 namespace rgs::detail {
 
-/// Errors of all functions: device_out_of_memory (a workspace that did not grow fits earlier frames still, or is empty),
-/// device_failed.
+/// All functions may fail with device_out_of_memory (a workspace that did not grow still fits earlier frames, or is
+/// empty) or device_failed.
 class SortedPipeline {
  public:
   explicit SortedPipeline(FrameState& state) : state_(state) {}
 
-  /// Enqueues a frame. Waits for the number of its pairs, which the last kernels' launches need, and before that for what a
-  /// cut draws.
+  /// Enqueues a frame. Waits for the number of its pairs, which the last launches need, and before that for the cut's
+  /// size.
   Status queue(const Frame& frame);
   /// Pairs of the frame queued last; above kMaxPairs it was not drawn.
   Result<std::uint64_t> settle(const Frame&) const { return n_pairs_; }
@@ -37,7 +37,7 @@ class SortedPipeline {
 
   FrameState& state_;
 
-  std::uint64_t n_ = 0;  // Gaussians of the frame
+  std::uint64_t n_ = 0;
   std::uint64_t n_pairs_ = 0;
   DeviceBuffer counters_, covers_, tiles_, sums_, sum_temporary_, block_state_;
   DeviceBuffer keys_, spare_keys_, gaussians_, spare_gaussians_, sort_temporary_, ranges_;

@@ -1,4 +1,4 @@
-// turbo_pipeline.cpp - launches of the turbo pipeline, its workspace, and the look back at whether a frame fitted.
+// turbo_pipeline.cpp - launches of the turbo pipeline, its workspace, and the later check of whether a frame fitted.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/turbo_pipeline.hpp"
 
@@ -10,10 +10,10 @@
 namespace rgs::detail {
 namespace {
 
-// Where Gaussians may be narrower, coefficients of their exponents may leave the range of FP16.
+// Below this, coefficients of exponents may leave the range of FP16.
 constexpr float kTensorLowPass = 0.1F;
 
-// After a frame that wanted ranks those that follow get them, since it is made twice.
+// After a frame that needed ranks the following ones make them at once, to avoid a repeat.
 constexpr unsigned kRankedFrames = 60;
 
 constexpr std::uint64_t kLargeBytes = sizeof(cuda::TurboLargeGaussian) + sizeof(cuda::TurboBox);
@@ -31,7 +31,7 @@ Status TurboPipeline::create() {
     ok = device_status(cudaDeviceGetStreamPriorityRange(&least, &greatest),
                        "the device's stream priorities could not be read");
   }
-  // Of high priority: what it holds takes longest, and its blocks come when those of the others are queued.
+  // High priority: its work takes longest, and its blocks become ready after the others are queued.
   return ok ? beside_.create(greatest) : ok;
 }
 
@@ -44,7 +44,7 @@ std::uint64_t TurboPipeline::bytes() const {
   return sum;
 }
 
-// Room for so many entries, runs and large Gaussians, and for more of those that do not fit, if there is memory.
+// Makes room for so many entries, runs and large Gaussians, and if memory allows for more of those that do not fit.
 Status TurboPipeline::reserve_lists(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large,
                                     std::uint64_t n_in_cells, CudaStream stream) {
   struct Need {
@@ -68,13 +68,13 @@ Status TurboPipeline::reserve_lists(std::uint64_t n_entries, std::uint64_t n_run
     if (ok) ok = state_.reserve(long_lists_, long_sizes().bytes(), stream);
     if (ok) ok = state_.reserve(long_cells_, cuda::TurboLongCellSizes::of(cell_capacity()).bytes(), stream);
     for (const Need& need : needs) {
-      if (!ok) need.buffer = {};  // what has grown would keep the memory that the others need
+      if (!ok) need.buffer = {};  // grown buffers would hold memory that the others need
     }
     return ok;
   });
 }
 
-// Room for what is known before the frame, and a guess at the rest for the first.
+// Makes room for what is known before the frame; guesses the rest for the first frame.
 Status TurboPipeline::reserve_tiles(const Frame& f) {
   Status ok = state_.reserve_cut(f, order_of(f));
   if (!ok) return ok;
@@ -131,7 +131,7 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   return a;
 }
 
-// Whether equal depths are ordered by the Gaussians' values, for want of an order of all rows of a scene whose pages come and go.
+// Whether ties are ordered by the Gaussians' values: the pages of a streamed scene have no order of all rows.
 bool TurboPipeline::compares_values(const Frame& f) const {
   return f.cut && f.scene->pages->chosen && n_ranked_ == 0;
 }
@@ -139,12 +139,12 @@ CutStage::Order TurboPipeline::order_of(const Frame& f) const {
   return compares_values(f) ? CutStage::Order::none : CutStage::Order::of_drawn_rows;
 }
 
-// Whether the last frame was nearly empty: then this one most likely is, too, and is filled before its Gaussians are known.
+// Whether the last frame was nearly empty; then this one probably is, and is filled before its Gaussians are known.
 bool TurboPipeline::fills(const cuda::TurboBlendArguments& a) const {
   return a.arrays.n_tiles == last_.n_tiles && last_.runs < cuda::sparse_tiles(last_.n_tiles);
 }
 
-// Beside all that comes before blending, which reads and computes, and leaves memory time to write.
+// Runs beside the stages before blending, which read and compute, and leave write bandwidth.
 Status TurboPipeline::fill(const Frame& f, const cuda::TurboBlendArguments& a) {
   Status ok = begun_.record(f.stream);
   if (ok) ok = begun_.hold(beside_.get());
@@ -153,7 +153,7 @@ Status TurboPipeline::fill(const Frame& f, const cuda::TurboBlendArguments& a) {
   return ok ? recorded : ok;
 }
 
-// Long lists are few and take several steps: beside the others, which would have to wait for them.
+// Long lists are few and take several steps, so they run beside the others.
 Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArguments& a, bool is_tensor) {
   auto* const on = f.stream;
   Status ok = listed_.record(on);
@@ -164,7 +164,7 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   if (ok) ok = cuda::launch_turbo_units(a.arrays, beside_.get());
   if (ok) ok = ordered_long_.record(beside_.get());
   if (ok && is_tensor) ok = cuda::launch_turbo_tensor_long(a, beside_.get());
-  // Joined after an error, too: the next frame waits for `on` alone.
+  // Joined after errors too: the next frame waits for `on` alone.
   Status joined = done_long_.record(beside_.get());
   if (ok) ok = cuda::launch_turbo_order(a.arrays, a.grid, seen_.get(), a.is_filled, on);
   if (ok) ok = counted_.record(on);
@@ -178,7 +178,7 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   return is_tensor ? cuda::launch_turbo_segments(a, on) : cuda::launch_turbo_blend(a, on);
 }
 
-// The frame's kernels. Nothing is waited for.
+// Queues the frame's kernels without waiting.
 Status TurboPipeline::launch(const Frame& f) {
   const cuda::TurboArrays arrays = arrays_for(f);
   cuda::TurboBlendArguments a{
@@ -203,7 +203,7 @@ Status TurboPipeline::launch(const Frame& f) {
   if (ok) ok = state_.mark(kProjected, f, on);
   if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, seen_.get(), on);
   if (ok) ok = state_.mark(kDuplicated, f, on);
-  // Also after an error: the next frame waits for `on` alone.
+  // After errors too: the next frame waits for `on` alone.
   if (const Status joined = a.is_filled ? filled_.hold(on) : Status(); ok) ok = joined;
   if (ok) ok = order_and_blend(f, a, is_tensor);
   return ok ? state_.mark(kBlended, f, on) : ok;
@@ -212,7 +212,7 @@ Status TurboPipeline::launch(const Frame& f) {
 Status TurboPipeline::queue(const Frame& f) {
   Status ok = state_.begin(f);
   if (!ok) return ok;
-  *wants_ranks_.get() = 0;  // who wrote it last has settled
+  *wants_ranks_.get() = 0;  // its last writer has settled
   ok = reserve_tiles(f);
   if (ok) ok = launch(f);
   const Status ended = state_.end(f);
@@ -238,7 +238,7 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
     state_.host->counters = seen.counters;
     const std::uint64_t n = seen.counters.instances;
     const bool all_large =
-        seen.n_large_gaussians <= arrays.large_capacity;  // otherwise the others' entries are not counted
+        seen.n_large_gaussians <= arrays.large_capacity;  // otherwise the entries of the others are not counted
     const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
     if (all_listed && seen.in_cells <= arrays.cell_capacity) {
@@ -253,7 +253,7 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
       continue;
     }
     if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());  // it uses the workspace until then
-    // Counts without all large Gaussians are too low to be worth memory.
+    // Counts without all large Gaussians are too low to size memory by.
     ok = all_large ? reserve_lists(n, seen.runs, 0, seen.in_cells, f.stream)
                    : reserve_lists(0, 0, seen.n_large_gaussians, 0, f.stream);
     if (ok) ok = queue(f);

@@ -1,4 +1,4 @@
-// turbo_pipeline.hpp - the turbo pipeline: lists per tile, queued without a number that the host must know.
+// turbo_pipeline.hpp - the turbo pipeline: lists per tile, queued without reading a number back.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,21 +9,21 @@
 
 namespace rgs::detail {
 
-/// Errors of all functions: device_out_of_memory (a workspace that did not grow fits earlier frames still, or is empty),
-/// device_failed.
+/// All functions may fail with device_out_of_memory (a workspace that did not grow still fits earlier frames, or is
+/// empty) or device_failed.
 class TurboPipeline {
  public:
   explicit TurboPipeline(FrameState& state) : state_(state) {}
   Status create();
 
-  /// Whether it can number the scene's Gaussians.
+  /// Whether it can index the scene's Gaussians.
   static bool takes(std::uint64_t n_gaussians) { return n_gaussians < cuda::kMaxTurboGaussians; }
 
-  /// Enqueues a frame. Nothing is waited for unless the workspace grows.
+  /// Enqueues a frame. Waits only to grow the workspace.
   Status queue(const Frame& frame);
-  /// Entries of the frame queued last. It was queued before their number was known; if they did not fit, which the host
-  /// learns while the frame is still being made, lists or cells were left empty and it is made again. Above kMaxPairs it
-  /// was not drawn. The same of a cut that draws more than there was room for.
+  /// Entries of the frame queued last. If they did not fit, which the host learns while the frame runs, lists or cells
+  /// were left empty and the frame is repeated; the same for a cut that outgrew its room. Above kMaxPairs it was not
+  /// drawn.
   Result<std::uint64_t> settle(const Frame& frame);
   /// Of the frame queued last, in device memory.
   const cuda::Counters* counters() const { return &turbo_state_.as<cuda::TurboState>()->counters; }
@@ -46,8 +46,8 @@ class TurboPipeline {
   Status launch(const Frame& frame);
 
   FrameState& state_;
-  Event counted_, counted_long_;  // the frame has counted its pairs: both
-  OwnedStream beside_;  // for what `begun_` begins and `filled_` ends, and for long lists: `listed_`, `done_long_`
+  Event counted_, counted_long_;  // both: the frame has counted its pairs
+  OwnedStream beside_;  // runs what starts at `begun_` and ends at `filled_`, and long lists: `listed_`, `done_long_`
   Event begun_, filled_, listed_, ordered_long_, done_long_;
   struct Settled {
     std::uint64_t runs = 0;
@@ -55,7 +55,7 @@ class TurboPipeline {
   } last_;  // frame
   PageLocked<cuda::TurboState> seen_;
   PageLocked<std::uint32_t> wants_ranks_;
-  unsigned n_ranked_ = 0;  ///< frames to come that get ranks at once, because one has wanted them
+  unsigned n_ranked_ = 0;  ///< frames left that make ranks at once, because one needed them
   DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, ranked_;
   DeviceBuffer long_lists_, cells_, cell_gaussians_, long_cells_;
 };

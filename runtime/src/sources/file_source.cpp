@@ -1,4 +1,5 @@
-// file_source.cpp - a file on a disk, read by pread(): what a mapping makes a signal of, a file that shrinks, is an error here.
+// file_source.cpp - a file on a disk, read by pread(): if the file shrinks, that is an error, where a mapping would
+// raise a signal.
 // SPDX-License-Identifier: Apache-2.0
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -15,9 +16,9 @@
 namespace rgs {
 namespace {
 
-constexpr std::size_t kPieceBytes = 4 << 20;   // between two looks at whether reading is cancelled
-constexpr int kFirstFree = STDERR_FILENO + 1;  // a standard stream may be closed; its number is no file's
-constexpr unsigned kMostThreads = 16;          // that one disk keeps busy
+constexpr std::size_t kPieceBytes = 4 << 20;   // between checks for cancellation
+constexpr int kFirstFree = STDERR_FILENO + 1;  // a standard stream may be closed; its number must not become the file's
+constexpr unsigned kMostThreads = 16;          // as many as keep one disk busy
 
 tl::unexpected<Error> system_error(Errc code, std::uint64_t offset, const char* what) {
   return make_error(code, offset, what, Error::kNone, Error::kNone, errno);
@@ -38,7 +39,7 @@ class FileSource final : public ByteSource {
 
   Status read(std::uint64_t offset, std::span<std::byte> out) override {
     if (offset > size() || out.size() > size() - offset) {
-      return make_error(Errc::read_failed, offset, "the file ends before what is to be read", out.size(),
+      return make_error(Errc::read_failed, offset, "the file ends before the requested range", out.size(),
                         size() - std::min(offset, size()));
     }
     for (std::size_t done = 0; done < out.size();) {
@@ -51,7 +52,7 @@ class FileSource final : public ByteSource {
       done += static_cast<std::size_t>(n);
     }
     if (cancelled_) return make_error(Errc::cancelled, offset, "reading was cancelled");
-    // After the bytes: what was written before they were read shows in the times by then.
+    // After the read: a write before it shows in the times by then.
     return check_unchanged(offset);
   }
 
@@ -59,8 +60,8 @@ class FileSource final : public ByteSource {
 
   Traits traits() const override {
     Traits traits;
-    // A frame is drawn beside them: without a processor of its own its thread waits for theirs, and theirs for what it holds. With four
-    // processors or fewer it has none: a disk wants four reads at once.
+    // Leaves a processor to the thread that draws: without one it waits for the readers, and they for its locks. At
+    // least four readers, which a disk needs, even with four processors or fewer.
     const unsigned n = std::max(std::thread::hardware_concurrency(), 1U) - 1;
     traits.reads_at_once = static_cast<int>(std::clamp(n, 4U, kMostThreads));
     return traits;
@@ -76,8 +77,8 @@ class FileSource final : public ByteSource {
     struct stat now {};
     if (::fstat(fd_, &now) != 0) return system_error(Errc::read_failed, offset, "cannot read the file's size");
     if (now.st_size != at_open_.st_size || !same_time(now.st_mtim, at_open_.st_mtim)) return changed(offset);
-    // Who writes may set the time of modification back, but not that of change. Links and removal of a name count as a
-    // change too, and do no harm.
+    // A writer may reset the time of modification, but not that of change. Making or removing a link changes that too,
+    // and does no harm.
     if (!same_time(now.st_ctim, at_open_.st_ctim) && now.st_nlink == at_open_.st_nlink) return changed(offset);
     return {};
   }
@@ -91,7 +92,7 @@ class FileSource final : public ByteSource {
 
 Result<std::unique_ptr<ByteSource>> open_file_source(const std::string& path) {
   return detail::guard_memory([&]() -> Result<std::unique_ptr<ByteSource>> {
-    // O_NONBLOCK: a FIFO is refused below instead of waiting here for a writer.
+    // O_NONBLOCK: a FIFO is rejected below instead of blocking here.
     const int opened = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
     if (opened < 0) return system_error(Errc::open_failed, Error::kNone, "cannot open for reading");
     const int fd = ::fcntl(opened, F_DUPFD_CLOEXEC, kFirstFree);

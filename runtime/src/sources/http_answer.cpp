@@ -36,7 +36,7 @@ std::uint64_t hash(std::string_view text) {
   return xxh3(std::as_bytes(std::span(text)));
 }
 
-// Keeps the first of two; a second one must say the same.
+// Keeps the first of two values; the second must equal it.
 template <class T, class Same>
 void set_once(std::optional<T>& field, const std::optional<T>& value, bool& contrary, const Same& same) {
   if (!value || (field && !same(*field, *value))) contrary = true;
@@ -49,24 +49,22 @@ void set_once(std::optional<std::uint64_t>& field, const std::optional<std::uint
 tl::unexpected<Error> status_error(Errc code, std::uint64_t offset, int status) {
   const char* what = "the server answers with an error";
   switch (status) {
-    case 200:
-      what = "the server sends no parts of files (range requests), which reading needs; download the file";
-      break;
+    case 200: what = "the server does not support range requests, which reading needs; download the file"; break;
     case 401:
     case 403:
-    case 407: what = "the server refuses access to the file"; break;
+    case 407: what = "the server denies access to the file"; break;
     case 404:
     case 410: what = "the server has no such file"; break;
-    case 416: what = "the file on the server ends before what is to be read"; break;
-    case 429: what = "the server has had too many requests"; break;
+    case 416: what = "the file on the server ends before the requested range"; break;
+    case 429: what = "the server has received too many requests"; break;
     default: break;
   }
   return make_error(code, offset, what, Error::kNone, static_cast<std::uint64_t>(status));
 }
 
-constexpr const char* kEncoded = "the server sends the file compressed, although it was told not to; download the file";
-constexpr const char* kContrary = "the server's answer contradicts itself";
-constexpr const char* kOtherRange = "the server sends another part of the file than was asked for";
+constexpr const char* kEncoded = "the server sends the file compressed, against our request; download the file";
+constexpr const char* kContradiction = "the server's answer contradicts itself";
+constexpr const char* kOtherRange = "the server sends another range than was requested";
 constexpr const char* kChanged = "the file on the server has changed; open it again";
 
 }  // namespace
@@ -108,19 +106,19 @@ void HttpAnswer::add_line(std::string_view line) {
   const std::string_view name = line.substr(0, colon);
   std::string_view value = trimmed(line.substr(colon + 1));
   if (equal_without_case(name, "content-range")) {
-    set_once(range_, parse_content_range(value), contrary_, [](const ContentRange& a, const ContentRange& b) {
+    set_once(range_, parse_content_range(value), contradictory_, [](const ContentRange& a, const ContentRange& b) {
       return a.satisfied == b.satisfied && a.first == b.first && a.last == b.last && a.total == b.total;
     });
   } else if (equal_without_case(name, "content-length")) {
-    set_once(length_, parse_number(value), contrary_);
+    set_once(length_, parse_number(value), contradictory_);
   } else if (equal_without_case(name, "content-encoding")) {
     encoded_ |= !value.empty() && !equal_without_case(value, "identity");
   } else if (equal_without_case(name, "etag")) {
-    // Servers that compress at times weaken the tag then; it is of the same file.
+    // Servers that compress may weaken the tag; it still names the same file.
     if (value.substr(0, 2) == "W/") value.remove_prefix(2);
-    set_once(etag_, std::optional(hash(value)), contrary_);
+    set_once(etag_, std::optional(hash(value)), contradictory_);
   } else if (equal_without_case(name, "last-modified")) {
-    set_once(modified_, std::optional(hash(value)), contrary_);
+    set_once(modified_, std::optional(hash(value)), contradictory_);
   }
 }
 
@@ -139,14 +137,14 @@ bool HttpAnswer::is_transient() const {
 Result<FilePin> FilePin::of(const HttpAnswer& answer, std::uint64_t n) {
   const auto failed = [](const char* what) { return make_error(Errc::open_failed, Error::kNone, what); };
   FilePin pin{0, answer.etag_, answer.modified_};
-  // The one thing that 416 says of the beginning of a file.
+  // 416 tells of a file's first bytes only that the file is empty.
   if (answer.status_ == 416 && answer.range_ && answer.range_->total == std::uint64_t{0}) return pin;
   if (answer.status_ != 200 && answer.status_ != 206)
     return status_error(Errc::open_failed, Error::kNone, answer.status_);
   if (answer.encoded_) return failed(kEncoded);
-  if (answer.contrary_) return failed(kContrary);
+  if (answer.contradictory_) return failed(kContradiction);
   if (answer.status_ == 200) {
-    // A length must be there: what ends with the connection might have been cut off.
+    // A length is required: a body that ends with the connection may have been cut off.
     if (!answer.length_ || *answer.length_ > n) return status_error(Errc::open_failed, Error::kNone, 200);
     pin.size = *answer.length_;
     return pin;
@@ -156,7 +154,7 @@ Result<FilePin> FilePin::of(const HttpAnswer& answer, std::uint64_t n) {
   if (pin.size > static_cast<std::uint64_t>(INT64_MAX)) return failed(kOtherRange);
   const std::uint64_t there = std::min(n, pin.size);
   if (answer.range_->first != 0 || answer.range_->last != there - 1) return failed(kOtherRange);
-  if (answer.length_ && *answer.length_ != there) return failed(kContrary);
+  if (answer.length_ && *answer.length_ != there) return failed(kContradiction);
   return pin;
 }
 
@@ -168,12 +166,11 @@ Status FilePin::check(const HttpAnswer& answer, std::uint64_t begin, std::uint64
     return make_error(Errc::read_failed, begin, kChanged, size, *answer.range_->total);
   }
   if (!success) return status_error(Errc::read_failed, begin, answer.status_);
-  if (answer.contrary_) return failed(kContrary);
-  // Each that both answers have must be the same; of what the first one had, one at least must be there.
+  if (answer.contradictory_) return failed(kContradiction);
+  // Fields that both responses have must be equal; at least one of the pinned fields must be there.
   const bool tags = etag && answer.etag_, times = modified && answer.modified_;
   if ((tags && *etag != *answer.etag_) || (times && *modified != *answer.modified_)) return failed(kChanged);
-  if ((etag || modified) && !tags && !times)
-    return failed("the server no longer says which version of the file it sends");
+  if ((etag || modified) && !tags && !times) return failed("the server no longer states the version of the file");
   if (answer.status_ == 200 && !whole) return status_error(Errc::read_failed, begin, 200);
   if (answer.encoded_) return failed(kEncoded);
   if (answer.status_ == 200) {
@@ -185,7 +182,7 @@ Status FilePin::check(const HttpAnswer& answer, std::uint64_t begin, std::uint64
       answer.range_->last != end - 1) {
     return failed(kOtherRange);
   }
-  if (answer.length_ && *answer.length_ != end - begin) return failed(kContrary);
+  if (answer.length_ && *answer.length_ != end - begin) return failed(kContradiction);
   return {};
 }
 

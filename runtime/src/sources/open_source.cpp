@@ -1,4 +1,5 @@
-// open_source.cpp - paths and addresses told apart. A file of its own: a program that opens paths alone links no libcurl.
+// open_source.cpp - tells paths from addresses. On its own, so that a program that opens paths alone does not link
+// libcurl.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <string_view>

@@ -1,9 +1,9 @@
-// url_source.cpp - a file behind a web server, by range requests through libcurl.
+// url_source.cpp - reads a file behind a web server by range requests, through libcurl.
 // SPDX-License-Identifier: Apache-2.0
 //
-// One thread of the source does all that libcurl does, so that requests share connections (HTTP/2: one). read() hands a
-// request to it and waits. A request is made in one of a fixed number of slots; one that fails waits for its next turn, and goes on
-// where its bytes ended.
+// One thread of the source runs libcurl, so that requests share connections (with HTTP/2 one). read() queues a request
+// for it and waits. Requests run in a fixed number of slots; a failed one waits for its next turn and continues after
+// its last byte.
 #include <curl/curl.h>
 #include <signal.h>
 #include <unistd.h>
@@ -32,6 +32,7 @@
 #include "rgs/guard_memory.hpp"
 #include "rgs/version.hpp"
 #include "sources/http_answer.hpp"
+#include "sources/url_clock.hpp"
 
 namespace rgs {
 namespace {
@@ -42,8 +43,8 @@ using std::chrono::milliseconds;
 
 constexpr std::uint64_t kFirstBytes = 64 << 10;  // of the first request: head and tables of most files; kept
 constexpr std::uint64_t kMostBytes =
-    256 << 10;  // of a read, where there is a choice: what is asked for next comes soon
-constexpr std::size_t kMostHeadBytes = 64 << 10;  // of an answer, with those of 1xx before it; servers send about 500
+    256 << 10;  // of a read, where there is a choice: small, so that the next one starts soon
+constexpr std::size_t kMostHeadBytes = 64 << 10;  // of a response, with those of 1xx before it; servers send about 500
 constexpr long kBufferBytes = 64 << 10;           // of libcurl, for each slot
 constexpr const char* kLongHead = "the head of the server's answer is too long";
 constexpr double kFirstPause = 0.25, kMostPause = 8, kMostRetryAfter = 30;  // seconds
@@ -72,33 +73,32 @@ bool is_https(const std::string& url) {
   return is_url(url) && (url[4] == 's' || url[4] == 'S');
 }
 
-// What went wrong by libcurl's code, in words that say what to do where there is something to do.
+// An error message for libcurl's code, with advice where there is any.
 const char* text_of(CURLcode code) {
   switch (code) {
-    case CURLE_URL_MALFORMAT: return "is no valid web address";
-    case CURLE_COULDNT_RESOLVE_HOST: return "there is no server of this name";
-    case CURLE_COULDNT_RESOLVE_PROXY: return "there is no proxy server of the name that the environment gives";
-    case CURLE_COULDNT_CONNECT: return "the server takes no connection";
-    case CURLE_OPERATION_TIMEDOUT: return "the server does not answer in time";
+    case CURLE_URL_MALFORMAT: return "is not a valid web address";
+    case CURLE_COULDNT_RESOLVE_HOST: return "the server's name cannot be resolved";
+    case CURLE_COULDNT_RESOLVE_PROXY: return "the name of the environment's proxy server cannot be resolved";
+    case CURLE_COULDNT_CONNECT: return "the server refuses the connection";
+    case CURLE_OPERATION_TIMEDOUT: return "the server does not respond in time";
     case CURLE_PEER_FAILED_VERIFICATION:
-      return "the server's certificate is not trusted, or that of another server; a certificate of your own is named "
-             "by "
-             "UrlOptions::certificates";
-    case CURLE_SSL_CACERT_BADFILE: return "the file of certificates to trust cannot be read, or holds none";
-    case CURLE_OUT_OF_MEMORY:  // as libcurl calls a line that its buffer does not take
-      return "the head of the server's answer is too long, or there is no memory for it";
+      return "the server's certificate is not trusted, or names another server; set UrlOptions::certificates to trust "
+             "your own";
+    case CURLE_SSL_CACERT_BADFILE: return "the file of trusted certificates cannot be read or is empty";
+    case CURLE_OUT_OF_MEMORY:  // libcurl's code for a line longer than its buffer
+      return "the head of the server's response is too long, or memory ran out";
     case CURLE_PARTIAL_FILE:
     case CURLE_GOT_NOTHING:
     case CURLE_RECV_ERROR:
     case CURLE_SEND_ERROR: return "the connection to the server broke";
     case CURLE_UNSUPPORTED_PROTOCOL:
-    case CURLE_WEIRD_SERVER_REPLY: return "the server does not speak HTTP, or HTTPS is asked for and libcurl has none";
+    case CURLE_WEIRD_SERVER_REPLY: return "the server does not speak HTTP, or libcurl lacks HTTPS";
     default: return ::curl_easy_strerror(code);  // static text
   }
 }
 
-// Whether what failed may work a moment later.
-bool may_pass(CURLcode code) {
+// Whether a retry may succeed.
+bool is_transient(CURLcode code) {
   switch (code) {
     case CURLE_URL_MALFORMAT:
     case CURLE_UNSUPPORTED_PROTOCOL:
@@ -115,15 +115,15 @@ bool may_pass(CURLcode code) {
   }
 }
 
-// A read() that waits, on its stack.
+// A waiting read(), on its stack.
 struct Request {
   std::uint64_t offset = 0;
   std::span<std::byte> out;
-  bool opens = false;                   // the first of all: it pins the file
-  bool may_be_whole = false;            // an answer of the whole file will do, which is no more than what was asked for
-  std::size_t done = 0, most_done = 0;  // bytes; of all attempts but the last
-  int failures = 0;                     // in a row without a byte more
-  bool at_origin = false;               // ask where redirects began
+  bool opens = false;                   // the first request, which pins the file
+  bool may_be_whole = false;            // accept a response with the whole file
+  std::size_t done = 0, most_done = 0;  // bytes; the most of earlier attempts
+  int failures = 0;                     // in a row without a new byte
+  bool at_origin = false;               // ask where redirects start
   bool over_new_connection = false;
   Clock::time_point not_before{};
   Request* next = nullptr;  // in the queue
@@ -132,37 +132,38 @@ struct Request {
   std::condition_variable wake;
 };
 
-// A request at work.
+// A request in flight.
 struct Slot {
   std::unique_ptr<CURL, EasyDeleter> easy;
   Request* request = nullptr;
-  detail::FilePin* pin = nullptr;  // the source's
+  detail::FilePin* pin = nullptr;          // the source's
+  const Clock::time_point* now = nullptr;  // the source's
   Clock::duration stall{};
   Clock::time_point deadline;
   std::string url;
   int redirects = 0;
-  // Of the answer.
+  // Of the response.
   detail::HttpAnswer answer;
   std::size_t head_bytes = 0;
   bool connected = false;
-  bool accepted = false;         // it is what was asked for: its body goes to the request
-  bool leads_away = false;       // a redirect
+  bool accepted = false;  // it matches: its body goes to the request
+  bool is_redirect = false;
   std::optional<Error> refusal;  // why it is neither
 
   void begin_answer() {
     answer = {};
     head_bytes = 0;
-    connected = accepted = leads_away = false;
+    connected = accepted = is_redirect = false;
     refusal.reset();
   }
 };
 
-// libcurl's callbacks; from the last two another number than that of the bytes ends the transfer.
+// libcurl's callbacks. The last two end the transfer by returning another number than that of the bytes.
 
 int on_connected(void* user, char*, char*, int, int) {
   auto& slot = *static_cast<Slot*>(user);
   slot.connected = true;
-  slot.deadline = Clock::now() + slot.stall;
+  slot.deadline = *slot.now + slot.stall;
   return CURL_PREREQFUNC_OK;
 }
 
@@ -178,10 +179,10 @@ std::size_t on_head(char* data, std::size_t, std::size_t n, void* user) {
   const std::string_view line(data, n);
   slot.answer.add_line(line);
   if (!slot.answer.ends_head(line)) return n;
-  // Not moved by each line, or a head could take for ever.
-  slot.deadline = Clock::now() + slot.stall;
-  slot.leads_away = slot.answer.is_redirect();
-  if (slot.leads_away) return 0;  // its body is nobody's business
+  // Not extended by each line, or a head could take forever.
+  slot.deadline = *slot.now + slot.stall;
+  slot.is_redirect = slot.answer.is_redirect();
+  if (slot.is_redirect) return 0;  // a redirect's body is ignored
   if (request.opens) {
     const auto pin = detail::FilePin::of(slot.answer, request.out.size());
     if (pin) {
@@ -196,7 +197,7 @@ std::size_t on_head(char* data, std::size_t, std::size_t n, void* user) {
     const Status s = slot.pin->check(slot.answer, request.offset + request.done, request.offset + request.out.size(),
                                      request.may_be_whole);
     if (!s) slot.refusal = s.error();
-    if (s && slot.answer.status() == 200) request.done = 0;  // all of it comes from one answer
+    if (s && slot.answer.status() == 200) request.done = 0;  // restart: the whole file comes in one response
   }
   slot.accepted = !slot.refusal;
   return slot.accepted && slot.answer.status() < 300 ? n : 0;  // an empty file has status 416
@@ -205,17 +206,18 @@ std::size_t on_head(char* data, std::size_t, std::size_t n, void* user) {
 std::size_t on_body(char* data, std::size_t, std::size_t n, void* user) {
   auto& slot = *static_cast<Slot*>(user);
   if (slot.request == nullptr || !slot.accepted) return 0;
-  slot.deadline = Clock::now() + slot.stall;
+  slot.deadline = *slot.now + slot.stall;
   Request& request = *slot.request;
   const std::size_t taken = std::min(n, request.out.size() - request.done);
   if (taken > 0) std::memcpy(request.out.data() + request.done, data, taken);
   request.done += taken;
-  return taken;  // of more than was asked for the rest is not even received
+  return taken;  // stops receiving what exceeds the request
 }
 
 class UrlSource final : public ByteSource {
  public:
-  UrlSource(const std::string& url, const UrlOptions& options) : options_(options), origin_(url), url_(url) {}
+  UrlSource(const std::string& url, const UrlOptions& options, const detail::UrlClock& clock)
+      : options_(options), clock_(clock), origin_(url), url_(url) {}
   ~UrlSource() override {
     cancel();
     if (thread_.joinable()) thread_.join();
@@ -224,7 +226,7 @@ class UrlSource final : public ByteSource {
   UrlSource& operator=(const UrlSource&) = delete;
 
   Status open() {
-    static std::once_flag once;  // where libcurl's own is not thread-safe
+    static std::once_flag once;  // for libraries whose own is not thread-safe
     static CURLcode ready = CURLE_FAILED_INIT;
     std::call_once(once, [] { ready = ::curl_global_init(CURL_GLOBAL_DEFAULT); });
     {
@@ -232,13 +234,13 @@ class UrlSource final : public ByteSource {
       multi_.reset(ready == CURLE_OK ? ::curl_multi_init() : nullptr);
     }
     if (!multi_) return detail::out_of_memory();
-    // Compressed bytes have ranges of their own. No header goes to a proxy.
+    // Ranges of compressed bytes would be different ones. No header goes to a proxy.
     head_.reset(::curl_slist_append(nullptr, "Accept-Encoding: identity"));
     if (!head_) return detail::out_of_memory();
     const auto n = static_cast<std::size_t>(options_.reads_at_once);
     ::curl_multi_setopt(multi_.get(), CURLMOPT_PIPELINING, CURLPIPE_MULTIPLEX);
     ::curl_multi_setopt(multi_.get(), CURLMOPT_MAX_TOTAL_CONNECTIONS, static_cast<long>(n));
-    ::curl_multi_setopt(multi_.get(), CURLMOPT_MAXCONNECTS, static_cast<long>(n));  // kept, also when few are used
+    ::curl_multi_setopt(multi_.get(), CURLMOPT_MAXCONNECTS, static_cast<long>(n));  // kept even if few are used
     slots_ = std::vector<Slot>(n);
     for (Slot& slot : slots_) {
       if (Status s = set_up(slot); !s) return s;
@@ -247,7 +249,7 @@ class UrlSource final : public ByteSource {
     try {
       thread_ = std::thread([this] { work(); });
     } catch (const std::system_error&) {
-      return make_error(Errc::host_out_of_memory, Error::kNone, "the process gets no more threads");
+      return make_error(Errc::host_out_of_memory, Error::kNone, "no more threads can be started");
     }
     Request first;
     first.out = beginning_;
@@ -266,7 +268,7 @@ class UrlSource final : public ByteSource {
 
   Status read(std::uint64_t offset, std::span<std::byte> out) override {
     if (offset > size() || out.size() > size() - offset) {
-      return make_error(Errc::read_failed, offset, "the file ends before what is to be read", out.size(),
+      return make_error(Errc::read_failed, offset, "the file ends before the requested range", out.size(),
                         size() - std::min(offset, size()));
     }
     if (cancelled_) return cancelled(offset);
@@ -305,6 +307,7 @@ class UrlSource final : public ByteSource {
     slot.easy.reset(::curl_easy_init());
     if (!slot.easy) return detail::out_of_memory();
     slot.pin = &pin_;
+    slot.now = &now_;
     slot.stall = seconds(options_.stall_seconds);
     bool done = true;
     const auto set = [&](CURLoption option, auto value) {
@@ -313,7 +316,7 @@ class UrlSource final : public ByteSource {
     set(CURLOPT_PRIVATE, &slot);
     set(CURLOPT_NOSIGNAL, 1L);
     set(CURLOPT_PROTOCOLS_STR, "http,https");
-    set(CURLOPT_FOLLOWLOCATION, 0L);  // redirected() does, which knows what may lead where
+    set(CURLOPT_FOLLOWLOCATION, 0L);  // follow() checks where redirects may lead
     set(CURLOPT_HTTP_VERSION, static_cast<long>(CURL_HTTP_VERSION_2TLS));
     set(CURLOPT_HTTP_CONTENT_DECODING, 0L);
     set(CURLOPT_HTTPHEADER, head_.get());
@@ -334,7 +337,7 @@ class UrlSource final : public ByteSource {
     set(CURLOPT_WRITEFUNCTION, &on_body);
     set(CURLOPT_WRITEDATA, &slot);
 #if LIBCURL_VERSION_NUM >= 0x075700
-    // A name that is being looked up keeps nobody who ends the source. The library may be older than its header.
+    // Closing the source must not wait for a name lookup. The library may be older than its header.
     ::curl_easy_setopt(slot.easy.get(), CURLOPT_QUICK_EXIT, 1L);
 #endif
     return done ? Status{} : detail::out_of_memory();
@@ -349,15 +352,16 @@ class UrlSource final : public ByteSource {
     return request.status;
   }
 
-  // From here on the thread.
+  // From here on: on the source's thread.
 
   void work() {
-    // What a server that has gone is told must not end the program. libcurl sees to that, but for corners.
+    // A write to a closed connection must not end the program; libcurl misses rare cases.
     sigset_t pipe;
     ::sigemptyset(&pipe);
     ::sigaddset(&pipe, SIGPIPE);
     ::pthread_sigmask(SIG_BLOCK, &pipe, nullptr);
     for (;;) {
+      now_ = clock_.now();
       take_arrived();
       if (cancelled_) break;
       start_waiting();
@@ -370,14 +374,13 @@ class UrlSource final : public ByteSource {
         ::curl_easy_getinfo(message->easy_handle, CURLINFO_PRIVATE, &slot);
         ended(*reinterpret_cast<Slot*>(slot), message->data.result);
       }
-      const auto now = Clock::now();
       for (Slot& slot : slots_) {
-        if (slot.request != nullptr && slot.deadline <= now) stalled(slot);
+        if (slot.request != nullptr && slot.deadline <= now_) stalled(slot);
       }
       ::curl_multi_poll(multi_.get(), nullptr, 0, pause_ms(), nullptr);
     }
-    take_arrived();  // the last: none comes after cancel()
-    // Readers first: taking a transfer down may wait for a name that is being looked up.
+    take_arrived();  // the last ones: none is queued after cancel()
+    // Readers first: ending a transfer may wait for a name lookup.
     for (Slot& slot : slots_) {
       if (Request* request = std::exchange(slot.request, nullptr)) finish(*request, cancelled(request->offset));
     }
@@ -404,7 +407,7 @@ class UrlSource final : public ByteSource {
     *end = last;
   }
 
-  // Milliseconds until something is due that the network does not tell.
+  // Milliseconds until something is due without an event of the network.
   int pause_ms() {
     auto due = Clock::time_point::max();
     bool slot_free = false;
@@ -418,17 +421,16 @@ class UrlSource final : public ByteSource {
     for (const Request* request = waiting_; slot_free && request != nullptr; request = request->next) {
       due = std::min(due, request->not_before);
     }
-    if (due == Clock::time_point::max()) return INT_MAX;
-    const auto left = std::chrono::ceil<milliseconds>(due - Clock::now()).count();
-    return static_cast<int>(std::clamp<std::int64_t>(left, 0, INT_MAX));
+    auto left = clock_.most_pause;
+    if (due != Clock::time_point::max()) left = std::min(left, std::chrono::ceil<milliseconds>(due - now_));
+    return static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, INT_MAX));
   }
 
   void start_waiting() {
-    const auto now = Clock::now();
     for (Slot& slot : slots_) {
       if (slot.request != nullptr) continue;
       Request** at = &waiting_;
-      while (*at != nullptr && (*at)->not_before > now) at = &(*at)->next;
+      while (*at != nullptr && (*at)->not_before > now_) at = &(*at)->next;
       if (*at == nullptr) return;
       Request& request = **at;
       *at = std::exchange(request.next, nullptr);
@@ -438,7 +440,7 @@ class UrlSource final : public ByteSource {
         slot.redirects = 0;
         return start(slot);
       });
-      if (!started) give_back(slot, started);
+      if (!started) release(slot, started);
     }
   }
 
@@ -447,34 +449,34 @@ class UrlSource final : public ByteSource {
     CURL* easy = slot.easy.get();
     const std::string range =
         std::to_string(request.offset + request.done) + "-" + std::to_string(request.offset + request.out.size() - 1);
-    // For another stream of one connection it pays to wait until it stands; HTTP/1 has no streams.
+    // Streams of one connection wait until it is established; HTTP/1 has no streams.
     const long wait_for_pipe = is_https(slot.url) ? 1 : 0;
     if (::curl_easy_setopt(easy, CURLOPT_URL, slot.url.c_str()) != CURLE_OK ||
         ::curl_easy_setopt(easy, CURLOPT_RANGE, range.c_str()) != CURLE_OK ||
         ::curl_easy_setopt(easy, CURLOPT_PIPEWAIT, wait_for_pipe) != CURLE_OK ||
-        // Not over what may be a dead connection.
+        // Avoid a connection that may be dead.
         ::curl_easy_setopt(easy, CURLOPT_FRESH_CONNECT, request.over_new_connection ? 1L : 0L) != CURLE_OK ||
         ::curl_easy_setopt(easy, CURLOPT_FORBID_REUSE, 0L) != CURLE_OK) {
       return detail::out_of_memory();
     }
     slot.begin_answer();
-    slot.deadline = Clock::now() + seconds(options_.connect_seconds);
+    slot.deadline = now_ + seconds(options_.connect_seconds);
     return ::curl_multi_add_handle(multi_.get(), easy) == CURLM_OK ? Status{} : detail::out_of_memory();
   }
 
   void stalled(Slot& slot) {
-    // The connection may be dead without our having been told; the last transfer over it takes it along.
+    // The connection may be dead unnoticed; the last transfer over it closes it.
     ::curl_easy_setopt(slot.easy.get(), CURLOPT_FORBID_REUSE, 1L);
     ended(slot, CURLE_OPERATION_TIMEDOUT);
   }
 
-  // A transfer is over, well or not.
+  // A transfer has ended, successfully or not.
   void ended(Slot& slot, CURLcode code) {
     const Status s = detail::guard_memory([&]() -> Status {
       Request& request = *slot.request;
       std::string target;
       curl_header* location = nullptr;
-      if (slot.leads_away &&
+      if (slot.is_redirect &&
           ::curl_easy_header(slot.easy.get(), "Location", 0, CURLH_HEADER, -1, &location) == CURLHE_OK) {
         target = location->value;
       }
@@ -483,35 +485,34 @@ class UrlSource final : public ByteSource {
       long system = 0;
       ::curl_easy_getinfo(slot.easy.get(), CURLINFO_OS_ERRNO, &system);
       ::curl_multi_remove_handle(multi_.get(), slot.easy.get());
-      if (slot.leads_away) return follow(slot, target);
-      // All that was asked for is there, however the transfer ended.
+      if (slot.is_redirect) return follow(slot, target);
+      // All bytes have come, however the transfer ended.
       if (slot.accepted && request.done == request.out.size()) {
         if (request.at_origin || slot.redirects > 0) url_ = slot.url;
-        give_back(slot, {});
+        release(slot, {});
         return {};
       }
       if (slot.refusal) {
         if (slot.answer.is_transient()) return retry(slot, *slot.refusal, static_cast<double>(retry_after));
-        // Where a redirect once led may be an address that ends, such as a signed one.
+        // The target of a redirect may be an address that expires, such as a signed one.
         const int status = slot.answer.status();
         const bool gone = status == 401 || status == 403 || status == 404 || status == 410;
         if (!gone || request.at_origin || url_ == origin_) return tl::unexpected(*slot.refusal);
         request.at_origin = true;
-        put_back(slot, Clock::now());
+        requeue(slot, now_);
         return {};
       }
       Error error{.code = Errc::read_failed, .offset = request.offset + request.done, .what = text_of(code)};
       if (code == CURLE_OK) error.what = text_of(CURLE_PARTIAL_FILE);
       if (code == CURLE_COULDNT_CONNECT) error.system = static_cast<int>(system);
-      // A server that cannot be reached in the first place is more likely a wrong address than a passing trouble.
-      if (!may_pass(code) || (request.opens && !slot.connected)) return tl::unexpected(error);
+      // A server that could not be reached at the start is more likely a wrong address than a transient failure.
+      if (!is_transient(code) || (request.opens && !slot.connected)) return tl::unexpected(error);
       request.over_new_connection = true;
       return retry(slot, error, 0);
     });
-    if (!s) give_back(slot, s);
+    if (!s) release(slot, s);
   }
 
-  // To where a redirect leads.
   Status follow(Slot& slot, const std::string& target) {
     const Request& request = *slot.request;
     const auto refuse = [&](const char* what) {
@@ -525,37 +526,37 @@ class UrlSource final : public ByteSource {
     if (target.empty() || ::curl_url_set(address.get(), CURLUPART_URL, slot.url.c_str(), 0) != CURLUE_OK ||
         ::curl_url_set(address.get(), CURLUPART_URL, target.c_str(), CURLU_URLENCODE) != CURLUE_OK ||
         ::curl_url_get(address.get(), CURLUPART_URL, &text, 0) != CURLUE_OK) {
-      return refuse("the server redirects to what is no web address");
+      return refuse("the server redirects to an invalid web address");
     }
     const std::unique_ptr<char, TextDeleter> owner(text);
     std::string next(text);
-    if (!is_url(next)) return refuse("the server redirects to what is no web address");
+    if (!is_url(next)) return refuse("the server redirects to an invalid web address");
     if (is_https(slot.url) && !is_https(next))
-      return refuse("the server redirects from https to http, which is not safe");
+      return refuse("the server redirects from https to http, which is not secure");
     slot.url = std::move(next);
     return start(slot);
   }
 
-  // Puts the request off, or gives it up.
+  // Schedules a retry, or fails.
   Status retry(Slot& slot, const Error& error, double least_seconds) {
     Request& request = *slot.request;
     if (request.done > request.most_done) request.failures = 0;
     request.most_done = std::max(request.most_done, request.done);
     if (request.failures >= options_.retries) return tl::unexpected(error);
-    // Not all that failed together come back together.
+    // Spreads the retries of requests that failed together.
     const double jitter = std::uniform_real_distribution<double>(0.75, 1)(random_);
     const double pause = std::min(kMostPause, std::ldexp(kFirstPause, std::min(request.failures, 30))) * jitter;
     ++request.failures;
-    put_back(slot, Clock::now() + seconds(std::max(pause, std::min(least_seconds, kMostRetryAfter))));
+    requeue(slot, now_ + seconds(std::max(pause, std::min(least_seconds, kMostRetryAfter))));
     return {};
   }
 
-  void put_back(Slot& slot, Clock::time_point not_before) {
+  void requeue(Slot& slot, Clock::time_point not_before) {
     slot.request->not_before = not_before;
     append(waiting_, std::exchange(slot.request, nullptr));
   }
 
-  void give_back(Slot& slot, const Status& status) {
+  void release(Slot& slot, const Status& status) {
     if (Request* request = std::exchange(slot.request, nullptr)) finish(*request, status);
   }
 
@@ -563,13 +564,14 @@ class UrlSource final : public ByteSource {
     const std::scoped_lock lock(mutex_);
     request.status = status;
     request.finished = true;
-    request.wake.notify_one();  // before the reader may see `finished` and take the request away
+    request.wake.notify_one();  // before the reader may see `finished` and destroy the request
   }
 
   const UrlOptions options_;
+  const detail::UrlClock clock_;
   const std::string origin_;
-  detail::FilePin pin_;               // set by the first request, before another is made
-  std::vector<std::byte> beginning_;  // of the file
+  detail::FilePin pin_;               // set by the first request, before any other
+  std::vector<std::byte> beginning_;  // the first bytes of the file
   std::unique_ptr<CURLM, MultiDeleter> multi_;
   std::unique_ptr<curl_slist, ListDeleter> head_;
 
@@ -577,7 +579,8 @@ class UrlSource final : public ByteSource {
   std::atomic<bool> cancelled_{false};
   Request* arrived_ = nullptr;
 
-  std::string url_;  // where redirects led
+  Clock::time_point now_{};  // of this turn
+  std::string url_;          // where redirects led
   std::vector<Slot> slots_;
   Request* waiting_ = nullptr;
   std::minstd_rand random_;
@@ -595,19 +598,24 @@ bool in_range(const UrlOptions& o) {
 }  // namespace
 
 Result<std::unique_ptr<ByteSource>> open_url_source(const std::string& url, const UrlOptions& options) {
+  return detail::open_url_source(url, options, {});
+}
+
+Result<std::unique_ptr<ByteSource>> detail::open_url_source(const std::string& url, const UrlOptions& options,
+                                                            const UrlClock& clock) {
   return detail::guard_memory([&]() -> Result<std::unique_ptr<ByteSource>> {
     const auto refuse = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
-    if (!in_range(options)) return refuse("an option of the way to the web server is out of range");
+    if (!in_range(options)) return refuse("an option of UrlOptions is out of range");
     if (!is_url(url)) return refuse("a web address begins with http:// or https://");
     const std::unique_ptr<CURLU, AddressDeleter> address(::curl_url());
     if (!address) return detail::out_of_memory();
     if (::curl_url_set(address.get(), CURLUPART_URL, url.c_str(), 0) != CURLUE_OK)
-      return refuse("is no valid web address");
+      return refuse("is not a valid web address");
     if (!options.certificates.empty() && ::access(options.certificates.c_str(), R_OK) != 0) {
-      return make_error(Errc::open_failed, Error::kNone, "cannot read the file of certificates to trust", Error::kNone,
+      return make_error(Errc::open_failed, Error::kNone, "cannot read the file of trusted certificates", Error::kNone,
                         Error::kNone, errno);
     }
-    auto source = std::make_unique<UrlSource>(url, options);
+    auto source = std::make_unique<UrlSource>(url, options, clock);
     if (Status s = source->open(); !s) return tl::unexpected(s.error());
     return source;
   });

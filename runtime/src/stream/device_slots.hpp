@@ -1,4 +1,4 @@
-// device_slots.hpp - a device's memory for pages, and how pages get there. In builds with and without CUDA.
+// device_slots.hpp - slots for pages in a device's memory, and the writer that fills them. Built with and without CUDA.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,8 +13,9 @@
 
 namespace rgs::detail {
 
-/// Slots of the device that was current at create(), allocated once. Which are free is of the pool's lock; what is in a slot is of who has
-/// taken it. But for stay_on_device(), these functions and those of writers leave the caller's current device as it is.
+/// Slots on the device that was current at create(), allocated once. The pool's lock guards the list of free slots; a
+/// taken slot's content belongs to its taker. All functions here and of SlotWriter, but stay_on_device(), leave the
+/// caller's current device as it is.
 class DeviceSlots {
  public:
   /// Errors: those of plan_slots(); unavailable (not built, no device answers, or no code for it), device_out_of_memory, device_failed.
@@ -24,21 +25,21 @@ class DeviceSlots {
   ~DeviceSlots();
 
   const SlotPlan& plan() const { return plan_; }
-  /// One that is free; there is one.
+  /// A free slot; there must be one.
   std::uint32_t take() {
     const std::uint32_t slot = free_.back();
     free_.pop_back();
     return slot;
   }
-  /// Nothing writes to it or draws it any more.
-  void give(std::uint32_t slot) { free_.push_back(slot); }
-  /// Memory that the list of free slots takes on the host.
+  /// The slot is neither written nor drawn any more.
+  void release(std::uint32_t slot) { free_.push_back(slot); }
+  /// Host memory of the list of free slots.
   static std::uint64_t host_bytes(const SlotPlan& plan) { return plan.n_slots * sizeof(std::uint32_t); }
 
   int device() const { return device_; }
-  /// Makes the device the calling thread's, for good: of threads that bring pages and do nothing else.
+  /// Makes this device the calling thread's, for good. For threads that only upload pages.
   void stay_on_device() const;
-  /// On the device.
+  /// Device address.
   std::byte* at(std::size_t section, std::uint32_t slot) const { return memory_ + plan_.at(section, slot); }
 
  private:
@@ -49,26 +50,27 @@ class DeviceSlots {
   std::vector<std::uint32_t> free_;
 };
 
-/// What one thread needs to bring pages to slots: page-locked memory, and a stream of its own.
+/// What one thread needs to write pages to slots: page-locked memory and a stream of its own.
 class SlotWriter {
  public:
-  /// Of what was sent together; later ones are larger, and there later.
+  /// Numbers one send(). Later tickets are larger and complete later.
   using Ticket = std::uint64_t;
 
-  /// Takes staging_bytes() of the host for so many pages. Errors: device_failed, unavailable (kernels do not reach the host's memory).
+  /// `n_staged`: pages staged at once, which take staging_bytes() of the host. Errors: device_failed, unavailable
+  /// (kernels do not reach the host's memory).
   static Result<SlotWriter> create(std::shared_ptr<const DeviceSlots> slots, std::uint32_t n_staged);
   SlotWriter(SlotWriter&&) noexcept;
   SlotWriter& operator=(SlotWriter&&) = delete;
   ~SlotWriter();  ///< waits
 
-  /// Takes a page of checked values, of which nothing is read after the return, to be sent. Where there is no room for it what was taken before
-  /// is sent, and what was sent first waited for. Errors: device_failed.
+  /// Stages a page of checked values; `page` is not read after the return. If the ring is full, sends what is staged
+  /// and waits for the oldest send. Errors: device_failed.
   Status write(const PageRows& page, std::uint32_t slot);
-  /// Sends what was taken: with one launch. Errors: device_failed.
+  /// Sends what is staged, with one launch. Errors: device_failed.
   Result<Ticket> send();
-  /// Whether what was sent with it is in its slots, without waiting. Errors: device_failed.
-  Result<bool> is_there(Ticket ticket);
-  /// Sends what was taken and waits until all is there. Whatever it returns, nothing writes to a slot any more. Errors: device_failed.
+  /// Whether that send has reached its slots; does not wait. Errors: device_failed.
+  Result<bool> is_done(Ticket ticket);
+  /// Sends what is staged and waits for all of it. After any return nothing writes to a slot. Errors: device_failed.
   Status finish();
 
  private:

@@ -1,4 +1,4 @@
-// open_streamed_scene.cpp - a streamed scene by its name. A file of its own: a program that draws scenes alone links no libcurl.
+// open_streamed_scene.cpp - opens a streamed scene by path or address. On its own, so that other programs do not link libcurl.
 // SPDX-License-Identifier: Apache-2.0
 #include <utility>
 

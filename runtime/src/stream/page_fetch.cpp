@@ -1,4 +1,5 @@
-// page_fetch.cpp - threads that read and decode what views miss: the largest projected error first, then what the camera is about to see.
+// page_fetch.cpp - threads that read and decode absent pages: what views want, largest projected error first; then
+// prefetch.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -17,19 +18,19 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr StreamClock::duration kFirstPause = 250ms, kLongestPause = 8s;  // after reads that failed
-constexpr StreamClock::duration kLongestWaited = 1s;                      // the same, while a caller waits
+constexpr StreamClock::duration kLongestWaited = 1s;                      // while a caller waits
 constexpr std::uint32_t kMostGroups = 64;                                 // of a run
-constexpr std::uint64_t kRecordBytes = 112;                               // of a page, in the file's table
+constexpr std::uint64_t kRecordBytes = 112;                               // of a page's record in the file's table
 constexpr std::uint64_t kLeastTableBytes = 64 << 10;                      // of a read
-constexpr float kSideShare = 0.25F;  // of the first group's worth, that its neighbours must have
-/// Wants for which room is looked for among other pages, each of which takes a look at all of them.
+constexpr float kSideShare = 0.25F;  // A neighbour joins a run if it has this share of the first group's error.
+/// Wants for which victims are searched; each search visits all resident groups.
 constexpr int kMostLooks = 8;
 
 bool is_damage(Errc code) {
   return exit_code(code) == exit_code(Errc::corrupt_data);
 }
 
-/// For Residency: it turns over after 49 days, where a failure is taken for a new one.
+/// For Residency. Wraps after 49 days; an older failure then counts as a new one.
 std::uint32_t milliseconds(StreamClock::time_point time) {
   return static_cast<std::uint32_t>(
       std::chrono::duration_cast<std::chrono::milliseconds>(time.time_since_epoch()).count());
@@ -37,17 +38,17 @@ std::uint32_t milliseconds(StreamClock::time_point time) {
 
 }  // namespace
 
-// The lists of what views miss, or are about to, as they are now.
+// Brings the views' lists of wants (`now`) or prefetch wants up to date.
 void StreamedState::find_wants(bool now) {
   for (const auto& view : views) {
-    if (!view->is_live || (!now && !view->soon)) continue;
-    WantList& list = now ? view->wants : view->soon_wants;
+    if (!view->is_live || (!now && !view->ahead)) continue;
+    WantList& list = now ? view->wants : view->prefetch_wants;
     const bool is_over = !now && list.wants().empty() && list.is_cut_off();
-    if (!now && (!std::exchange(view->is_soon_known, true) || is_over)) {
+    if (!now && (!std::exchange(view->prefetch_is_current, true) || is_over)) {
       list.clear();
       residency->cut(
-          *view->soon, pool->tick, [](std::uint32_t) { return true; },
-          [&](std::uint32_t group, float px) { list.add(group, rank(group, px)); }, view->soon->detail_px);
+          *view->ahead, pool->tick, [](std::uint32_t) { return true; },
+          [&](std::uint32_t group, float px) { list.add(group, rank(group, px)); }, view->ahead->detail_px);
       list.order();
     }
     if (now) {
@@ -59,17 +60,17 @@ void StreamedState::find_wants(bool now) {
   }
 }
 
-// The best group that there is room for, and what lies beside it.
+// Claims the group of largest error that fits, and its neighbours in the file.
 StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
   find_wants(now);
-  const auto list_of = [now](StreamView& view) -> WantList& { return now ? view.wants : view.soon_wants; };
-  bool is_refused = false, is_pinned = false;
-  std::uint64_t could_go = pool->pages_budget();  // for the next want, at most
+  const auto list_of = [now](StreamView& view) -> WantList& { return now ? view.wants : view.prefetch_wants; };
+  bool lacks_room = false, is_pinned = false;
+  std::uint64_t reclaimable_bytes = pool->pages_budget();  // an upper bound for the next want
   for (int looks = 0;;) {
     StreamView* best = nullptr;
     WantList::Want want{};
     for (const auto& view : views) {
-      if (!view->is_live || (!now && !view->soon)) continue;
+      if (!view->is_live || (!now && !view->ahead)) continue;
       const auto wants = list_of(*view).wants();
       if (view->next_want == wants.size()) continue;
       if (best != nullptr && wants[view->next_want].rank <= want.rank) continue;
@@ -77,28 +78,29 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
       want = wants[view->next_want];
     }
     if (best == nullptr) break;
-    if (!residency->is_open(want.group)) {  // of a camera that has moved on since it came into the list
+    if (!residency->can_request(want.group)) {  // the camera has moved on since it was listed
       list_of(*best).erase_at(best->next_want);
       continue;
     }
     ++best->next_want;
-    const Worth own = worth(want.group);
+    const Priority own = priority(want.group);
     if (own.px <= 0 || is_put_off(want.group, run)) continue;
     if (residency->is_known(want.group)) {
       const std::uint64_t n = group_bytes(want.group);
-      if (pool->left_for_pages() < n && (n > pool->left_for_pages() + could_go || ++looks > kMostLooks)) continue;
+      if (pool->left_for_pages() < n && (n > pool->left_for_pages() + reclaimable_bytes || ++looks > kMostLooks))
+        continue;
     }
     const Choice choice = claim(want.group, own, run);
     if (choice == Choice::run || choice == Choice::table) return choice;
     if (choice == Choice::nothing) continue;
-    is_refused = true;
-    could_go = std::min(could_go, pool->could_go());
+    lacks_room = true;
+    reclaimable_bytes = std::min(reclaimable_bytes, pool->reclaimable_bytes());
     is_pinned = is_pinned || choice == Choice::pinned;
   }
-  return is_pinned ? Choice::pinned : is_refused ? Choice::no_room : Choice::nothing;
+  return is_pinned ? Choice::pinned : lacks_room ? Choice::no_room : Choice::nothing;
 }
 
-// What has failed least often, while reading fails: what is wanted most may be what cannot be read.
+// While reads fail: the group that has failed least often, since the most wanted one may be unreadable.
 StreamedState::Choice StreamedState::choose_elsewhere(Run& run) {
   find_wants(true);
   WantList::Want chosen{0, lod::kNoPage};
@@ -108,19 +110,19 @@ StreamedState::Choice StreamedState::choose_elsewhere(Run& run) {
     for (const WantList::Want& want : view->wants.wants()) {
       const int n_times = residency->is_known(want.group) ? residency->n_failed(want.group) : n_table_failures;
       if (n_times > least || (n_times == least && want.rank <= chosen.rank)) continue;
-      if (!residency->is_open(want.group)) continue;
+      if (!residency->can_request(want.group)) continue;
       if (is_put_off(want.group, run)) continue;
       least = n_times;
       chosen = want;
     }
   }
   if (chosen.group == lod::kNoPage) return Choice::nothing;
-  const Worth own = worth(chosen.group);
+  const Priority own = priority(chosen.group);
   return own.px > 0 ? claim(chosen.group, own, run) : Choice::nothing;
 }
 
-// An absent group that a view wants, if there is room for it.
-StreamedState::Choice StreamedState::claim(std::uint32_t group, const Worth& own, Run& run) {
+// Claims an absent group if there is room for it.
+StreamedState::Choice StreamedState::claim(std::uint32_t group, const Priority& own, Run& run) {
   if (!residency->is_known(group)) {
     const lod::Page& above = file->pages()[group];
     return claim_table((above.first_child + above.n_children - file->n_pages() + 1) * kRecordBytes, run);
@@ -136,7 +138,7 @@ StreamedState::Choice StreamedState::claim(std::uint32_t group, const Worth& own
 
 StreamedState::Choice StreamedState::claim_table(std::uint64_t n, Run& run) {
   if (is_extending || !can_extend()) return Choice::nothing;
-  const auto now = StreamClock::now();
+  const auto now = pool->now();
   if (const auto left = pause_left(n_table_failures, now - table_failed_at); left > 0s) {
     run.later = std::min(run.later, now + left);
     return Choice::nothing;
@@ -146,17 +148,17 @@ StreamedState::Choice StreamedState::claim_table(std::uint64_t n, Run& run) {
 }
 
 StreamedState::Choice StreamedState::choose(Run& run) {
-  const auto now = StreamClock::now();
-  if (const auto left = pause_left(n_away, now - failed_at); left > 0s) {
+  const auto now = pool->now();
+  if (const auto left = pause_left(n_unreachable, now - failed_at); left > 0s) {
     run.later = now + left;
     return Choice::later;
   }
-  look_at_clock(now);
+  update_live_views(now);
   Choice choice = failures.n > 0 ? choose_elsewhere(run) : Choice::nothing;
   if (choice != Choice::run && choice != Choice::table) choice = choose_among(true, run);
-  // What is about to be seen waits for what is waited for, and takes no room from it.
+  // Prefetch waits while callers wait, and evicts nothing that views want.
   if (choice == Choice::nothing && prefetches && n_waiting == 0) choice = choose_among(false, run);
-  // With the last of it, its hash is compared. Not beside what a view waits for: its bytes would share the line.
+  // The end of the table completes its hash. Not while pages are read: it would share their bandwidth.
   if (choice == Choice::nothing && n_at_work == 0 && !views.empty()) choice = claim_table(traits.most_bytes, run);
   if (choice == Choice::pinned) pool->waits_for_pins = true;
   if (choice == Choice::pinned || choice == Choice::no_room) pool->lacks_room = true;
@@ -166,11 +168,11 @@ StreamedState::Choice StreamedState::choose(Run& run) {
   return choice;
 }
 
-// Of what is wanted, that a run may have: threads that have nothing to do get theirs.
+// How many wanted groups a run may take, so that idle threads get their share.
 std::uint32_t StreamedState::share(bool now) const {
-  std::size_t n = 1;  // is requested already
+  std::size_t n = 1;  // the one that is requested already
   for (const auto& view : views) {
-    if (view->is_live) n += (now ? view->wants : view->soon_wants).wants().size();
+    if (view->is_live) n += (now ? view->wants : view->prefetch_wants).wants().size();
   }
   const auto n_others = static_cast<std::size_t>(n_at_work);
   const std::size_t n_idle = readers.size() > n_others ? readers.size() - n_others : 1;
@@ -179,12 +181,12 @@ std::uint32_t StreamedState::share(bool now) const {
 
 bool StreamedState::has_wants() const {
   return std::ranges::any_of(views, [](const auto& view) {
-    return view->is_live && !(view->wants.wants().empty() && (!view->soon || view->soon_wants.wants().empty()));
+    return view->is_live && !(view->wants.wants().empty() && (!view->ahead || view->prefetch_wants.wants().empty()));
   });
 }
 
-// Groups of the pages before and after lie before and after in the file.
-void StreamedState::extend(Run& run, const Worth& best) {
+// Groups of neighbouring pages are neighbours in the file.
+void StreamedState::extend(Run& run, const Priority& best) {
   const std::vector<lod::Page>& pages = file->pages();
   const auto begin_of = [&](std::uint32_t group) { return file->stored(pages[group].first_child).offset; };
   const auto end_of = [&](std::uint32_t group) {
@@ -194,23 +196,23 @@ void StreamedState::extend(Run& run, const Worth& best) {
   const std::uint32_t most_groups = share(best.now);
   const auto takes = [&](std::uint32_t group, std::uint64_t begin, std::uint64_t end, std::uint64_t gap) {
     if (run.n == most_groups || end - begin > traits.most_bytes || gap > traits.gap_bytes) return false;
-    if (!residency->is_open(group) || residency->n_failed(group) > 0) return false;
-    const Worth own = worth(group);
+    if (!residency->can_request(group) || residency->n_failed(group) > 0) return false;
+    const Priority own = priority(group);
     if (own.now != best.now || own.px <= 0 || own.px < kSideShare * best.px) return false;
     if (pool->take_pages(group_bytes(group), own) != StreamPoolState::Room::taken) return false;
     requested(group);
     ++run.n;
     return true;
   };
-  if (residency->n_failed(run.first) > 0) return;  // what was read along may be what cannot be
+  if (residency->n_failed(run.first) > 0) return;  // a neighbour may be the unreadable part
   std::uint64_t begin = begin_of(run.first), end = end_of(run.first);
   for (std::uint32_t next = run.first + 1; next < residency->n_groups() && residency->is_known(next); ++next) {
     if (!takes(next, begin, end_of(next), begin_of(next) - end)) break;
     end = end_of(next);
   }
   while (run.first > 0) {
-    const std::uint32_t before = run.first - 1;  // known, as what is behind it
-    // Room for one neighbour may have been found among those on the other side.
+    const std::uint32_t before = run.first - 1;  // known, since the one behind it is
+    // The search for room for one neighbour may have evicted those on the other side.
     if (!takes(before, begin_of(before), end, begin - end_of(before))) break;
     begin = begin_of(before);
     run.first = before;
@@ -225,9 +227,9 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
   const lod::Page last = page_of(run.first + run.n - 1);
   const std::uint32_t end = last.first_child + last.n_children;
   reader.begin_run();
-  std::array<PageReader::Ticket, kMostGroups> sent{};  // of groups of the run that have been decoded
-  std::uint32_t told = run.first;                      // groups before it have arrived, or failed
-  FileRange known;                                     // bytes of the last that was read
+  std::array<PageReader::Ticket, kMostGroups> sent{};  // by group of the run, once decoded
+  std::uint32_t reported = run.first;                  // groups before it have arrived or failed
+  FileRange known;                                     // bytes of the last page read
   for (std::uint32_t group = run.first; group < run.first + run.n; ++group) {
     const lod::Page above = page_of(group);
     Status read = guard_memory([&]() -> Status {
@@ -240,28 +242,28 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
       return {};
     });
     if (read) known = reader.last_read();
-    // What is on its way to a device stays so while the next group is decoded.
+    // A device copies one group while the next is decoded.
     const bool is_last = group + 1 == run.first + run.n;
-    std::uint32_t there = told;  // groups before it are where they are drawn
-    while (read && !is_last && there <= group) {
-      const auto is_there = reader.is_there(sent[there - run.first]);
-      if (!is_there) read = tl::unexpected(is_there.error());
-      if (!is_there || !*is_there) break;
-      ++there;
+    std::uint32_t ready = reported;  // groups before it can be drawn
+    while (read && !is_last && ready <= group) {
+      const auto is_done = reader.is_done(sent[ready - run.first]);
+      if (!is_done) read = tl::unexpected(is_done.error());
+      if (!is_done || !*is_done) break;
+      ++ready;
     }
     const bool goes_on = read && !is_last;
     if (!goes_on) {
-      // What has failed, too: its slots are others' from here on.
+      // Also after a failure: the slots are released below.
       const Status finished = reader.finish();
       if (finished) {
-        there = read ? group + 1 : group;
+        ready = read ? group + 1 : group;
       } else {
         read = finished;
-        group = there;
+        group = ready;
       }
     }
-    // A frame has the lock for as long as it chooses its pages, a millisecond or two: meanwhile the next group is decoded.
-    if (goes_on && there == told) continue;
+    // A frame holds the lock for a millisecond or two while it computes its cut; the next group is decoded meanwhile.
+    if (goes_on && ready == reported) continue;
     std::unique_lock lock(pool->mutex, std::defer_lock);
     std::optional<StreamTimer> timer(std::in_place, StreamStep::lock);
     if (goes_on) {
@@ -271,54 +273,54 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     }
     timer->next(StreamStep::tell);
     stats.bytes_read += reader.take_bytes_read();
-    if (told < there) {
+    if (reported < ready) {
       readable = known;
       succeed();
     }
-    for (; told < there; ++told) arrived(told);
+    for (; reported < ready; ++reported) arrived(reported);
     if (read) continue;
-    told = group + 1;
-    give_up(group);
+    reported = group + 1;
+    cancel(group);
     if (is_damage(read.error().code)) {
-      residency->refuse(group);
+      residency->quarantine(group);
       drop_below(group);
       if (damage) damage = read;
       pool->changed();
       continue;
     }
-    // Without bytes or memory now. What is left of the run is put off with it.
-    const std::uint32_t now = milliseconds(StreamClock::now());
+    // Bytes or memory are missing for now. The rest of the run is retried with it.
+    const std::uint32_t now = milliseconds(pool->now());
     for (std::uint32_t again = group; again < run.first + run.n; ++again) {
-      if (again > group) give_up(again);
+      if (again > group) cancel(again);
       residency->fail(again, now);
       drop_below(again);
-      if (residency->is_open(again)) want(again);
+      if (residency->can_request(again)) want(again);
     }
     const int n_times = residency->n_failed(group);
     lock.unlock();
-    timer.reset();  // what follows waits and reads
+    timer.reset();  // fail() waits and reads
     return fail(reader, read, {group, run.first + run.n - group}, n_times, begun);
   }
 }
 
-// It grows from failure to failure. A caller that waits makes it shorter, from then on.
+// Doubles with each failure; shorter while a caller waits.
 StreamClock::duration StreamedState::pause_left(int n, StreamClock::duration since) const {
   if (n <= 0) return 0s;
   const StreamClock::duration grown = kFirstPause * (1 << std::min(n - 1, 5));
   return std::max<StreamClock::duration>(0s, std::min(grown, n_waiting > 0 ? kLongestWaited : kLongestPause) - since);
 }
 
-// Others are read meanwhile: a range that cannot be read keeps nothing else from being so.
+// Delays one group; others are read meanwhile.
 StreamClock::duration StreamedState::put_off_for(std::uint32_t group) const {
   const int n = residency->n_failed(group);
   if (n == 0) return 0s;
-  return pause_left(n, std::chrono::milliseconds(milliseconds(StreamClock::now()) - residency->failed_at(group)));
+  return pause_left(n, std::chrono::milliseconds(milliseconds(pool->now()) - residency->failed_at(group)));
 }
 
 bool StreamedState::is_put_off(std::uint32_t group, Run& run) const {
   const auto left = put_off_for(group);
   if (left <= 0s) return false;
-  run.later = std::min(run.later, StreamClock::now() + left);
+  run.later = std::min(run.later, pool->now() + left);
   return true;
 }
 
@@ -327,7 +329,7 @@ float StreamedState::rank(std::uint32_t group, float px) const {
 }
 
 void StreamedState::succeed() {
-  failures.n = n_away = 0;
+  failures.n = n_unreachable = 0;
   trouble = {};
 }
 
@@ -338,14 +340,14 @@ void StreamedState::fail(PageReader& reader, const Status& read, const Run& fail
     trouble = read;
     ++n_failed;
     if (failures.add(begun, n_failed)) {
-      failed_at = StreamClock::now();
-      ++n_away;
+      failed_at = pool->now();
+      ++n_unreachable;
       known = readable;
     }
-    const bool is_lasting = std::max(n_times, n_away) >= kLastingTrouble;
+    const bool is_lasting = std::max(n_times, n_unreachable) >= kLastingTrouble;
     for (const auto& view : views) {
-      // The table is of all views, and so is a source that gives nothing any more.
-      bool is_own = failed.n == 0 || n_away > 1;
+      // All views share the table, and a source that no longer answers.
+      bool is_own = failed.n == 0 || n_unreachable > 1;
       for (std::uint32_t group = failed.first; !is_own && group < failed.first + failed.n; ++group)
         is_own = residency->wanted_px(group, *view->now) > 0;
       if (!is_own) continue;
@@ -356,11 +358,11 @@ void StreamedState::fail(PageReader& reader, const Status& read, const Run& fail
     pool->changed();
     if (n_waiting > 0) pool->news.notify_all();
   }
-  // Is it all of the source, or what was asked for?
+  // Does the whole source fail, or only this range?
   if (known.bytes == 0 || !reader.read_again(known)) return;
   const std::scoped_lock lock(pool->mutex);
   stats.bytes_read += reader.take_bytes_read();
-  n_away = 0;
+  n_unreachable = 0;
   pool->changed();
 }
 
@@ -376,14 +378,14 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
     unread = file->unread_table();
   }
   const auto part = reader.read_table(unread, std::max(n, kLeastTableBytes));
-  // Waits for pages that are being decoded: not with the lock that frames need.
+  // Waits until no page is being decoded, so not under the lock that frames need.
   std::unique_lock alone(table, std::defer_lock);
   if (part) alone.lock();
   std::unique_lock lock(pool->mutex);
   stats.bytes_read += reader.take_bytes_read();
   is_extending = false;
   if (!part) {
-    table_failed_at = StreamClock::now();
+    table_failed_at = pool->now();
     const int n_times = ++n_table_failures;
     lock.unlock();
     return fail(reader, tl::unexpected(part.error()), {}, n_times, begun);
@@ -394,7 +396,7 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
   const Status extended = file->extend(*part);
   residency->extend();
   if (!extended) {
-    residency->end_here();
+    residency->mark_broken();
     if (damage) damage = extended;
   }
   pool->changed();

@@ -11,8 +11,8 @@ namespace rgs::detail {
 
 std::uint64_t PageReader::bytes(const PagedFile& file, std::uint64_t read_bytes, const DeviceSlots* slots,
                                 std::uint32_t n_staged) {
-  // What a decoder keeps from page to page: contents of a frame or codes of an archive, up to twice what the largest takes, and
-  // its tables.
+  // Kept by a decoder from page to page: its tables, and a frame's content or an archive's codes, up to twice the
+  // largest page.
   constexpr std::uint64_t kTables = 320 << 10;
   const std::uint64_t largest = file.most_decoded_bytes();
   const std::uint64_t times = file.codec() == Codec::none ? 0 : file.codec() == Codec::planes ? 2 : 3;
@@ -30,7 +30,7 @@ Status PageReader::fill(std::uint32_t page, std::uint32_t end) {
       const StoredPage& stored = file_.stored(next);
       const std::uint64_t end_of_page = stored.offset + stored.stored_bytes;
       if (end_of_page - begin > capacity_) break;
-      // Where the end of the file is missing, what is before it is there.
+      // If the end of the file is missing, reads what is before it.
       if (next > page && end_of_page > source_.size()) break;
       read_end = end_of_page;
     }
@@ -79,7 +79,7 @@ Status PageReader::read(std::uint32_t page, std::uint32_t end) {
   }
   Status put = decode(page);
   if (put || put.error().code == Errc::host_out_of_memory || put.error().code == Errc::device_failed) return put;
-  // Bytes may be damaged on their way.
+  // The bytes may have been damaged in transit.
   if (Status filled = fill(page, page + 1); !filled) return filled;
   return decode(page);
 }

@@ -1,4 +1,4 @@
-// page_reader.hpp - pages from their source to where they are drawn: what one thread needs for it.
+// page_reader.hpp - brings pages from their source to the store: what one thread needs for it.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -19,8 +19,8 @@
 
 namespace rgs::detail {
 
-/// Of a table of pages. Who waits for it alone keeps others from taking it: threads that decode one page after the other would never
-/// let go of it all at once.
+/// Guards a table of pages. A waiting writer blocks new readers; otherwise threads that decode page after page would
+/// never all release it at once.
 class TableMutex {
  public:
   void lock() {
@@ -41,8 +41,8 @@ class TableMutex {
 
 class PageReader {
  public:
-  /// `read_bytes`: of one read, at least least_bytes(file). `table` guards the file's table of pages, which may grow. All must outlive it.
-  /// `writer`: of a store that is on a device.
+  /// `read_bytes`: of one read, at least least_bytes(file). `table` guards the file's table of pages, which may grow.
+  /// All must outlive it. `writer`: needed if the store is on a device.
   PageReader(const PagedFile& file, TableMutex& table, ByteSource& source, std::uint64_t read_bytes, PageStore& store,
              std::optional<SlotWriter> writer)
       : file_(file),
@@ -55,34 +55,35 @@ class PageReader {
         decoded_(file.most_decoded_bytes()),
         decoder_(file) {}
 
-  /// Most memory that one takes. `slots`: of a store that is on a device, with the pages that its writer stages.
+  /// Most memory that a reader takes. `slots`: of a store on a device, with `n_staged` pages that its writer stages.
   static std::uint64_t bytes(const PagedFile& file, std::uint64_t read_bytes, const DeviceSlots* slots,
                              std::uint32_t n_staged);
-  /// Room for any page: what coding makes larger than it is is a little larger.
+  /// Enough for any page: coding may make a page a little larger than it is.
   static std::uint64_t least_bytes(const PagedFile& file) {
     const std::uint64_t largest = file.most_decoded_bytes();
     return largest + largest / 8 + 4096;
   }
 
-  /// Before pages that do not follow those that were read before.
+  /// Call before pages that do not follow those read before.
   void begin_run() { begin_ = end_ = 0; }
-  /// Puts a page in its place. Reads along what follows of pages before `end`, for the next calls. Errors: those of
-  /// ByteSource::read(), PageDecoder::decode() and PageStore::put(); damage is that of a page that was read twice.
+  /// Reads, decodes and stores a page. Reads the pages that follow it, up to `end`, along with it for the next calls. A
+  /// damaged page is read a second time. Errors: those of ByteSource::read(), PageDecoder::decode() and
+  /// PageStore::put().
   Status read(std::uint32_t page, std::uint32_t end);
-  /// Of what was put up to a send().
+  /// Numbers what was stored up to one send().
   using Ticket = SlotWriter::Ticket;
-  /// Sends what was put to where it is drawn, where it is on its way to a device. Errors: device_failed.
+  /// On a device, sends what was stored to its slots. Errors: device_failed.
   Result<Ticket> send() { return writer_ ? writer_->send() : Result<Ticket>(0); }
-  /// Whether it is there, without waiting. Errors: device_failed.
-  Result<bool> is_there(Ticket ticket) { return writer_ ? writer_->is_there(ticket) : Result<bool>(true); }
-  /// Sends what was put and waits until it is where it is drawn; whatever it returns, nothing is on its way any more. Errors: device_failed.
+  /// Whether that has arrived; does not wait. Errors: device_failed.
+  Result<bool> is_done(Ticket ticket) { return writer_ ? writer_->is_done(ticket) : Result<bool>(true); }
+  /// Sends what was stored and waits for it; after any return nothing is in flight. Errors: device_failed.
   Status finish();
-  /// What follows of the table of pages, `n` bytes or as many as fit, valid until the next call of any. Errors: those of
+  /// Up to `n` bytes of the table of pages that are unread, valid until the next call. Errors: those of
   /// ByteSource::read().
   Result<FilePart> read_table(const FileRange& unread, std::uint64_t n);
-  /// Of the bytes that the last read() gave the first, a few hundred.
+  /// The first few hundred bytes of the last read().
   FileRange last_read() const { return {begin_, std::min<std::uint64_t>(end_ - begin_, 512)}; }
-  /// Reads what could be read before. Errors: those of ByteSource::read().
+  /// Reads a range that was readable before. Errors: those of ByteSource::read().
   Status read_again(const FileRange& range);
   /// Since the last call.
   std::uint64_t take_bytes_read() { return std::exchange(bytes_read_, 0); }

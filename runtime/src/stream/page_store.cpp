@@ -1,4 +1,4 @@
-// page_store.cpp - pages come and go, on the host or on a device.
+// page_store.cpp - stores and frees pages, on the host or on a device.
 // SPDX-License-Identifier: Apache-2.0
 #include "stream/page_store.hpp"
 
@@ -11,7 +11,7 @@
 namespace rgs::detail {
 namespace {
 
-/// A block of memory costs its allocator some bytes of its own; a large one is whole pages of the system's.
+/// An allocator adds some bytes to each block; a large block is whole pages of the system.
 constexpr std::uint64_t kAllocationBytes = 32, kLargeBlock = 64 << 10, kSystemPage = 4096;
 
 }  // namespace
@@ -27,11 +27,11 @@ PageStore::PageStore(const PagedFile& file, std::shared_ptr<DeviceSlots> slots)
 
 PageStore::~PageStore() {
   for (const std::uint32_t slot : slot_of_) {
-    if (slot != kNoSlot) slots_->give(slot);
+    if (slot != kNoSlot) slots_->release(slot);
   }
 }
 
-// The list of free slots is counted by every scene that shares them.
+// Every scene counts the list of free slots that they share.
 std::uint64_t PageStore::bytes(std::uint32_t n_pages, const DeviceSlots* slots) {
   if (slots == nullptr) return n_pages * sizeof(std::unique_ptr<float[]>);
   return n_pages * sizeof(std::uint32_t) + DeviceSlots::host_bytes(slots->plan());
@@ -54,7 +54,7 @@ void PageStore::free(std::uint32_t page) {
   if (slots_ == nullptr) {
     blocks_[page].reset();
   } else if (const std::uint32_t slot = std::exchange(slot_of_[page], kNoSlot); slot != kNoSlot) {
-    slots_->give(slot);
+    slots_->release(slot);
   }
 }
 

@@ -1,4 +1,4 @@
-// page_store.hpp - where a streamed scene's decoded pages are: in the host's memory as FP32 arrays, for the CPU renderer, or in slots of a
+// page_store.hpp - a streamed scene's decoded pages: FP32 arrays on the host, for the CPU renderer, or slots of a
 // device.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
@@ -24,20 +24,20 @@ class PageStore {
 
   bool is_on_device() const { return slots_ != nullptr; }
   const std::shared_ptr<DeviceSlots>& slots() const { return slots_; }
-  /// Memory of the host that a store takes beside pages.
+  /// Host memory of a store, without pages.
   static std::uint64_t bytes(std::uint32_t n_pages, const DeviceSlots* slots);
-  /// Room that a page takes: of the host's budget, or of slots.
+  /// Of the host's budget, or of slots.
   std::uint64_t page_bytes(std::uint32_t page) const;
 
-  // With the pool's lock, which has the room for it.
+  // With the pool's lock, once the room is taken.
   void reserve(std::uint32_t page);  ///< before put()
-  void free(std::uint32_t page);     ///< reserved; put() or not
+  void free(std::uint32_t page);     ///< a reserved page, stored or not
 
-  /// Rows of a page that is reserved, by the thread that has it, once their values are checked. `writer`: of that thread, on a device, whose
-  /// send() brings them there. Errors: those of check_page_values() and SlotWriter::write().
+  /// Stores a reserved page, on the thread that reads it, and checks its values first. `writer`: of that thread, on a
+  /// device; its send() copies the page to the slot. Errors: those of check_page_values() and SlotWriter::write().
   Status put(std::uint32_t page, const PageRows& rows, SlotWriter* writer);
 
-  /// What a frame draws of a page that is there.
+  /// What a frame draws of a resident page.
   ScenePart part(std::uint32_t page) const;                                       ///< on the host
   void add_chunks(std::uint32_t page, std::vector<std::uint32_t>& chunks) const;  ///< on a device, of all slots' chunks
 

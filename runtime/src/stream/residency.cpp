@@ -1,4 +1,4 @@
-// residency.cpp - groups of pages from one state to another.
+// residency.cpp - groups of pages change their state.
 // SPDX-License-Identifier: Apache-2.0
 #include "stream/residency.hpp"
 
@@ -15,41 +15,41 @@ float error_px(const lod::Page& page, double footprint) {
 }
 
 Residency::Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages)
-    : pages_(pages), groups_(n_pages), there_(n_words(n_pages)) {
+    : pages_(pages), groups_(n_pages), occupied_(n_words(n_pages)) {
   extend();
 }
 
-// Pages above the leaves come first.
+// Pages above the leaves come first in the table.
 void Residency::extend() {
   while (n_groups_ < pages_.size() && pages_[n_groups_].level > 0) ++n_groups_;
 }
 
-void Residency::add_below(std::uint32_t group, int n) {
+void Residency::count_below(std::uint32_t group, int n) {
   const std::uint32_t above = group_of(group);
   if (above != kNoGroup) groups_[above].n_below = static_cast<std::uint8_t>(groups_[above].n_below + n);
 }
 
-void Residency::set_there(std::uint32_t group, bool is_there) {
+void Residency::set_occupied(std::uint32_t group, bool is_occupied) {
   const std::uint64_t bit = std::uint64_t{1} << (group % 64);
-  if (is_there) {
-    there_[group / 64] |= bit;
+  if (is_occupied) {
+    occupied_[group / 64] |= bit;
   } else {
-    there_[group / 64] &= ~bit;
+    occupied_[group / 64] &= ~bit;
   }
 }
 
 void Residency::request(std::uint32_t group) {
-  assert(is_open(group));
+  assert(can_request(group));
   groups_[group].state = State::requested;
-  set_there(group, true);
-  add_below(group, 1);
+  set_occupied(group, true);
+  count_below(group, 1);
 }
 
 void Residency::drop(std::uint32_t group) {
   assert(state(group) == State::requested || state(group) == State::arrived);
   groups_[group].state = State::absent;
-  set_there(group, false);
-  add_below(group, -1);
+  set_occupied(group, false);
+  count_below(group, -1);
 }
 
 void Residency::fail(std::uint32_t group, std::uint32_t time) {
@@ -59,21 +59,21 @@ void Residency::fail(std::uint32_t group, std::uint32_t time) {
   g.failed_at = time;
 }
 
-void Residency::refuse(std::uint32_t group) {
+void Residency::quarantine(std::uint32_t group) {
   drop(group);
-  groups_[group].state = State::refused;
+  groups_[group].state = State::quarantined;
 }
 
 void Residency::arrive(std::uint32_t group) {
-  assert(state(group) == State::requested && waits_for_above(group));
+  assert(state(group) == State::requested && is_parent_in_flight(group));
   groups_[group].state = State::arrived;
 }
 
-void Residency::place(std::uint32_t group) {
-  assert((state(group) == State::requested || state(group) == State::arrived) && has(group));
+void Residency::make_resident(std::uint32_t group) {
+  assert((state(group) == State::requested || state(group) == State::arrived) && is_resident(group));
   groups_[group].state = State::resident;
   groups_[group].n_failed = 0;
-  // Never younger than what is above it, which goes later.
+  // Not newer than its parent, which is evicted later.
   if (const std::uint32_t above = group_of(group); above != kNoGroup)
     groups_[group].last_used = groups_[above].last_used;
   n_resident_ += pages_[group].n_children;
@@ -83,8 +83,8 @@ void Residency::evict(std::uint32_t group) {
   assert(can_evict(group));
   if (state(group) == State::resident) n_resident_ -= pages_[group].n_children;
   groups_[group].state = State::absent;
-  set_there(group, false);
-  add_below(group, -1);
+  set_occupied(group, false);
+  count_below(group, -1);
 }
 
 void Residency::pin(std::span<const std::uint32_t> pages) {

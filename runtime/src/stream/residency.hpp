@@ -1,5 +1,5 @@
-// residency.hpp - which pages of a file are in memory, and which of them a view draws and misses. Owns no pages, starts no threads and
-// takes no locks: whoever has the memory, the host's or a device's, does.
+// residency.hpp - which pages of a file are resident, and which of them a view draws and wants. Holds no memory of
+// pages, starts no threads, takes no locks.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -14,116 +14,116 @@
 
 namespace rgs::detail {
 
-/// A view as pages are chosen for it.
+/// What a view's cut depends on.
 struct StreamEye {
   lod::Eye eye;
   ViewVolume volume;
   float detail_px = 0;
 };
 
-/// What a group of pages is good for.
-struct Worth {
-  bool now = false;  ///< a view misses it or draws it or what is below it; otherwise one is about to
-  float px = 0;      ///< projected error of the page that is drawn without it; 0: nobody wants it
+/// How urgently a group of pages is wanted.
+struct Priority {
+  bool now = false;  ///< a view wants or draws it or a descendant; otherwise a view is about to
+  float px = 0;      ///< projected error of the page that stands for it; 0: no view wants it
 };
-/// By a tenth: what is worth much the same must not take each other's place in turns.
-inline bool outranks(const Worth& a, const Worth& b) {
+/// By a tenth, so that groups of like error do not evict each other in turns.
+inline bool outranks(const Priority& a, const Priority& b) {
   return a.now != b.now ? a.now : a.px > 1.1F * b.px;
 }
 
-/// The pages of a tree in groups: the children of one page come and go together, since none of them can be drawn without the others. Group
-/// `page` are the children of `page`; the root is there always. A group is resident only if the page above it is, and so are all ancestors:
-/// every place is covered by something that can be drawn. It may be requested as soon as the page above is.
+/// The pages of a tree in groups. Group `page` is the children of `page`, which are requested and evicted together,
+/// since none can be drawn without the others; the root is always resident. Every ancestor of a resident page is
+/// resident, so any part of the scene has something to draw. A group may be requested once its parent page is.
 class Residency {
  public:
   enum class State : std::uint8_t {
     absent,
-    requested,  ///< on its way
-    arrived,    ///< all of it is there, but not yet the page above
+    requested,  ///< in flight
+    arrived,    ///< decoded, but the parent page is not resident yet
     resident,
-    refused,  ///< damaged: never asked for again
+    quarantined,  ///< damaged: never requested again
   };
 
-  /// `pages` must outlive it; more of them may come, up to `n_pages`.
+  /// `pages` must outlive it and may grow up to `n_pages`.
   Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages);
-  /// Memory that it takes for a tree.
+  /// Memory for a tree.
   static std::uint64_t bytes(std::uint32_t n_pages) {
     return n_pages * sizeof(Group) + n_words(n_pages) * sizeof(std::uint64_t);
   }
-  /// More pages have come.
+  /// Call when `pages` has grown.
   void extend();
-  /// No more pages come: those that are not known never will be.
-  void end_here() { is_broken_ = true; }
+  /// `pages` will not grow any more: the unknown ones are lost.
+  void mark_broken() { is_broken_ = true; }
   bool is_broken() const { return is_broken_; }
 
-  /// Of pages that are known and not leaves.
+  /// Known pages that are not leaves.
   std::uint32_t n_groups() const { return n_groups_; }
-  /// Whether the records of the group's pages are there.
+  /// Whether the table has the group's pages.
   bool is_known(std::uint32_t group) const {
     return std::uint64_t{pages_[group].first_child} + pages_[group].n_children <= pages_.size();
   }
   State state(std::uint32_t group) const { return groups_[group].state; }
-  /// Whether a page is there.
-  bool has(std::uint32_t page) const { return page == 0 || state(pages_[page].parent) == State::resident; }
-  std::uint64_t n_resident() const { return n_resident_; }  ///< pages, the root among them
+  bool is_resident(std::uint32_t page) const { return page == 0 || state(pages_[page].parent) == State::resident; }
+  std::uint64_t n_resident() const { return n_resident_; }  ///< pages, with the root
   std::uint32_t last_used(std::uint32_t group) const { return groups_[group].last_used; }
 
-  /// Whether the page above is on its way.
-  bool waits_for_above(std::uint32_t group) const {
+  bool is_parent_in_flight(std::uint32_t group) const {
     if (group == 0) return false;
     const State above = state(group_of(group));
     return above == State::requested || above == State::arrived;
   }
-  /// Absent, and may be requested. Not below what has failed and is asked for again: that may fail again.
-  bool is_open(std::uint32_t group) const {
+  /// Absent, and its parent page is resident or in flight. Not below a group that has failed and is retried: it may
+  /// fail again.
+  bool can_request(std::uint32_t group) const {
     if (state(group) != State::absent) return false;
-    return has(group) || (waits_for_above(group) && n_failed(group_of(group)) == 0);
+    return is_resident(group) || (is_parent_in_flight(group) && n_failed(group_of(group)) == 0);
   }
 
-  // From one state to another.
-  void request(std::uint32_t group);  ///< absent -> requested; is_open()
-  void drop(std::uint32_t group);     ///< requested or arrived -> absent
-  void refuse(std::uint32_t group);   ///< requested -> refused
-  void arrive(std::uint32_t group);   ///< requested -> arrived; waits_for_above()
-  void place(std::uint32_t group);    ///< requested or arrived -> resident, as old as what is above, which is
-  void evict(std::uint32_t group);    ///< resident or arrived -> absent; can_evict()
+  void request(std::uint32_t group);     ///< absent -> requested; can_request()
+  void drop(std::uint32_t group);        ///< requested or arrived -> absent
+  void quarantine(std::uint32_t group);  ///< requested -> quarantined
+  void arrive(std::uint32_t group);      ///< requested -> arrived; is_parent_in_flight()
+  /// requested or arrived -> resident, last used as its parent, which is resident
+  void make_resident(std::uint32_t group);
+  void evict(std::uint32_t group);  ///< resident or arrived -> absent; can_evict()
 
-  /// requested -> absent: it could not be read at this time, of a clock of the caller's.
+  /// requested -> absent: it could not be read at `time`, of a clock of the caller's.
   void fail(std::uint32_t group, std::uint32_t time);
-  /// Times that it could not be read since it was last there, at most 255, and the last of them.
+  /// Failed reads in a row, at most 255, and when the last one was.
   int n_failed(std::uint32_t group) const { return groups_[group].n_failed; }
   std::uint32_t failed_at(std::uint32_t group) const { return groups_[group].failed_at; }
 
-  /// Pages that a frame draws stay.
+  /// Pinned pages stay resident: a frame draws them.
   void pin(std::span<const std::uint32_t> pages);
   void unpin(std::span<const std::uint32_t> pages);
-  /// All of it there, drawable or not, nothing of it pinned, and nothing below it there or on its way.
+  /// Resident or arrived, not pinned, and no child group requested, arrived or resident.
   bool can_evict(std::uint32_t group) const {
     const Group& g = groups_[group];
-    return is_whole(g) && g.pins == 0 && g.n_below == 0;
+    return has_data(g) && g.pins == 0 && g.n_below == 0;
   }
 
-  /// Calls f(group) of all groups that could be evicted one after the other, those below first, as far as may_go(group) allows, which is
-  /// asked of every one that is resident or has arrived.
+  /// Calls f(group) of all groups that could be evicted one after the other, children first, where may_go(group) allows
+  /// it; it is asked of every resident or arrived group.
   template <class MayGo, class F>
   void for_each_evictable(const MayGo& may_go, const F& f);
 
-  /// What a view draws of what is there, in the order of leaves.
+  /// What a view draws of the resident pages, in the order of leaves.
   struct Cut {
-    bool fits = true;  ///< draw() took all
+    bool fits = true;  ///< draw() took all pages
     std::uint64_t gaussians = 0;
-    std::uint64_t missing =
-        0;  ///< pages that the view wants and are not drawn, since they are not there or `eye` wants less
-    std::uint64_t damaged = 0;  ///< of these, refused, or never to be known
-    std::uint64_t coming = 0;   ///< groups that the view wants and are on their way
-    double reached_px = 0;      ///< largest projected error
+    /// Pages that the view wants and that are not drawn: absent, or finer than `eye` allows.
+    std::uint64_t missing = 0;
+    std::uint64_t damaged = 0;    ///< of these, quarantined or beyond a broken table
+    std::uint64_t in_flight = 0;  ///< groups that the view wants
+    double reached_px = 0;        ///< largest projected error
   };
-  /// Calls draw(page), until it says false, and want(group, px) for what is_open(), below groups that are on their way too. Pages that cannot
-  /// show are left out. `tick`: the time, for last_used(). `asked_px`: the detail that missing pages are counted by, at most that of `eye`.
+  /// Calls draw(page) until it returns false, and want(group, px) for groups that can_request(), below groups in flight
+  /// too. Pages outside the view are left out. `tick`: the time, for last_used(). `asked_px`: the detail by which
+  /// missing pages are counted, at most that of `eye`.
   template <class Draw, class Want>
   Cut cut(const StreamEye& eye, std::uint32_t tick, const Draw& draw, const Want& want, float asked_px);
 
-  /// What a view sees of a group: the error of its page in pixels where the page is in view and not fine enough, else 0.
+  /// Projected error, px, of the group's parent page if the view sees it and it is not fine enough, else 0.
   float wanted_px(std::uint32_t group, const StreamEye& eye) const;
 
  private:
@@ -132,49 +132,48 @@ class Residency {
     std::uint32_t pins = 0;
     std::uint32_t failed_at = 0;  // if n_failed > 0
     std::uint8_t n_failed = 0;
-    std::uint8_t n_below = 0;  // groups of its pages that are requested, arrived or resident
+    std::uint8_t n_below = 0;  // child groups that are requested, arrived or resident
     State state = State::absent;
-    bool blocked = false;  // by something below, during for_each_evictable()
+    bool blocked = false;  // by a descendant, during for_each_evictable()
   };
   static constexpr std::uint32_t kNoGroup = lod::kNoPage;
-  static bool is_whole(const Group& g) { return g.state == State::resident || g.state == State::arrived; }
+  static bool has_data(const Group& g) { return g.state == State::resident || g.state == State::arrived; }
 
-  /// Of a group that a view wants and has not, with such an error: calls want(), or looks at what is below. Adds to cut.coming.
+  /// For an absent group that a view wants with error `px`: calls want(), or descends if the group is in flight. Adds
+  /// to cut.in_flight.
   template <class Want>
-  void look_below(std::uint32_t group, float px, const StreamEye& eye, const Want& want, Cut& cut) const;
+  void want_descendants(std::uint32_t group, float px, const StreamEye& eye, const Want& want, Cut& cut) const;
 
-  std::uint32_t group_of(std::uint32_t page) const {
-    return pages_[page].parent;
-  }  // that the page is in; kNoGroup: the root
-  void add_below(std::uint32_t group, int n);
+  std::uint32_t group_of(std::uint32_t page) const { return pages_[page].parent; }  // kNoGroup: of the root
+  void count_below(std::uint32_t group, int n);
   static std::size_t n_words(std::uint32_t n_pages) { return (std::size_t{n_pages} + 63) / 64; }
-  void set_there(std::uint32_t group, bool is_there);
+  void set_occupied(std::uint32_t group, bool is_occupied);
 
   const std::vector<lod::Page>& pages_;
-  std::vector<Group> groups_;         // [n_pages]; leaves have none
-  std::vector<std::uint64_t> there_;  // a bit a group, requested, arrived or resident: of very many pages few may be
+  std::vector<Group> groups_;            // [n_pages]; leaves have none
+  std::vector<std::uint64_t> occupied_;  // a bit a group: requested, arrived or resident
   std::uint32_t n_groups_ = 0;
   bool is_broken_ = false;
   std::uint64_t n_resident_ = 1;
 };
 
-/// Projected error of a page, px; more than 0 if its error is.
+/// Projected error of a page, px; above 0 if its error is.
 float error_px(const lod::Page& page, double footprint);
 
 template <class MayGo, class F>
 void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
-  // Pages below have larger numbers. What is above a group that is there is there, or on its way.
-  for (std::size_t w = 0; w < there_.size(); ++w) {
-    for (std::uint64_t left = there_[w]; left != 0; left &= left - 1)
+  // Children have larger numbers. Every ancestor of a resident page is resident.
+  for (std::size_t w = 0; w < occupied_.size(); ++w) {
+    for (std::uint64_t left = occupied_[w]; left != 0; left &= left - 1)
       groups_[64 * w + static_cast<std::size_t>(std::countr_zero(left))].blocked = false;
   }
-  for (std::size_t w = there_.size(); w-- > 0;) {
-    for (std::uint64_t left = there_[w]; left != 0;) {
+  for (std::size_t w = occupied_.size(); w-- > 0;) {
+    for (std::uint64_t left = occupied_[w]; left != 0;) {
       const int bit = 63 - std::countl_zero(left);
       left &= ~(std::uint64_t{1} << bit);
       const auto i = static_cast<std::uint32_t>(64 * w + static_cast<std::size_t>(bit));
       const Group& g = groups_[i];
-      if (is_whole(g) && may_go(i) && g.pins == 0 && !g.blocked) {
+      if (has_data(g) && may_go(i) && g.pins == 0 && !g.blocked) {
         f(i);
         continue;
       }
@@ -184,13 +183,14 @@ void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
 }
 
 template <class Want>
-void Residency::look_below(std::uint32_t group, float px, const StreamEye& eye, const Want& want, Cut& cut) const {
-  if (is_open(group)) want(group, px);
+void Residency::want_descendants(std::uint32_t group, float px, const StreamEye& eye, const Want& want,
+                                 Cut& cut) const {
+  if (can_request(group)) want(group, px);
   if (state(group) != State::requested && state(group) != State::arrived) return;
-  ++cut.coming;
+  ++cut.in_flight;
   const std::uint32_t end = pages_[group].first_child + pages_[group].n_children;
   for (std::uint32_t child = pages_[group].first_child; child < end && child < n_groups_; ++child) {
-    if (const float below_px = wanted_px(child, eye); below_px > 0) look_below(child, below_px, eye, want, cut);
+    if (const float below_px = wanted_px(child, eye); below_px > 0) want_descendants(child, below_px, eye, want, cut);
   }
 }
 
@@ -218,11 +218,11 @@ Residency::Cut Residency::cut(const StreamEye& eye, std::uint32_t tick, const Dr
       cut.reached_px = static_cast<double>(px) > cut.reached_px ? static_cast<double>(px) : cut.reached_px;
       if (page.n_children > 0 && !lod::is_fine_enough(page.error, asked_px, footprint)) {
         cut.missing += page.n_children;
-        if (groups_[i].state == State::refused || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
-        if (!is_fine) look_below(i, px, eye, want, cut);
+        if (groups_[i].state == State::quarantined || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
+        if (!is_fine) want_descendants(i, px, eye, want, cut);
       }
     }
-    // The next in the order of leaves that is not below this one.
+    // The next page in the order of leaves that is no descendant.
     for (;;) {
       if (i == 0) return cut;
       const lod::Page& above = pages_[pages_[i].parent];

@@ -11,7 +11,7 @@ namespace rgs::detail {
 namespace {
 
 constexpr std::uint64_t kAlignment = 256;
-// Kernels number rows with 31 bits.
+// Kernels index rows with 31 bits.
 constexpr std::uint64_t kMostRows = std::numeric_limits<std::int32_t>::max();
 
 std::uint64_t aligned(std::uint64_t bytes) {
@@ -47,7 +47,7 @@ std::uint64_t SlotShape::bytes() const {
 }
 
 Result<SlotPlan> plan_slots(const SlotShape& shape, std::uint64_t budget) {
-  // Less than what the sections' beginnings leave between them is lost.
+  // Aligning the sections may cost a slot.
   std::uint64_t n = std::min(budget / shape.bytes(), kMostRows / shape.rows());
   while (n > 0 && plan_of(shape, static_cast<std::uint32_t>(n)).bytes > budget) --n;
   if (n == 0) {
@@ -72,9 +72,9 @@ std::uint64_t staging_bytes(const SlotShape& shape, std::uint32_t n_pages) {
 }
 
 std::optional<std::uint64_t> StagingRing::take(std::uint64_t n) {
-  if (taken_ == given_) next_ = 0;
+  if (taken_ == released_) next_ = 0;
   const bool is_over = n > bytes_ - next_;
-  const std::uint64_t lost = is_over ? bytes_ - next_ : 0, used = taken_ - given_;
+  const std::uint64_t lost = is_over ? bytes_ - next_ : 0, used = taken_ - released_;
   if (n + lost > bytes_ - used) return std::nullopt;
   const std::uint64_t at = is_over ? 0 : next_;
   next_ = at + n;

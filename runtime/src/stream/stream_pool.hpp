@@ -1,10 +1,12 @@
-// stream_pool.hpp - a memory budget, and which pages of its scenes give room to others.
+// stream_pool.hpp - a memory budget that scenes share, and which of their pages are evicted.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
 #include <array>
+#include <chrono>
 #include <condition_variable>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -14,53 +16,57 @@
 
 namespace rgs::detail {
 
+using StreamClock = std::chrono::steady_clock;
+
 struct StreamedState;
 struct StreamView;
 
-/// What every streamed scene holds is taken from here before it is allocated. One lock for the pool and all that its scenes know of their
-/// pages: room for one is found among the pages of all.
+/// All memory of streamed scenes is taken from here before it is allocated. One lock guards the pool and the residency
+/// of all its scenes, since a page of one may evict pages of another.
 struct StreamPoolState {
   explicit StreamPoolState(std::uint64_t bytes, std::uint64_t device_bytes = 0)
       : budget(bytes), device_memory(device_bytes) {}
 
-  const std::uint64_t budget;         // of the host
-  const std::uint64_t device_memory;  // 0: pages are on the host
-  std::mutex mutex;                   // of all below, and of scenes' state where they say so
-  std::condition_variable news;       // for those who wait until a view is complete
+  const std::uint64_t budget;                                       // of the host
+  const std::uint64_t device_memory;                                // 0: pages are on the host
+  std::function<StreamClock::time_point()> now = StreamClock::now;  // constant once a scene is open; tests stop it
+  std::mutex mutex;                                                 // of all below, and of scenes' state where noted
+  std::condition_variable news;                                     // wakes callers that wait for a view to complete
   std::uint64_t held = 0;
-  /// Where pages are on a device: the slots of all scenes, as long as there are scenes; room and what of it is taken.
+  /// On a device: the slots of all scenes, as long as there is a scene; their bytes and how many are taken.
   std::weak_ptr<DeviceSlots> slots;
   std::uint64_t slots_budget = 0, slots_held = 0;
-  /// Grows with whatever may make a page wanted, or give room to one that had none.
+  /// Counts whatever may make a page wanted, or make room for one.
   std::uint64_t changes = 0;
   std::uint32_t tick = 0;                 ///< of frames
-  const StreamView* last_view = nullptr;  ///< that a frame or a caller has seen, of all scenes
-  bool waits_for_pins = false;            ///< something would have room if no frame were at work
-  bool lacks_room = false;                ///< something had none when it was last looked for
+  const StreamView* last_view = nullptr;  ///< last used, of all scenes
+  bool waits_for_pins = false;            ///< a request would fit if no frame pinned pages
+  bool lacks_room = false;                ///< a request did not fit at the last try
   std::vector<StreamedState*> scenes;
 
   enum class Room : std::uint8_t {
     taken,
     none,
-    pinned,  ///< some, once frames at work are done
+    pinned,  ///< it fits once frames have ended
   };
-  /// Takes `bytes` of the host for what is worth so much; evicts pages that are worth less, if they are there and that is enough.
-  Room take(std::uint64_t bytes, const Worth& worth);
-  void give(std::uint64_t bytes) { held -= bytes; }
+  /// Takes `bytes` of the host; evicts groups of lower priority if that makes enough room.
+  Room take(std::uint64_t bytes, const Priority& priority);
+  void release(std::uint64_t bytes) { held -= bytes; }
   std::uint64_t left() const { return budget - held; }
-  /// The same where pages are: of the host, or of slots.
-  Room take_pages(std::uint64_t bytes, const Worth& worth);
-  void give_pages(std::uint64_t bytes) { (is_on_device() ? slots_held : held) -= bytes; }
+  /// The same of the memory that pages take: the host's, or slots.
+  Room take_pages(std::uint64_t bytes, const Priority& priority);
+  void release_pages(std::uint64_t bytes) { (is_on_device() ? slots_held : held) -= bytes; }
   std::uint64_t left_for_pages() const { return is_on_device() ? slots_budget - slots_held : left(); }
   std::uint64_t pages_budget() const { return is_on_device() ? slots_budget : budget; }
   bool is_on_device() const { return device_memory > 0; }
-  /// The slots, made for the first scene. Errors: those of DeviceSlots::create(); bad_argument (those that are there are of another shape).
+  /// The slots, allocated for the first scene. Errors: those of DeviceSlots::create(); bad_argument (the pool's scenes
+  /// have another shape).
   Result<std::shared_ptr<DeviceSlots>> slots_of(const SlotShape& shape);
-  /// After a take_pages() that took nothing: what would have gone for it, pinned or not. Not more goes for what is worth less.
-  std::uint64_t could_go() const { return could_go_; }
-  /// Something changed, for this scene and, with it, for those that wait for room.
+  /// After a failed take_pages(): the bytes that it could have evicted, pinned or not; a bound for requests of lower
+  /// priority.
+  std::uint64_t reclaimable_bytes() const { return reclaimable_bytes_; }
+  /// Something changed: wakes threads of all scenes.
   void changed();
-  /// A scene leaves.
   void forget(StreamedState* scene);
 
  private:
@@ -68,17 +74,17 @@ struct StreamPoolState {
     StreamedState* scene;
     std::uint32_t group;
     std::uint32_t last_used;
-    Worth worth;
+    Priority priority;
   };
-  static bool goes_before(const Victim& a, const Victim& b);
-  Room look_for_victims(std::uint64_t bytes, const Worth& worth);
+  static bool evicts_before(const Victim& a, const Victim& b);
+  Room find_victims(std::uint64_t bytes, const Priority& priority);
 
-  std::array<Victim, 256> victims_;  // those that go first come last
+  std::array<Victim, 256> victims_;  // the first to evict comes last
   std::size_t n_victims_ = 0;
-  std::uint64_t could_go_ = 0;
+  std::uint64_t reclaimable_bytes_ = 0;
 };
 
-/// Worth of what has to be there.
-inline constexpr Worth kNeeded{true, 3e38F};
+/// For what cannot be done without.
+inline constexpr Priority kNeeded{true, 3e38F};
 
 }  // namespace rgs::detail

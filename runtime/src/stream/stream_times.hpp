@@ -1,4 +1,5 @@
-// stream_times.hpp - where the time of a streamed scene's threads and frames goes, in builds with RGS_STREAM_TIMES; in others, nothing of it.
+// stream_times.hpp - where a streamed scene's threads and frames spend their time, in builds with RGS_STREAM_TIMES
+// alone.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,22 +13,22 @@
 
 namespace rgs::detail {
 
-/// What a thread that reads does, one after the other, and what a frame does before it draws.
+/// Steps of a reading thread, in turn, and of a frame before it draws.
 enum class StreamStep : std::uint8_t {
   read,        ///< bytes of pages, from the source
   decode,      ///< to rows
-  check,       ///< their values
+  check,       ///< of values
   stage,       ///< to page-locked memory
-  queue,       ///< calls that queue copies, and events after them
-  room,        ///< waits for page-locked memory to be free
-  wait,        ///< waits for copies, or asks after them
+  queue,       ///< queues copies and the events after them
+  room,        ///< waits for page-locked memory
+  wait,        ///< waits for copies, or polls them
   lock,        ///< waits for the pool's lock
-  choose,      ///< with it: what to read
-  tell,        ///< with it: what has come
+  choose,      ///< under the lock: what to read
+  tell,        ///< under the lock: what has arrived
   table,       ///< reads more of the table of pages
   idle,        ///< has nothing to do
   frame_lock,  ///< a frame waits for the pool's lock
-  frame_cut,   ///< and chooses its pages with it
+  frame_cut,   ///< a frame computes its cut under the lock
 };
 inline constexpr std::size_t kStreamSteps = 14;
 inline constexpr std::array<const char*, kStreamSteps> kStreamStepNames{
@@ -42,7 +43,7 @@ struct StreamTotal {
 };
 inline std::array<StreamTotal, kStreamSteps> stream_totals;
 
-/// From here to its end, or to next().
+/// Times a scope, up to its end or to next().
 class StreamTimer {
  public:
   explicit StreamTimer(StreamStep step) : step_(step), began_(Clock::now()) {}

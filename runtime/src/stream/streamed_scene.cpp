@@ -1,4 +1,4 @@
-// streamed_scene.cpp - opens a streamed scene: its tables, its root, its threads; and ends it.
+// streamed_scene.cpp - opens a streamed scene (tables, root, threads) and closes it.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/streamed_scene.hpp"
 
@@ -15,11 +15,11 @@ using namespace detail;
 
 namespace {
 
-constexpr std::uint64_t kFirstBytes = 64 << 10;  // of a file; enough for the head of any
-/// Sections, declarations, pages of the first bytes, what threads and locks take.
+constexpr std::uint64_t kFirstBytes = 64 << 10;  // of a file: enough for any head
+/// Sections, declarations, first bytes, threads and locks.
 constexpr std::uint64_t kSceneBytes = 256 << 10;
 constexpr std::uint64_t kLeastReadBytes = 256 << 10;
-constexpr std::uint64_t kReadersShare = 8;  // of the budget, that threads may take
+constexpr std::uint64_t kReadersShare = 8;  // of the budget: at most an eighth for threads
 constexpr int kMostThreads = 64;
 
 tl::unexpected<Error> too_small(std::uint64_t needed, std::uint64_t budget) {
@@ -36,7 +36,7 @@ Status StreamedState::take(std::uint64_t n) {
   return {};
 }
 
-// The head, the beginning of the table of pages, and what else is needed before a page can be decoded.
+// Reads the head, the start of the table of pages, and what else decoding a page needs.
 Status StreamedState::read_tables(const DecodeLimits& limits) {
   if (Status taken = take(kSceneBytes); !taken) return taken;
   std::vector<std::vector<std::byte>> memory;
@@ -71,7 +71,7 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
     return make_error(Errc::trailing_bytes, opened->head().header().file_bytes,
                       "the file is longer than its header says", opened->head().header().file_bytes, source->size());
   }
-  // Room for all of the table is taken now, so that none is needed when it comes. An archive's tables have theirs.
+  // Reserves the whole table now, so that it cannot fail later. An archive's tables are reserved above.
   const std::uint64_t whole = opened->whole_memory_bytes();
   if (Status taken = take(whole - std::min(whole, archive)); !taken) return taken;
   file = *std::move(opened);
@@ -85,12 +85,12 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
   memory.clear();
   const std::scoped_lock lock(pool->mutex);
   const std::uint64_t given = part_bytes + archive - std::min(whole, archive);
-  pool->give(given);
+  pool->release(given);
   bytes -= given;
   return {};
 }
 
-// Threads take a share of the budget at most, and what is needed at least.
+// Threads get a share of the budget, but at least what they need.
 Status StreamedState::make_room_for_pages() {
   traits = source->traits();
   const std::uint32_t n_pages = file->n_pages_in_all();
@@ -155,11 +155,11 @@ Status StreamedState::read_root() {
   readable = readers.front()->last_read();
   stats.bytes_decoded += file->decoded_bytes(0);
   if (pool->is_on_device()) stats.bytes_uploaded += file->decoded_bytes(0);
-  // Without lists a view cannot be drawn.
+  // A view cannot be drawn without lists.
   const std::scoped_lock lock(pool->mutex);
   if (pool->take(least_view_bytes(), kNeeded) != StreamPoolState::Room::taken)
     return too_small(pool->held + least_view_bytes(), pool->budget);
-  pool->give(least_view_bytes());
+  pool->release(least_view_bytes());
   return {};
 }
 
@@ -203,7 +203,7 @@ StreamedState::~StreamedState() {
   source->cancel();
   for (std::thread& thread : threads) thread.join();
   const std::scoped_lock lock(pool->mutex);
-  // Others may use the room as soon as the lock is gone: nothing is left in it by then.
+  // Others may use the memory once the lock is released, so everything is freed before.
   std::uint64_t given = bytes, given_pages = has_root ? store->page_bytes(0) : 0;
   for (const auto& view : views) {
     given += view->bytes + view->lists.bytes;
@@ -216,8 +216,8 @@ StreamedState::~StreamedState() {
   views.clear(), readers.clear();
   store.reset();
   residency.reset(), file.reset();
-  pool->give(given);
-  pool->give_pages(given_pages);
+  pool->release(given);
+  pool->release_pages(given_pages);
   pool->forget(this);
 }
 
@@ -252,7 +252,7 @@ StreamedScene::StreamedScene(std::shared_ptr<StreamedState> state) : state_(std:
 
 Result<StreamedScene> StreamedScene::open(std::unique_ptr<ByteSource> source, const StreamOptions& options) {
   return guard_memory([&]() -> Result<StreamedScene> {
-    if (source == nullptr) return make_error(Errc::bad_argument, Error::kNone, "there is no source");
+    if (source == nullptr) return make_error(Errc::bad_argument, Error::kNone, "the source is null");
     std::optional<StreamPool> pool = options.pool;
     if (!pool) {
       auto own = StreamPool::create();

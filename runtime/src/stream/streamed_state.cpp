@@ -17,14 +17,14 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr auto kViewLives = 1s;         // without a frame
+constexpr auto kViewLives = 1s;         // after its last frame
 constexpr double kAheadSeconds = 0.5;   // of the camera's motion
-constexpr double kMotionSeconds = 0.5;  // between frames, above which they say nothing of motion
+constexpr double kMotionSeconds = 0.5;  // frames farther apart say nothing of motion
 constexpr double kMostTurn = 1;         // radians ahead
-constexpr int kSoonFrames =
-    6;  // that what is about to be seen is looked for once: it takes as long as a frame's own choice
+/// Prefetch runs every sixth frame, because it costs as much as choosing the pages.
+constexpr int kPrefetchFrames = 6;
 constexpr std::size_t kFirstDrawn = 256;  // pages
-/// A block of memory costs its allocator some bytes of its own.
+/// An allocator adds some bytes to each block.
 constexpr std::uint64_t kAllocationBytes = 32;
 
 bool is_more(const WantList::Want& a, const WantList::Want& b) {
@@ -49,7 +49,7 @@ double extent(const Box& box) {
   return std::sqrt(squared);
 }
 
-// Where a camera is after `ahead` times the motion from `before` to `now`, at most `farthest` away.
+// The camera moved on by `ahead` times the motion from `before` to `now`, but at most `farthest`.
 Camera moved_on(const Camera& before, const Camera& now, double ahead, double farthest) {
   const glm::dmat4 a = glm::inverse(before.world_to_camera), b = glm::inverse(now.world_to_camera);
   const glm::dvec3 from(a[3]), to(b[3]);
@@ -124,17 +124,17 @@ std::uint64_t StreamedState::group_bytes(std::uint32_t group) const {
   return sum;
 }
 
-Worth StreamedState::worth(std::uint32_t group) const {
-  Worth worth;
+Priority StreamedState::priority(std::uint32_t group) const {
+  Priority priority;
   for (const auto& view : views) {
-    if (view->is_live) worth.px = std::max(worth.px, residency->wanted_px(group, *view->now));
+    if (view->is_live) priority.px = std::max(priority.px, residency->wanted_px(group, *view->now));
   }
-  worth.now = worth.px > 0;
-  if (worth.now) return worth;
+  priority.now = priority.px > 0;
+  if (priority.now) return priority;
   for (const auto& view : views) {
-    if (view->is_live && view->soon) worth.px = std::max(worth.px, residency->wanted_px(group, *view->soon));
+    if (view->is_live && view->ahead) priority.px = std::max(priority.px, residency->wanted_px(group, *view->ahead));
   }
-  return worth;
+  return priority;
 }
 
 void StreamedState::requested(std::uint32_t group) {
@@ -142,33 +142,33 @@ void StreamedState::requested(std::uint32_t group) {
   residency->request(group);
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t k = 0; k < above.n_children; ++k) store->reserve(above.first_child + k);
-  for (const auto& view : views) view->n_coming += residency->wanted_px(group, *view->now) > 0;
+  for (const auto& view : views) view->n_in_flight += residency->wanted_px(group, *view->now) > 0;
   want_below(group);
   ++n_requested;
 }
 
-void StreamedState::give_up(std::uint32_t group) {
-  no_longer_coming(group);
-  give_room(group);
+void StreamedState::cancel(std::uint32_t group) {
+  leave_flight(group);
+  free_pages(group);
 }
 
-void StreamedState::no_longer_coming(std::uint32_t group) {
+void StreamedState::leave_flight(std::uint32_t group) {
   for (const auto& view : views) {
-    // The last cut may have missed one whose box is at the edge of the view.
-    if (view->n_coming > 0 && residency->wanted_px(group, *view->now) > 0) --view->n_coming;
+    // The last cut may have missed a group whose box is at the view's edge.
+    if (view->n_in_flight > 0 && residency->wanted_px(group, *view->now) > 0) --view->n_in_flight;
   }
 }
 
 void StreamedState::want(std::uint32_t group) {
   for (const auto& view : views) {
     if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, rank(group, px));
-    if (!view->soon) continue;
-    if (const float px = residency->wanted_px(group, *view->soon); px > 0)
-      view->soon_wants.insert(group, rank(group, px));
+    if (!view->ahead) continue;
+    if (const float px = residency->wanted_px(group, *view->ahead); px > 0)
+      view->prefetch_wants.insert(group, rank(group, px));
   }
 }
 
-// As far as lists are of the cameras as they are: choose_among() finds the rest.
+// Finds wants of the current cameras alone; choose_among() drops stale ones.
 void StreamedState::forget_want(std::uint32_t group) {
   const auto forget = [&](WantList& list, const StreamEye& eye) {
     const float px = residency->wanted_px(group, eye);
@@ -178,7 +178,7 @@ void StreamedState::forget_want(std::uint32_t group) {
   };
   for (const auto& view : views) {
     forget(view->wants, *view->now);
-    if (view->soon) forget(view->soon_wants, *view->soon);
+    if (view->ahead) forget(view->prefetch_wants, *view->ahead);
   }
 }
 
@@ -186,14 +186,14 @@ void StreamedState::want_below(std::uint32_t group) {
   const lod::Page& above = file->pages()[group];
   const std::uint32_t end = std::min(above.first_child + above.n_children, residency->n_groups());
   for (std::uint32_t child = above.first_child; child < end; ++child) {
-    if (residency->is_open(child)) want(child);
+    if (residency->can_request(child)) want(child);
   }
 }
 
-void StreamedState::give_room(std::uint32_t group) {
+void StreamedState::free_pages(std::uint32_t group) {
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t k = 0; k < above.n_children; ++k) store->free(above.first_child + k);
-  pool->give_pages(group_bytes(group));
+  pool->release_pages(group_bytes(group));
 }
 
 void StreamedState::count_evicted(std::uint32_t group) {
@@ -204,14 +204,14 @@ void StreamedState::count_evicted(std::uint32_t group) {
 }
 
 void StreamedState::evict(std::uint32_t group) {
-  if (residency->state(group) == Residency::State::arrived) no_longer_coming(group);
+  if (residency->state(group) == Residency::State::arrived) leave_flight(group);
   residency->evict(group);
   count_evicted(group);
-  give_room(group);
+  free_pages(group);
   drop_below(group);
-  // Not if the page above has failed meanwhile.
+  // Unless the parent page has failed meanwhile.
   for (const auto& view : views) {
-    if (!residency->is_open(group)) break;
+    if (!residency->can_request(group)) break;
     if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, rank(group, px));
   }
   pool->changed();
@@ -226,36 +226,36 @@ void StreamedState::arrived(std::uint32_t group) {
   for (const auto& view : views) {
     if (residency->wanted_px(group, *view->now) > 0) view->failures.n = 0;
   }
-  if (residency->has(group)) {
-    placed(group);
-  } else if (residency->waits_for_above(group)) {
+  if (residency->is_resident(group)) {
+    became_resident(group);
+  } else if (residency->is_parent_in_flight(group)) {
     residency->arrive(group);
   } else {
     drop(group);
   }
-  // What is there may give room to another, and what is dropped does.
+  // A resident group can be evicted for another, and a dropped one has left room.
   if (std::exchange(pool->lacks_room, false)) pool->changed();
   if (n_waiting > 0 &&
-      std::ranges::any_of(views, [](const auto& view) { return view->n_busy > 0 && view->has_come(); }))
+      std::ranges::any_of(views, [](const auto& view) { return view->n_busy > 0 && view->has_nothing_pending(); }))
     pool->news.notify_all();
 }
 
-void StreamedState::placed(std::uint32_t group) {
-  no_longer_coming(group);
+void StreamedState::became_resident(std::uint32_t group) {
+  leave_flight(group);
   const bool has_failed = residency->n_failed(group) > 0;
-  residency->place(group);
-  if (has_failed) {  // what is below it was not asked for before
+  residency->make_resident(group);
+  if (has_failed) {  // its child groups were not requested while it failed
     want_below(group);
     pool->changed();
   }
   const lod::Page& above = file->pages()[group];
   const std::uint32_t end = std::min(above.first_child + above.n_children, residency->n_groups());
   for (std::uint32_t child = above.first_child; child < end; ++child) {
-    if (residency->state(child) == Residency::State::arrived) placed(child);
+    if (residency->state(child) == Residency::State::arrived) became_resident(child);
   }
 }
 
-// Of what is still being read its thread finds out.
+// Groups still being read are dropped when they arrive.
 void StreamedState::drop_below(std::uint32_t group) {
   const lod::Page& above = file->pages()[group];
   const std::uint32_t end = std::min(above.first_child + above.n_children, residency->n_groups());
@@ -266,44 +266,44 @@ void StreamedState::drop_below(std::uint32_t group) {
 }
 
 void StreamedState::drop(std::uint32_t group) {
-  give_up(group);
+  cancel(group);
   count_evicted(group);
   residency->drop(group);
   drop_below(group);
 }
 
-void StreamedState::look_at_clock(StreamClock::time_point now) {
+void StreamedState::update_live_views(StreamClock::time_point now) {
   for (const auto& view : views) {
     view->is_live = view->n_busy > 0 || now - view->seen < kViewLives || pool->last_view == view.get();
   }
 }
 
-void StreamedState::forget_old_views() {
+void StreamedState::remove_old_views() {
   std::erase_if(views, [&](const std::unique_ptr<StreamView>& view) {
-    if (!view->is_live) pool->give(view->bytes + view->lists.bytes);
+    if (!view->is_live) pool->release(view->bytes + view->lists.bytes);
     return !view->is_live;
   });
 }
 
 Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& camera, const StreamRule& rule) {
   const StreamEye eye = rule.eye(camera);
-  const auto now = StreamClock::now();
-  look_at_clock(now);
+  const auto now = pool->now();
+  update_live_views(now);
   const auto found = std::ranges::find(views, renderer, [](const auto& view) { return view->renderer; });
   StreamView* view = found == views.end() ? nullptr : found->get();
   bool is_new = view == nullptr || !view->is_live;
-  const bool had_soon = view != nullptr && view->soon;
+  const bool had_ahead = view != nullptr && view->ahead;
   if (view == nullptr) {
-    forget_old_views();
+    remove_old_views();
     if (pool->take(view_bytes(), kNeeded) != StreamPoolState::Room::taken) {
       return make_error(Errc::limit_exceeded, Error::kNone,
-                        "the memory budget has no room for another view: a larger one, or fewer renderers",
+                        "the memory budget has no room for another view: raise it, or use fewer renderers",
                         pool->held + view_bytes(), pool->budget);
     }
     struct Given {
       StreamPoolState* pool;
       ~Given() {
-        if (pool != nullptr) pool->give(view_bytes());
+        if (pool != nullptr) pool->release(view_bytes());
       }
     } given{pool.get()};
     view = views.emplace_back(std::make_unique<StreamView>()).get();
@@ -312,22 +312,22 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
     view->renderer = renderer;
   } else if (!is_same(*view->now, eye)) {
     const double seconds = std::chrono::duration<double>(now - view->came).count();
-    view->soon.reset();
+    view->ahead.reset();
     if (prefetches && seconds > 0 && seconds < kMotionSeconds) {
-      view->soon = rule.eye(moved_on(view->camera, camera, kAheadSeconds / seconds, extent(file->pages()[0].bounds)));
+      view->ahead = rule.eye(moved_on(view->camera, camera, kAheadSeconds / seconds, extent(file->pages()[0].bounds)));
     }
     view->is_refined = false;
     is_new = true;
   } else if (!view->is_refined) {
-    view->soon.reset();  // it stands
+    view->ahead.reset();  // the camera stands still
   }
   if (!view->is_refined) view->came = now;
   view->is_refined = false;
   view->camera = camera;
   view->now = eye;
   view->seen = now;
-  if (!had_soon || !view->soon || ++view->soon_frames >= kSoonFrames)
-    view->is_soon_known = false, view->soon_frames = 0;
+  if (!had_ahead || !view->ahead || ++view->frames_since_prefetch >= kPrefetchFrames)
+    view->prefetch_is_current = false, view->frames_since_prefetch = 0;
   view->is_live = true;
   pool->last_view = view;
   if (is_new) pool->changed();
@@ -340,7 +340,7 @@ Status StreamedState::need(DrawLists& lists) {
                     pool->held + list_bytes(kFirstDrawn), pool->budget);
 }
 
-// Room for twice as many pages.
+// Doubles the lists.
 bool StreamedState::grow(DrawLists& lists) {
   const std::size_t n = std::max(2 * lists.pages.capacity(), kFirstDrawn);
   if (pool->take(list_bytes(n), kNeeded) != StreamPoolState::Room::taken) return false;
@@ -358,7 +358,7 @@ bool StreamedState::grow(DrawLists& lists) {
 void StreamedState::free(DrawLists& lists) {
   const std::uint64_t n = lists.bytes;
   lists = DrawLists();
-  pool->give(n);
+  pool->release(n);
 }
 
 Residency::Cut StreamedState::cut(StreamView& view, DrawLists* lists) {
@@ -378,11 +378,11 @@ Residency::Cut StreamedState::cut(StreamView& view, DrawLists* lists) {
         view.now->detail_px);
     if (cut.fits) {
       view.wants.order();
-      view.n_coming = cut.coming;
+      view.n_in_flight = cut.in_flight;
       return cut;
     }
     if (grow(*lists)) continue;
-    // Where not even the list of pages fits, the picture is coarser. One page fits, or there is no list at all.
+    // If not even the list of pages fits, the picture is coarser. One page fits, or there is no list at all.
     if (lists->pages.capacity() == 0) {
       lists = nullptr;
     } else {
@@ -435,7 +435,7 @@ StreamFrame::~StreamFrame() {
   // Another frame of the view may have made lists of its own.
   if (view_->lists.pages.capacity() < lists_.pages.capacity()) std::swap(view_->lists, lists_);
   state_->free(lists_);
-  view_->seen = StreamClock::now();
+  view_->seen = state_->pool->now();
   --view_->n_busy;
   if (std::exchange(state_->pool->waits_for_pins, false)) state_->pool->changed();
 }
@@ -443,9 +443,8 @@ StreamFrame::~StreamFrame() {
 Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera& camera, const StreamRule& rule,
                          double seconds) {
   constexpr double kLongest = 1e7;
-  const auto deadline =
-      StreamClock::now() + std::chrono::duration_cast<StreamClock::duration>(std::chrono::duration<double>(
-                               std::isnan(seconds) ? 0 : std::clamp(seconds, 0.0, kLongest)));
+  const auto deadline = s.pool->now() + std::chrono::duration_cast<StreamClock::duration>(std::chrono::duration<double>(
+                                            std::isnan(seconds) ? 0 : std::clamp(seconds, 0.0, kLongest)));
   std::unique_lock lock(s.pool->mutex);
   const auto posted = s.post(renderer, camera, rule);
   if (!posted) return tl::unexpected(posted.error());
@@ -458,24 +457,24 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     StreamedState& scene;
     StreamView& view;
     ~Waiter() {
-      view.seen = StreamClock::now();
+      view.seen = scene.pool->now();
       --view.n_busy, --scene.n_waiting;
-      if (scene.n_waiting == 0) scene.pool->changed();  // what is about to be seen has waited
+      if (scene.n_waiting == 0) scene.pool->changed();  // prefetch has waited
     }
   } waiter{s, view};
   view.failures.n = 0;
   const auto fails_for_long = [&] { return view.is_lasting && view.failures.n >= StreamedState::kLastingTrouble; };
   for (;;) {
-    // Its lists too: the frame that follows shall need no more room.
+    // With its lists, so that the next frame needs no more memory.
     const Residency::Cut cut = s.cut(view, &view.lists);
     s.stats.pages_missing = cut.missing;
     s.stats.detail_reached_px = cut.reached_px;
-    // Before the hash of its table is compared nobody knows that the view is right.
+    // The view is verified only once the table's hash is.
     if (cut.missing == 0 && s.file->is_verified()) return true;
     if (cut.missing == 0 && s.residency->is_broken()) return tl::unexpected(s.damage.error());
     const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();
     const auto is_settled = [&] { return s.settled_at >= changes && s.n_at_work == 0; };
-    const bool is_late = StreamClock::now() >= deadline;
+    const bool is_late = s.pool->now() >= deadline;
     const bool is_failing = is_late ? view.failures.n > 0 : fails_for_long();
     if (is_failing && (cut.missing > cut.damaged || cut.missing == 0)) return tl::unexpected(view.trouble.error());
     if (cut.damaged > 0 && (is_settled() || is_late || is_failing)) return tl::unexpected(s.damage.error());
@@ -483,7 +482,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     s.pool->news.wait_until(lock, deadline, [&] {
       if (is_settled() || fails_for_long()) return true;
       if (cut.missing == 0) return !s.can_extend();
-      return view.has_come() && s.residency->n_resident() != n_resident;
+      return view.has_nothing_pending() && s.residency->n_resident() != n_resident;
     });
   }
 }

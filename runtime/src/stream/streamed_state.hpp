@@ -1,4 +1,5 @@
-// streamed_state.hpp - a streamed scene: its tables, the pages that are there, the views that want more, the threads that read it.
+// streamed_state.hpp - a streamed scene: its tables, its residency, the views that want pages, the threads that read
+// them.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -26,10 +27,9 @@
 
 namespace rgs::detail {
 
-using StreamClock = std::chrono::steady_clock;
-
-/// Groups that a view misses and that are open, most projected error first (StreamedState::rank()); of very many the first. Whoever
-/// changes what is open changes the lists (StreamedState::want(), forget_want()): nobody has to go through them.
+/// Groups that a view wants and that can be requested, largest projected error first (StreamedState::rank()), at most
+/// kMost. Whoever changes what can be requested updates the lists (StreamedState::want(), forget_want()), so that they
+/// are never rebuilt by a scan.
 class WantList {
  public:
   struct Want {
@@ -39,24 +39,24 @@ class WantList {
   static constexpr std::size_t kMost = 1024;
 
   WantList() { wants_.reserve(kMost); }
-  /// Any number of add(), then order().
+  /// Then any number of add(), then order().
   void clear() { wants_.clear(), is_cut_off_ = false; }
   void add(std::uint32_t group, float rank);
   void order();
-  /// One more, unless it is there with that rank.
+  /// Unless it is listed with that rank.
   void insert(std::uint32_t group, float rank);
-  /// One less, if it is there with that rank.
+  /// If it is listed with that rank.
   void erase(std::uint32_t group, float rank);
   void erase_at(std::size_t i) { wants_.erase(wants_.begin() + static_cast<std::ptrdiff_t>(i)); }
-  /// rank(group) of those that were put off: for some the pause may be over.
+  /// Ranks delayed groups again: the pause of some may be over.
   template <class Rank>
   void rank_put_off(const Rank& rank);
   std::span<const Want> wants() const { return wants_; }
-  /// There were more.
+  /// There were more than kMost.
   bool is_cut_off() const { return is_cut_off_; }
 
  private:
-  std::vector<Want>::iterator find(const Want& want);  // end: it is not there
+  std::vector<Want>::iterator find(const Want& want);  // end() if not listed
 
   std::vector<Want> wants_;
   bool is_cut_off_ = false;
@@ -72,11 +72,11 @@ void WantList::rank_put_off(const Rank& rank) {
   if (is_raised) order();
 }
 
-/// What a renderer draws of a scene, wherever its camera is.
+/// What a renderer draws of a scene, for any camera.
 struct StreamRule {
   FrameSettings settings;
   Origin origin = kNoOrigin;
-  float z_near = 0;  ///< as the scene declares it
+  float z_near = 0;  ///< as the scene declares
   float detail_px = 0;
 
   StreamEye eye(const Camera& camera) const {
@@ -85,7 +85,7 @@ struct StreamRule {
   }
 };
 
-/// What a frame draws. Of the view between frames, of the frame while it is at work.
+/// What a frame draws. Owned by the view between frames, by the frame meanwhile.
 struct DrawLists {
   std::vector<std::uint32_t> pages;
   std::vector<ScenePart> parts;       ///< on the host
@@ -93,11 +93,11 @@ struct DrawLists {
   std::uint64_t bytes = 0;            ///< taken from the pool
 };
 
-/// Reads that failed, one after the other. One outage ends all reads at work, and is one failure: those that began before the last one
-/// that counts are part of it.
+/// Failed reads in a row. One outage fails all reads in flight and counts once: reads that began before the last
+/// counted failure belong to it.
 struct Failures {
   int n = 0;
-  std::uint64_t last = 0;  ///< StreamedState::n_failed then
+  std::uint64_t last = 0;  ///< StreamedState::n_failed at the last one
 
   bool add(std::uint64_t begun, std::uint64_t n_failed) {
     if (begun < last) return false;
@@ -107,31 +107,30 @@ struct Failures {
   }
 };
 
-/// What one renderer sees of a scene.
+/// A renderer's view of a scene.
 struct StreamView {
   std::uint64_t renderer = 0;
   Camera camera;
-  StreamClock::time_point
-      came;  ///< when that camera was last asked for, a refine() and the frame that follows being one
-  StreamClock::time_point seen;  ///< when that was, or ended
-  bool is_refined = false;       ///< that camera has come with a refine(), and no frame since
+  StreamClock::time_point came;  ///< when that camera last came; a refine() and the frame after it count once
+  StreamClock::time_point seen;  ///< its last frame or wait
+  bool is_refined = false;       ///< refine() had that camera, and no frame since
   std::optional<StreamEye> now;
-  std::optional<StreamEye> soon;  ///< where the camera is about to be
-  WantList wants, soon_wants;
-  std::uint64_t n_coming = 0;  ///< groups that it wants and are on their way; never more than there are
-  bool is_soon_known = false;  ///< soon_wants are those of `soon`, or of one a few frames ago
-  int soon_frames = 0;         ///< since they were
-  std::size_t next_want = 0;   ///< of either list, while one is chosen
-  int n_busy = 0;              ///< frames at work, and callers that wait
-  bool is_live = true;         ///< counts: see StreamedState::look_at_clock()
-  DrawLists lists;             ///< empty while a frame has them
-  Failures failures;           ///< of reads of what it wants, since it is waited for and something of it has come
-  bool is_lasting = false;     ///< what failed last of them has done so often, or the source
-  Status trouble;              ///< the last of them
-  std::uint64_t bytes = 0;     ///< taken from the pool, but for lists
+  std::optional<StreamEye> ahead;  ///< where the camera is about to be
+  WantList wants, prefetch_wants;
+  std::uint64_t n_in_flight = 0;     ///< groups that it wants
+  bool prefetch_is_current = false;  ///< prefetch_wants fit `ahead`, or that of a few frames ago
+  int frames_since_prefetch = 0;
+  std::size_t next_want = 0;  ///< into either list, during a choice
+  int n_busy = 0;             ///< frames and waiting callers
+  bool is_live = true;        ///< counts: see StreamedState::update_live_views()
+  DrawLists lists;            ///< empty during a frame
+  Failures failures;          ///< of reads that it wants; reset when it starts to wait or a group arrives
+  bool is_lasting = false;    ///< the last of them failed too often, or the source did
+  Status trouble;             ///< the last of them
+  std::uint64_t bytes = 0;    ///< taken from the pool, without lists
 
-  /// Nothing of what it wants is on its way or can be asked for.
-  bool has_come() const { return wants.wants().empty() && n_coming == 0; }
+  /// No group is in flight or can be requested.
+  bool has_nothing_pending() const { return wants.wants().empty() && n_in_flight == 0; }
 };
 
 struct StreamedState {
@@ -143,36 +142,36 @@ struct StreamedState {
   // Set by open(), then constant.
   std::shared_ptr<StreamPoolState> pool;
   std::unique_ptr<ByteSource> source;
-  std::optional<PagedFile> file;  // more of its table comes with both `table` and pool->mutex, locked in this order
+  std::optional<PagedFile> file;  // its table grows under both `table` and pool->mutex, locked in this order
   TableMutex table;
   std::optional<Declarations> declarations;
   bool prefetches = true;
-  bool has_root = false;  // its room is taken
+  bool has_root = false;  // its memory is taken
   ByteSource::Traits traits;
 
-  // Of pool->mutex.
+  // Guarded by pool->mutex.
   std::optional<Residency> residency;
-  std::uint64_t bytes = 0;  // taken from the pool, but for pages and views
+  std::uint64_t bytes = 0;  // taken from the pool, without pages and views
   std::vector<std::unique_ptr<StreamView>> views;
   StreamStats stats;
-  std::condition_variable work;   // for threads that read: `pool->changes` or n_requested grew
-  std::uint64_t n_requested = 0;  // groups, all that ever were: each opens what is below it
+  std::condition_variable work;   // wakes reading threads: pool->changes or n_requested grew
+  std::uint64_t n_requested = 0;  // groups ever requested; each lets its child groups be requested
   Status damage, trouble;         // of a page; of reading, while it lasts
   Failures failures;
-  std::uint64_t n_failed = 0;  // reads, all that ever did
+  std::uint64_t n_failed = 0;  // reads that ever failed
   StreamClock::time_point failed_at{};
-  int n_away = 0;            // of `failures` the last, where not even `readable` could be read
-  FileRange readable;        // bytes that were there once
-  int n_table_failures = 0;  // of the table, one after the other
+  int n_unreachable = 0;     // latest of `failures` in which not even `readable` could be read
+  FileRange readable;        // bytes that were read before
+  int n_table_failures = 0;  // of the table, in a row
   StreamClock::time_point table_failed_at{};
-  int n_at_work = 0;          // threads that read or decode
+  int n_at_work = 0;          // reading threads that are busy
   int n_waiting = 0;          // callers that wait for a view
   bool is_extending = false;  // a thread reads more of the table
   bool is_stopping = false;
-  /// Value of pool->changes when the threads last found nothing that they could do.
+  /// pool->changes when the threads last found nothing to do.
   std::uint64_t settled_at = 0;
 
-  // Pages of requested groups are of the thread that reads them, those of resident ones constant.
+  // Pages of a requested group belong to the thread that reads them; resident pages are constant.
   std::optional<PageStore> store;
   std::vector<std::unique_ptr<PageReader>> readers;  // one a thread
   std::vector<std::thread> threads;
@@ -184,85 +183,84 @@ struct StreamedState {
   Status make_room_for_pages();
   Status read_root();
   Status start_threads();
-  /// Takes memory that is kept as long as the scene. Errors: limit_exceeded, with what the pool would have to hold.
+  /// Takes memory for the scene's life. Errors: limit_exceeded; Error::expected: the budget needed.
   Status take(std::uint64_t n);
 
-  /// What the first frame of a view takes.
   std::uint64_t least_view_bytes() const;
 
   // With the lock.
-  std::uint64_t group_bytes(std::uint32_t group) const;  // room that its pages take
+  std::uint64_t group_bytes(std::uint32_t group) const;  // memory of its pages
   std::uint64_t list_bytes(std::size_t n_pages) const;
-  void requested(std::uint32_t group);  // its room is taken
-  void give_room(std::uint32_t group);  // of pages that are not drawn
-  void want(std::uint32_t group);       // is open: in the lists of views that want it
+  void requested(std::uint32_t group);   // its memory is taken
+  void free_pages(std::uint32_t group);  // of pages that are not drawn
+  void want(std::uint32_t group);        // adds a group that can be requested to the views' lists
   void forget_want(std::uint32_t group);
   void want_below(std::uint32_t group);
-  void no_longer_coming(std::uint32_t group);
-  void give_up(std::uint32_t group);  // on its way until now, and its room others'
-  Worth worth(std::uint32_t group) const;
-  void evict(std::uint32_t group);  // and gives its memory back
+  void leave_flight(std::uint32_t group);
+  void cancel(std::uint32_t group);  // ends its flight and frees its pages
+  Priority priority(std::uint32_t group) const;
+  void evict(std::uint32_t group);
   void count_evicted(std::uint32_t group);
-  /// Views that count are those of frames at work and of the last second, and the pool's last.
-  void look_at_clock(StreamClock::time_point now);
-  void forget_old_views();
-  /// The renderer's view, of this camera from now on. Errors: limit_exceeded.
+  /// Live views are those with frames at work, those of the last second, and the pool's last one.
+  void update_live_views(StreamClock::time_point now);
+  void remove_old_views();
+  /// Sets the camera of the renderer's view. Errors: limit_exceeded.
   Result<StreamView*> post(std::uint64_t renderer, const Camera& camera, const StreamRule& rule);
   bool grow(DrawLists& lists);
-  Status need(DrawLists& lists);  // room for some. Errors: limit_exceeded
+  Status need(DrawLists& lists);  // makes the first lists. Errors: limit_exceeded
   void free(DrawLists& lists);
-  /// What the view draws; fills its lists of wants, and `lists` with pages unless null.
+  /// Computes the view's cut: fills its lists of wants, and `lists` with pages unless null.
   Residency::Cut cut(StreamView& view, DrawLists* lists);
   StreamStats stats_now() const;
   Status status() const { return damage ? trouble : damage; }
 
-  // Threads that read. All but fetch(), extend_table(), fail() and work_until_stopped() with the lock.
+  // For reading threads. With the lock, but fetch(), extend_table(), fail() and work_until_stopped().
   struct Run {
-    std::uint32_t first = 0, n = 0;                                  // groups, one after the other
+    std::uint32_t first = 0, n = 0;                                  // neighbouring groups
     std::uint64_t table_bytes = 0;                                   // Choice::table
-    StreamClock::time_point later = StreamClock::time_point::max();  // when what was put off is due
+    StreamClock::time_point later = StreamClock::time_point::max();  // when the first delayed one is due
   };
   enum class Choice : std::uint8_t {
     run,
-    table,    // more of it has to be read
-    nothing,  // is missing
-    no_room,  // for what is missing
-    pinned,   // is what would give it room
-    later,    // reading failed; nothing else can be done
+    table,    // read more of it first
+    nothing,  // nothing is wanted
+    no_room,  // for what is wanted
+    pinned,   // pages of frames at work are in the way
+    later,    // reads failed; retry later
   };
   Choice choose(Run& run);
   Choice choose_among(bool now, Run& run);
   Choice choose_elsewhere(Run& run);
   void find_wants(bool now);
-  Choice claim(std::uint32_t group, const Worth& own, Run& run);
+  Choice claim(std::uint32_t group, const Priority& own, Run& run);
   Choice claim_table(std::uint64_t n, Run& run);
-  void extend(Run& run, const Worth& best);
+  void extend(Run& run, const Priority& best);
   std::uint32_t share(bool now) const;
   bool has_wants() const;
-  void arrived(std::uint32_t group);     // all of it is there: draws it, or waits for the page above
-  void placed(std::uint32_t group);      // the page above is there, too
-  void drop(std::uint32_t group);        // all of it is there, in vain
-  void drop_below(std::uint32_t group);  // does not come: nor does what waits for it
+  void arrived(std::uint32_t group);          // decoded: becomes resident, or waits for its parent
+  void became_resident(std::uint32_t group);  // its parent is resident
+  void drop(std::uint32_t group);             // decoded in vain
+  void drop_below(std::uint32_t group);       // cancels descendants of a group that will not arrive
   void fetch(PageReader& reader, const Run& run, std::uint64_t begun);
   void extend_table(PageReader& reader, std::uint64_t n, std::uint64_t begun);
-  /// Without the lock. `failed`: of the table if it has no groups; `n_times`: that it has failed, this one too; `begun`: n_failed when
-  /// it began to be read.
+  /// Without the lock. `failed`: no groups mean the table. `n_times`: its failures, this one included. `begun`:
+  /// n_failed when the read began.
   void fail(PageReader& reader, const Status& read, const Run& failed, int n_times, std::uint64_t begun);
   static constexpr int kLastingTrouble = 3;
   void succeed();
-  /// Of the pause after n failures, the last of them so long ago.
+  /// What is left of the pause after n failures, the last one `since` ago.
   StreamClock::duration pause_left(int n, StreamClock::duration since) const;
-  /// How long a group that could not be read is not asked for.
+  /// How long a failed group is not requested.
   StreamClock::duration put_off_for(std::uint32_t group) const;
-  bool is_put_off(std::uint32_t group, Run& run) const;  ///< and run.later knows it
-  /// Of a want in its list: its projected error; negative if it is put off, and after all others.
+  bool is_put_off(std::uint32_t group, Run& run) const;  ///< then notes it in run.later
+  /// A want's rank: its projected error; if delayed negative, behind all others.
   float rank(std::uint32_t group, float px) const;
   static float put_off_rank(float px) { return -1 / px; }
   bool can_extend() const;  ///< the table
   void work_until_stopped(PageReader& reader);
 };
 
-/// What a frame draws, which stays until this goes.
+/// What a frame draws; pinned until it is destroyed.
 class StreamFrame {
  public:
   /// Errors: limit_exceeded (the pool has no room for the lists of a view).
@@ -288,7 +286,7 @@ class StreamFrame {
   StreamStats stats_;
 };
 
-/// Waits until the view is complete: true. Errors: those that keep it from being so.
+/// Waits until the view is complete: true. Errors: those that keep it from completing.
 Result<bool> refine_view(StreamedState& state, std::uint64_t renderer, const Camera& camera, const StreamRule& rule,
                          double seconds);
 

@@ -1,14 +1,21 @@
-// view_volume.cpp - boxes against the planes of a view.
+// view_volume.cpp - tests boxes against the planes of a view.
 // SPDX-License-Identifier: Apache-2.0
 //
-// With s its largest standard deviation, a Gaussian at camera depth z has a covariance on the image of at most
-// (f/z)^2 (1 + slope^2) s^2 + low_pass along an axis, slope being clamped as in the projection, and no pixel is changed where its
-// opacity is below 1/255: it reaches 3.34 (f/z sqrt(1 + slope^2) s + sqrt(low_pass)) pixels from its mean at most. Times z/f that is a
-// distance from a plane through the eye and an edge of the image, moved outwards by the low-pass' share and a pixel. An extent of
-// three standard deviations t_k along the axes has s <= |t| / 3, since the largest eigenvalue is at most the trace.
+// A Gaussian of largest standard deviation s at camera depth z has an image covariance of at most (f/z)^2 (1 + slope^2)
+// s^2 + low_pass along an axis, where the slope is clamped as in the projection. No pixel changes where its alpha is
+// below 1/255, so it reaches at most 3.34 (f/z sqrt(1 + slope^2) s + sqrt(low_pass)) pixels from its mean. Times z/f
+// that is a distance from a plane through the eye and an edge of the image, moved outwards by the low-pass' share and a
+// pixel. An extent of three standard deviations t_k along the axes has s <=
+// t
+// / 3, since the largest eigenvalue is at most the trace.
 //
-// A mean in a box of half extents h and its t share them: |mean_k - centre_k| + t_k <= h_k. How far the two reach along a normal n
-// together, sum |n_k| (h_k - t_k) + reach |t|, is convex in t: the most is at a corner of 0 <= t <= h.
+// A mean in a box of half extents h and its extent t share the box:
+// mean_k - centre_k
+// + t_k <= h_k. Their joint reach along a normal n, sum
+// n_k
+// (h_k - t_k) + reach
+// t
+// , is convex in t, so its maximum is at a corner of 0 <= t <= h.
 #include "stream/view_volume.hpp"
 
 #include <algorithm>
@@ -17,7 +24,7 @@
 namespace rgs::detail {
 namespace {
 
-// More than rotations that are orthonormal to 1e-3 and boxes that are short of an extent by 2^-10 of it take.
+// Covers rotations that are orthonormal to 1e-3 and boxes up to 2^-10 smaller than an extent.
 constexpr double kSlack = 1.01;
 constexpr double kSigmas = 3.34;
 constexpr double kRounding = 1e-5;

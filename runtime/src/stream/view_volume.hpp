@@ -1,4 +1,4 @@
-// view_volume.hpp - which boxes of Gaussians a picture can show nothing of.
+// view_volume.hpp - which boxes of Gaussians cannot show in a picture.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,12 +9,13 @@
 
 namespace rgs::detail {
 
-/// The part of space that a view draws: six planes, beyond which a Gaussian must reach with more than its mean to change a pixel.
+/// The part of space that a view draws, as six planes. A Gaussian whose mean is beyond one must reach across it to
+/// change a pixel.
 class ViewVolume {
  public:
   ViewVolume(const math::View<float>& view, float low_pass);
-  /// False only if no Gaussian changes a pixel whose mean lies in the box with 3 standard deviations along each axis (lod::Page::bounds).
-  /// Of a box inside another it says no more often than of that other.
+  /// False only if no Gaussian of the box changes a pixel; the box must hold means and 3 standard deviations along each
+  /// axis (lod::Page::bounds). Monotone: false for a box implies false for any box inside it.
   bool may_show(const Box& box) const;
   bool operator==(const ViewVolume&) const = default;
 
@@ -22,8 +23,8 @@ class ViewVolume {
   struct Plane {
     std::array<double, 3> normal;  ///< outwards, in the scene's axes
     double offset;
-    double reach;     ///< of a Gaussian, along the normal, for each unit of three standard deviations
-    double rounding;  ///< of the picture's arithmetic, for each unit of distance
+    double reach;     ///< of a Gaussian, along the normal, per unit of three standard deviations
+    double rounding;  ///< of the picture's arithmetic, per unit of distance
     bool operator==(const Plane&) const = default;
   };
   std::array<double, 3> eye_;

@@ -1,4 +1,4 @@
-// audit_batch_test.cpp - sources of every format, folders in folders, conditions apart from pictures, and JUnit XML.
+// audit_batch_test.cpp - sources of every format, nested folders, gates without pictures, and JUnit XML.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -44,7 +44,7 @@ json audited(std::vector<std::string> arguments) {
   return json::parse(run.out);
 }
 
-// Whether Python's reader of XML takes it: well-formed, and what is in it.
+// Whether Python's XML parser accepts it, and its content.
 json parse_xml(const TemporaryFolder& folder, const std::string& path) {
   const std::string script = folder.file("parse.py");
   write_text(script, R"(import json, sys
@@ -82,7 +82,7 @@ struct Pairs : TemporaryFolder {
   json index() const { return json::parse(read_text(out + "/index.json")); }
 };
 
-// Everything that says when and how a picture was measured.
+// Removes when and how pictures were measured.
 json measurements(const std::string& path) {
   json j = json::parse(read_text(path));
   j.erase("gate");
@@ -92,7 +92,7 @@ json measurements(const std::string& path) {
 
 }  // namespace
 
-TEST_CASE("an asset is audited against a source of any format, as it would be against the same Gaussians in a PLY") {
+TEST_CASE("an asset is audited against a source of any format as against the same Gaussians in a PLY") {
   const SceneFolder scene;
   for (const char* name : {"source.spz", "source.glb", "source.splat", "source.compressed.ply", "source.rgs"}) {
     CAPTURE(name);
@@ -111,11 +111,11 @@ TEST_CASE("an asset is audited against a source of any format, as it would be ag
     CHECK(from_other["rendered"]["mse"] == from_ply["rendered"]["mse"]);
     CHECK(from_other["rendered"]["attribution"] == from_ply["rendered"]["attribution"]);
     CHECK(from_other["asset"]["made_from_source"] == true);
-    // And so is an asset that is no .rgs. An .rgs holds what logarithms and exponentials give back but for rounding.
+    // The same for assets that are no .rgs. An .rgs holds their logarithms and exponentials up to rounding.
     const json same = audited({source, source});
     CHECK(same["verdict"]["grade"] == (same["source"]["format"] == "rgs" ? "no_visible_loss" : "identical"));
   }
-  // Positions of an asset made of an .rgs are those in what this was made of.
+  // Positions of an asset made from an .rgs refer to that file.
   const std::string archive = scene.file("archive.rgs");
   convert({scene.ply, scene.file("kept.rgs"), "--keep-permutation"});
   convert({scene.file("kept.rgs"), archive, "--keep-permutation", "--profile", "archive:small"});
@@ -123,16 +123,16 @@ TEST_CASE("an asset is audited against a source of any format, as it would be ag
   CHECK(audited({scene.file("kept.rgs"), archive})["attributes"]["paired_by"] == "means");
 }
 
-TEST_CASE("a source in other axes, far away, or unzipped") {
+TEST_CASE("a source in other axes, far away or unzipped is audited") {
   const SceneFolder scene;
-  // SPZ has axes of its own, and --to-axes turns the asset.
+  // SPZ has its own axes, and --to-axes turns the asset.
   const std::string spz = scene.file("scene.spz"), turned = scene.file("turned.rgs");
   convert({scene.ply, spz});
   convert({spz, turned, "--to-axes", "opengl"});
   CHECK(audited({spz, turned})["attributes"]["n_paired"] == 700);
   convert({scene.ply, turned, "--to-axes", "opengl"});
   CHECK(audited({scene.ply, turned})["attributes"]["n_paired"] == 700);
-  // --axes says that the source's are others than it states, and turns nothing.
+  // --axes overrides the axes that the source states, and turns nothing.
   convert({scene.ply, turned, "--axes", "opengl"});
   CHECK(audited({scene.ply, turned})["attributes"]["n_paired"] == 700);
   convert({spz, turned, "--axes", "gltf"});
@@ -152,7 +152,7 @@ TEST_CASE("a source in other axes, far away, or unzipped") {
   CHECK(unzipped["source"]["format"] == "sog");
   CHECK(unzipped["asset"]["made_from_source"] == true);
   CHECK(unzipped["attributes"]["n_source_only"] == 0);
-  // Its pictures count for what an earlier result holds of.
+  // Its pictures count as an earlier result's do.
   const std::vector<std::string> command{scene.file("sog/meta.json"), scene.file("sog.rgs"), "--no-render", "--json",
                                          scene.file("sog.json")};
   REQUIRE(run_audit(command).exit_code == 0);
@@ -164,7 +164,7 @@ TEST_CASE("a source in other axes, far away, or unzipped") {
   CHECK(run_audit(command).exit_code == 3);
 }
 
-TEST_CASE("pairs are found in folders below, by stem, whatever their formats are") {
+TEST_CASE("pairs are found in subfolders by stem, whatever their formats") {
   const Pairs f({"one", "sub/two", "sub/deep/three"});
   convert({f.sources + "/sub/two.ply", f.sources + "/sub/two.spz"});
   fs::remove(f.sources + "/sub/two.ply");
@@ -185,7 +185,7 @@ TEST_CASE("pairs are found in folders below, by stem, whatever their formats are
   CHECK(json(names).dump() == R"(["one","sub/deep/three","sub/two"])");
   CHECK(read_text(f.out + "/index.html").find("href=\"./sub/deep/three.html\"") != std::string::npos);
 
-  // Both in one folder, and one folder in the other.
+  // Both in one folder, and one folder inside the other.
   const Pairs g({"one", "sub/two"});
   fs::copy(g.assets, g.sources, fs::copy_options::recursive);
   CHECK(run_audit({g.sources, g.sources, "--report", g.file("same"), "--no-render"}).exit_code == 0);
@@ -194,17 +194,17 @@ TEST_CASE("pairs are found in folders below, by stem, whatever their formats are
   for (const char* name : {"/one.rgs", "/sub/two.rgs"}) fs::remove(g.sources + name);
   CHECK(run_audit({g.sources, g.sources + "/made", "--report", g.file("inside"), "--no-render"}).exit_code == 0);
 
-  // Assets of another format, where there is no .rgs.
+  // Assets of another format, without an .rgs.
   convert({f.sources, f.file("spz"), "--to", "spz"});
   CHECK(run_audit({f.sources, f.file("spz"), "--report", f.file("to-spz"), "--no-render"}).exit_code == 0);
-  // Which of two sources was meant nobody knows.
+  // Two sources match: the program cannot know which was meant.
   convert({f.sources + "/one.ply", f.sources + "/one.spz"});
   const ProgramResult two = run_audit(f.command());
   CHECK(two.exit_code == 3);
   CHECK(two.err.find("more than one source of this name: one.ply, one.spz") != std::string::npos);
 }
 
-TEST_CASE("another limit renders nothing again, and stands in every result") {
+TEST_CASE("a new limit renders nothing again and appears in every result") {
   const Pairs f;
   const std::vector<std::string> lax = f.command({"--fail-below", "psnr=20,ratio=1"}),
                                  strict = f.command({"--fail-below", "psnr=300,ratio=1,worst-ssim=0.5"});
@@ -213,7 +213,7 @@ TEST_CASE("another limit renders nothing again, and stands in every result") {
   const json before = measurements(one);
   const ProgramResult run = run_audit(strict);
   CHECK(run.exit_code == 5);
-  CHECK(measurements(one) == before);  // seconds too: nothing was measured
+  CHECK(measurements(one) == before);  // seconds too, because nothing was measured
   CHECK(run.out.find("(as before)") != std::string::npos);
   const json gate = json::parse(read_text(one))["gate"];
   CHECK(gate["holds"] == false);
@@ -222,14 +222,14 @@ TEST_CASE("another limit renders nothing again, and stands in every result") {
   const std::string page = read_text(f.out + "/sub/two.html");
   CHECK(page.find("<h1>Gate failed: psnr") != std::string::npos);
   CHECK(page.find("&lt; 300</li>") != std::string::npos);
-  // The table says which condition failed.
+  // The table names the failed gate.
   const json pair = f.index()["pairs"][1];
   CHECK(pair["status"] == "gate failed");
   REQUIRE(pair["failed_conditions"].size() == 1);
   CHECK(pair["failed_conditions"][0].get<std::string>().ends_with("< 300"));
   CHECK(read_text(f.out + "/index.csv").find("< 300\",\"\"\n") != std::string::npos);
   CHECK(read_text(f.out + "/index.html").find("gate failed: psnr") != std::string::npos);
-  // The page is what an audit from nothing makes, but for the time.
+  // Apart from times, the page equals that of a new audit.
   fs::rename(f.out, f.file("earlier"));
   REQUIRE(run_audit(strict).exit_code == 5);
   const auto without_times = [](std::string text) {
@@ -237,20 +237,20 @@ TEST_CASE("another limit renders nothing again, and stands in every result") {
     return text;
   };
   CHECK(without_times(read_text(f.out + "/sub/two.html")) == without_times(page));
-  // Back, and without any.
+  // The old limit again, then none.
   CHECK(run_audit(lax).exit_code == 0);
   CHECK(read_text(f.out + "/sub/two.html").find("Gate failed") == std::string::npos);
   CHECK(run_audit(f.command()).exit_code == 0);
   CHECK(json::parse(read_text(one))["gate"]["conditions"].empty());
 
-  // Other settings, cameras or bytes are measured, once that is allowed.
+  // Other settings, cameras or bytes are measured again once that is allowed.
   std::vector<std::string> other = strict;
   other[7] = "48x64";
   CHECK(run_audit(other).exit_code == 3);
   const std::string asset = f.assets + "/sub/two.rgs";
   convert({f.sources + "/sub/two.ply", asset, "--profile", "direct"});
   CHECK(run_audit(strict).exit_code == 3);
-  // A page of another run is not taken for this one's.
+  // A page of another run does not count as this run's.
   convert({f.sources + "/sub/two.ply", asset});
   CHECK(run_audit(lax).exit_code == 0);
   write_text(f.out + "/sub/two.html", read_text(f.out + "/one.html"));
@@ -258,7 +258,7 @@ TEST_CASE("another limit renders nothing again, and stands in every result") {
   CHECK(read_text(f.out + "/sub/two.html").find("two.rgs") != std::string::npos);
 }
 
-TEST_CASE("one pair, too, is measured once for any number of limits") {
+TEST_CASE("a single pair, too, is measured once for any number of limits") {
   const SceneFolder scene;
   const std::string out = scene.file("audit.json"), page = scene.file("audit.html");
   const auto audit = [&](const std::string& conditions, std::vector<std::string> more = {}) {
@@ -277,13 +277,13 @@ TEST_CASE("one pair, too, is measured once for any number of limits") {
   CHECK(strict.err.find("condition failed: together-psnr") != std::string::npos);
   CHECK(measurements(out) == before);
   CHECK(read_text(page).find("Gate failed: together-psnr") != std::string::npos);
-  fs::remove(page);  // is made again, as only pictures can
+  fs::remove(page);  // made again, which takes pictures
   CHECK(audit("psnr=20").exit_code == 3);
   CHECK(audit("psnr=20", {"--overwrite"}).exit_code == 0);
   CHECK(read_text(page).find("Gate failed") == std::string::npos);
 }
 
-TEST_CASE("what is stored for later conditions is what an audit finds, infinite and missing values too") {
+TEST_CASE("a stored result holds what later gates need, infinite and missing values included") {
   audit::Report report;
   report.size.source_bytes = 900, report.size.asset_bytes = 300, report.size.n_asset = 10;
   report.render.emplace();
@@ -322,7 +322,7 @@ TEST_CASE("what is stored for later conditions is what an audit finds, infinite 
   }
 }
 
-TEST_CASE("JUnit has a test case for each condition of each scene") {
+TEST_CASE("JUnit has a test case for each gate of each scene") {
   const Pairs f({"one", "sub/two"});
   write_text(f.assets + "/bad.rgs", "damaged");
   write_ply(f.sources + "/bad.ply", audit_cloud(10, 0));
@@ -345,7 +345,7 @@ TEST_CASE("JUnit has a test case for each condition of each scene") {
   REQUIRE(two["cases"][1]["failures"].size() == 1);
   CHECK(two["cases"][1]["failures"][0].get<std::string>().find("< 300") != std::string::npos);
   CHECK(suites.at("bad")["cases"][0]["errors"][0].get<std::string>().find("bad.rgs") != std::string::npos);
-  // It is replaced by the next, but nothing else is.
+  // The next run replaces it, and nothing else.
   CHECK(run_audit(f.command({"--junit", junit})).exit_code == 3);
   CHECK(parse_xml(f, junit)["attributes"]["failures"] == "0");
   write_text(junit, "mine");
@@ -354,7 +354,7 @@ TEST_CASE("JUnit has a test case for each condition of each scene") {
   CHECK(run_audit(f.command({"--junit", f.sources + "/one.ply"})).exit_code == 2);
 }
 
-TEST_CASE("JUnit of one pair, with and without conditions, and of one that cannot be audited") {
+TEST_CASE("JUnit of one pair with and without gates, and of one that cannot be audited") {
   const SceneFolder scene;
   const std::string junit = scene.file("junit.xml");
   const auto audit = [&](const std::string& asset, std::vector<std::string> more) {
@@ -376,7 +376,7 @@ TEST_CASE("JUnit of one pair, with and without conditions, and of one that canno
   CHECK(xml["suites"][0]["cases"][0]["errors"][0].get<std::string>().find("byte") != std::string::npos);
 }
 
-TEST_CASE("JUnit does not stay green where the audit ends before it measures") {
+TEST_CASE("JUnit turns red when the audit ends before it measures") {
   const SceneFolder scene;
   const std::string junit = scene.file("junit.xml"), mine = scene.file("mine.html");
   const auto audit = [&](std::vector<std::string> more) {
@@ -393,7 +393,7 @@ TEST_CASE("JUnit does not stay green where the audit ends before it measures") {
     CHECK(audit({}) == 0);
     CHECK(parse_xml(scene, junit)["attributes"]["errors"] == "0");
   }
-  // Folders without a pair.
+  // Folders without pairs.
   fs::create_directory(scene.file("no"));
   fs::create_directory(scene.file("none"));
   CHECK(run_audit({scene.file("no"), scene.file("none"), "--report", scene.file("out"), "--junit", junit}).exit_code !=
@@ -401,7 +401,7 @@ TEST_CASE("JUnit does not stay green where the audit ends before it measures") {
   CHECK(parse_xml(scene, junit)["attributes"]["errors"] == "1");
 }
 
-TEST_CASE("JUnit may lie in the folder of the reports before there is one") {
+TEST_CASE("JUnit may be written to the folder of reports before it exists") {
   const Pairs pairs({"one"});
   const ProgramResult run = run_audit(pairs.command({"--junit", pairs.out + "/junit.xml"}));
   INFO(run.err);
@@ -409,7 +409,7 @@ TEST_CASE("JUnit may lie in the folder of the reports before there is one") {
   CHECK(fs::exists(pairs.out + "/junit.xml"));
 }
 
-TEST_CASE("an audit that was killed between page and JSON goes on, and no other page is replaced") {
+TEST_CASE("an audit killed between page and JSON continues, and replaces no other page") {
   const Pairs pairs({"one"});
   const std::string page = pairs.out + "/one.html", result = pairs.out + "/one.json";
   REQUIRE(run_audit(pairs.command()).exit_code == 0);
@@ -419,13 +419,13 @@ TEST_CASE("an audit that was killed between page and JSON goes on, and no other 
   INFO(rerun.out);
   CHECK(rerun.exit_code == 0);
   CHECK(fs::exists(result));
-  // A page of other options.
+  // A page made with other options.
   fs::remove(result);
   const std::vector<std::string> other{pairs.sources, pairs.assets, "--report", pairs.out,         "--views",
                                        "3",           "--size",     "64x48",    "--no-attribution"};
   CHECK(run_audit(other).exit_code == 3);
   CHECK(run_audit(pairs.command()).exit_code == 0);
-  // Somebody's, beside a result and alone.
+  // A user's own page, beside a result and alone.
   write_text(page, "mine");
   CHECK(run_audit(pairs.command()).exit_code == 3);
   CHECK(read_text(page) == "mine");
@@ -434,7 +434,7 @@ TEST_CASE("an audit that was killed between page and JSON goes on, and no other 
   CHECK(read_text(page) == "mine");
   CHECK(run_audit(pairs.command({"--overwrite"})).exit_code == 0);
 
-  // One pair with --json is no other.
+  // A single pair with --json is no exception.
   const SceneFolder scene;
   const std::string html = scene.file("scene.html"), numbers = scene.file("scene.json");
   const std::vector<std::string> one{scene.ply, scene.rgs, "--no-render", "--report", html, "--json", numbers, "-q"};

@@ -1,5 +1,5 @@
-// audit_levels_test.cpp - files with levels of detail: their leaves are audited as any file's Gaussians are, and what they
-// look like from afar is measured against the truth.
+// audit_levels_test.cpp - files with levels of detail: leaves are audited like any file's Gaussians, and quality by
+// distance is measured against the truth.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -25,7 +25,7 @@ using namespace rgs::test;
 
 namespace {
 
-/// A ball of Gaussians that become smaller than pixels from afar, as plain.rgs and, in three levels, as levels.rgs.
+/// A ball of Gaussians that shrink below a pixel from afar, as plain.rgs and, in three levels, as levels.rgs.
 struct LevelsFolder : TemporaryFolder {
   std::string ply, plain = file("plain.rgs"), levels = file("levels.rgs");
   std::string cameras = write_cameras(file("cameras.json"), 2);
@@ -76,7 +76,7 @@ Image draw(const Scene& drawn, const Camera& camera, const RenderOptions& option
   return image;
 }
 
-/// By one over `far`, and of the truth twice as large.
+/// Scaled by 1 / `far`; the truth is twice as large.
 Camera scaled(Camera camera, double by) {
   camera.fx *= by, camera.fy *= by, camera.cx *= by, camera.cy *= by;
   camera.width = static_cast<int>(camera.width * by);
@@ -93,7 +93,7 @@ Image averaged(const Image& image, int factor) {
   return out;
 }
 
-// The reference arithmetic of an audit.
+// The arithmetic of an audit.
 RenderOptions reference() {
   RenderOptions options{.pipeline = Pipeline::paper};
   options.paper = steps_of({.pipeline = Pipeline::baseline}, Backend::cpu);
@@ -103,7 +103,7 @@ RenderOptions reference() {
 
 }  // namespace
 
-TEST_CASE("the leaves of a file with levels are audited as the Gaussians of a file without") {
+TEST_CASE("the leaves of a file with levels are audited like the Gaussians of a file without") {
   const json plain = scene().result(scene().plain), levels = scene().result(scene().levels);
   CHECK(without_seconds(levels["rendered"]) == without_seconds(plain["rendered"]));
   CHECK(without_seconds(levels["attributes"]) == without_seconds(plain["attributes"]));
@@ -118,7 +118,7 @@ TEST_CASE("the leaves of a file with levels are audited as the Gaussians of a fi
   CHECK_FALSE(plain.contains("distances"));
 }
 
-TEST_CASE("quality by distance is that of the pages that a view draws, against the averaged truth") {
+TEST_CASE("quality by distance compares the pages that a view draws with the averaged truth") {
   const json j = scene().result(scene().levels, {"--no-attribution"})["distances"];
   CHECK(j["detail_px"] == 1);
   REQUIRE(j["rows"].size() == 4);
@@ -133,11 +133,11 @@ TEST_CASE("quality by distance is that of the pages that a view draws, against t
   }
   CHECK(j["loss"].get<double>() == doctest::Approx(loss));
   CHECK(drawn_before < 0.8);
-  // What the classic low-pass thickens is far from the truth; levels are not.
+  // The classic low-pass thickens distant Gaussians; levels do not.
   const json& far = j["rows"][3];
   CHECK(far["leaves"]["psnr"].get<double>() + 3 < far["levels"]["psnr"].get<double>());
 
-  // The same numbers straight from the renderer and the comparison.
+  // The same numbers, directly from renderer and comparison.
   const Scene source = Scene::load(PlyFile::open(scene().ply).and_then(read_cloud).value()).value();
   const Scene asset = Scene::load(scene().levels).value();
   const Camera camera = read_camera_set(scene().cameras)->cameras[1];
@@ -158,7 +158,7 @@ TEST_CASE("quality by distance is that of the pages that a view draws, against t
     const std::pair<const char*, RenderOptions> drawn[] = {
         {"leaves", reference()}, {"compensated", compensated}, {"levels", levels}};
     for (const auto& [name, options] : drawn) {
-      const auto& key = name;  // clang 14 lets no lambda have a binding
+      const auto& key = name;  // clang 14 cannot capture a structured binding
       INFO(key << ", " << times << " times as far");
       const Image image = draw(asset, smaller, options);
       CHECK((*view)[key]["psnr"].get<double>() == doctest::Approx(difference(truth, image)->psnr).epsilon(1e-4));
@@ -172,7 +172,7 @@ TEST_CASE("quality by distance is that of the pages that a view draws, against t
   }
 }
 
-TEST_CASE("conditions name what levels look like from afar") {
+TEST_CASE("gates name the quality of levels by distance") {
   const auto gate = [&](const char* conditions) {
     return scene().run(scene().levels, {"--no-attribution", "--fail-below", conditions});
   };
@@ -182,7 +182,7 @@ TEST_CASE("conditions name what levels look like from afar") {
   CHECK(poor.err.find("levels-psnr-4x") != std::string::npos);
   CHECK(gate("levels-drawn-8x=0.0001").exit_code == 5);
   CHECK(gate("levels-loss=-90").exit_code == 5);
-  // What is not measured does not hold; what cannot be is said before the work.
+  // An unmeasured gate fails; an impossible one is refused before any work.
   const ProgramResult none = scene().run(scene().plain, {"--no-attribution", "--fail-below", "levels-psnr-1x=10"});
   CHECK(none.exit_code == 5);
   CHECK(none.err.find("levels-psnr-1x not measured") != std::string::npos);
@@ -192,7 +192,7 @@ TEST_CASE("conditions name what levels look like from afar") {
   CHECK_FALSE(scene().result(scene().levels, {"--no-attribution", "--no-distances"}).contains("distances"));
 }
 
-TEST_CASE("the report has a strip of pictures for each distance, and tables of folders a column") {
+TEST_CASE("the report has a strip of pictures for each distance, and a folder's tables have a column") {
   const std::string page = scene().file("levels.html");
   REQUIRE(scene().run(scene().levels, {"--no-attribution", "--report", page}).exit_code == 0);
   const std::string text = read_text(page);
@@ -201,7 +201,7 @@ TEST_CASE("the report has a strip of pictures for each distance, and tables of f
     ++n_strips;
   CHECK(n_strips == 4);
   CHECK(text.find(">nan") == std::string::npos);
-  CHECK(text.find("Levels of detail from afar") != std::string::npos);
+  CHECK(text.find("Levels of detail at a distance") != std::string::npos);
 
   const std::string sources = scene().file("sources"), assets = scene().file("assets"), out = scene().file("out");
   fs::create_directories(sources);
@@ -222,7 +222,7 @@ TEST_CASE("the report has a strip of pictures for each distance, and tables of f
   CHECK(csv.find(",,,,,,,,,\"\",\"\"\n") != std::string::npos);  // no levels: eight empty cells
 }
 
-TEST_CASE("views that are too small from afar leave distances out, and say so") {
+TEST_CASE("views that are too small from afar drop distances and say so") {
   const json j =
       scene().result(scene().levels, {"--no-attribution", "--size", "40x31", "--fail-below", "levels-psnr-4x=1"});
   CHECK(j["distances"]["rows"].size() == 2);
@@ -230,7 +230,7 @@ TEST_CASE("views that are too small from afar leave distances out, and say so") 
   CHECK(j["gate"]["conditions"][0]["measured"] == false);
 }
 
-TEST_CASE("a file without its end is refused with what is missing, a damaged one with where") {
+TEST_CASE("a file without its end is refused with what is missing, a damaged one with the offset") {
   const auto size = fs::file_size(scene().levels);
   const std::string part = scene().file("part.rgs");
   fs::copy(scene().levels, part, fs::copy_options::overwrite_existing);
@@ -247,7 +247,7 @@ TEST_CASE("a file without its end is refused with what is missing, a damaged one
   CHECK(scene().run(bad).exit_code == 4);
 }
 
-TEST_CASE("the page of a file with levels passes its own tests in a browser") {
+TEST_CASE("a page of a file with levels passes its own tests in a browser") {
   if (browser().empty()) return skip_without_tool("there is no browser to open the report in (Debian: chromium)");
   const std::string page = scene().file("browser.html");
   REQUIRE(scene().run(scene().levels, {"--no-attribution", "--report", page}).exit_code == 0);

@@ -1,4 +1,4 @@
-// audit_page_test.cpp - pages and tables stay harmless whatever the files are called.
+// audit_page_test.cpp - pages and tables stay harmless whatever the files' names.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_page.hpp"
 
@@ -47,7 +47,7 @@ std::string hex(std::span<const std::byte> bytes) {
   return out;
 }
 
-// The text between two marks, the first time that they occur.
+// The text between the first occurrence of two marks.
 std::string between(const std::string& text, const std::string& begin, const std::string& end) {
   const std::size_t at = text.find(begin);
   REQUIRE(at != std::string::npos);
@@ -62,7 +62,7 @@ std::size_t occurrences(const std::string& text, const std::string& part) {
   return n;
 }
 
-// Base64 of the SHA-256 that another program finds.
+// Base64 of the SHA-256 by another program.
 std::string hash_of(const TemporaryFolder& folder, const std::string& text) {
   write_text(folder.file("hashed"), text);
   const ProgramResult run = run_program({"/usr/bin/sha256sum", folder.file("hashed")});
@@ -83,13 +83,13 @@ void check_policy(const TemporaryFolder& folder, const std::string& page) {
         std::string::npos);
   CHECK(occurrences(page, "<style") == 1);
   CHECK(occurrences(page, "<script") == 1);
-  CHECK(page.find("style=\"") == std::string::npos);  // which the policy switches off
-  // Nothing in it turns the direction of writing, hides or is no UTF-8.
+  CHECK(page.find("style=\"") == std::string::npos);  // which the policy disables
+  // It holds no bidirectional control, no invisible character and no invalid UTF-8.
   CHECK(page.find("\xE2\x80\xAE") == std::string::npos);
   CHECK(page.find('\xff') == std::string::npos);
 }
 
-// Pairs of every hostile name, audited into out/. Of one scene, without pictures.
+// Pairs of every hostile name, of one scene and without pictures, audited into out/.
 struct HostileFolders : SceneFolder {
   std::string out = file("out");
   ProgramResult run;
@@ -105,7 +105,7 @@ struct HostileFolders : SceneFolder {
   }
 };
 
-// The document that a browser makes of a page.
+// The document that a browser builds from a page.
 ProgramResult dump_in_browser(const TemporaryFolder& folder, const std::string& url) {
   return run_program({browser(), "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
                       "--no-first-run", "--enable-logging=stderr", "--user-data-dir=" + folder.file("profile"),
@@ -128,14 +128,14 @@ TEST_CASE("SHA-256 agrees with the standard's examples and with another program"
   }
 }
 
-TEST_CASE("a link leads to a file beside the page, whatever it is called") {
+TEST_CASE("a link leads to a file beside the page, whatever its name") {
   CHECK(link_to_file("south.html") == "./south.html");
   CHECK(link_to_file("javascript:alert(1)") == "./javascript%3Aalert%281%29");
   CHECK(link_to_file("//host/x") == "./%2F%2Fhost%2Fx");
   CHECK(link_to_file("a\"b'c<d>&#?%\n\xff") == "./a%22b%27c%3Cd%3E%26%23%3F%25%0A%FF");
 }
 
-TEST_CASE("the pages' policy names the style and the script that they hold, and nothing else may run") {
+TEST_CASE("the pages' policy names their style and script, and nothing else may run") {
   const TemporaryFolder folder;
   check_policy(folder, page_begin("<title>") + page_end());
   const SceneFolder scene;
@@ -146,7 +146,7 @@ TEST_CASE("the pages' policy names the style and the script that they hold, and 
 
 TEST_CASE("a folder's table escapes every name in page, CSV, JSON and terminal lines") {
   const HostileFolders folder;
-  CHECK(folder.run.exit_code == 3);  // of the one that is alone
+  CHECK(folder.run.exit_code == 3);  // of the single pair
   const std::string page = read_text(folder.out + "/index.html"), csv = read_text(folder.out + "/index.csv");
   check_policy(folder, page);
   CHECK(occurrences(page, "<a href=\"./") == kHostile.size());
@@ -155,7 +155,7 @@ TEST_CASE("a folder's table escapes every name in page, CSV, JSON and terminal l
   CHECK(page.find("><script>doc") == std::string::npos);
   for (const std::string& name : kHostile) check_policy(folder, read_text(folder.out + "/" + name + ".html"));
 
-  // One line a pair, no byte that acts, and no cell that a spreadsheet would calculate.
+  // One line per pair, no control byte, and no cell that a spreadsheet would evaluate.
   CHECK(static_cast<std::size_t>(std::count(csv.begin(), csv.end(), '\n')) == kHostile.size() + 2);
   for (const std::string& text : {csv, folder.run.out, folder.run.err}) {
     CHECK(std::none_of(text.begin(), text.end(),
@@ -188,7 +188,7 @@ TEST_CASE("in a browser a table of hostile names runs nothing, and its links fin
     CHECK_MESSAGE(report.err.find("CONSOLE") == std::string::npos, report.err);
   }
 
-  // If a name came through after all, the policy would still stop it.
+  // Even if a name were not escaped, the policy would stop it.
   std::string broken = page_begin("broken");
   broken +=
       "<script>document.documentElement.dataset.owned=1</script><img src=x "
@@ -199,7 +199,7 @@ TEST_CASE("in a browser a table of hostile names runs nothing, and its links fin
   CHECK(stopped.err.find("CONSOLE") != std::string::npos);
 }
 
-TEST_CASE("a pair that is called like the folder's table does not lose its report to it") {
+TEST_CASE("a pair named like the folder's table keeps its report") {
   const SceneFolder scene;
   for (const char* name : {"ply", "rgs"}) fs::create_directory(scene.file(name));
   fs::copy(scene.ply, scene.file("ply/index.ply"));
@@ -207,7 +207,7 @@ TEST_CASE("a pair that is called like the folder's table does not lose its repor
   const ProgramResult run =
       run_audit({scene.file("ply"), scene.file("rgs"), "--report", scene.file("out"), "--no-render"});
   CHECK(run.exit_code == 2);
-  // No report was written that the table then replaced, nor the other way round.
+  // Neither the report nor the table replaced the other.
   const std::string left = scene.file("out/index.json");
   if (fs::exists(left)) CHECK(json::parse(read_text(left))["pairs"][0]["status"] == "error");
 }

@@ -24,7 +24,7 @@ inline ProgramResult run_audit(std::vector<std::string> arguments) {
   return run_program(arguments);
 }
 
-// A folder with a scene as scene.ply and scene.rgs and three cameras of 96x72 pixels.
+// A folder with scene.ply, scene.rgs and three cameras of 96x72 pixels.
 struct SceneFolder : TemporaryFolder {
   SplatCloud cloud = audit_cloud();
   std::string ply = write_ply(file("scene.ply"), cloud);
@@ -53,8 +53,8 @@ inline std::string browser() {
   return {};
 }
 
-// Opens a page with its own test switched on; checks the verdict that it leaves in the document and that the console
-// stays empty.
+// Opens a page with its own test enabled; checks the verdict that it leaves in the document, and that the console stays
+// empty.
 inline void check_in_browser(const TemporaryFolder& folder, const std::string& page, const std::string& expected) {
   const std::string program = browser();
   for (const char* window : {"--window-size=1280,900", "--window-size=500,900"}) {

@@ -18,7 +18,7 @@
 
 namespace rgs::test {
 
-/// A ball of n Gaussians around the origin that fill a picture, the same on every machine.
+/// A ball of n Gaussians around the origin that fills a picture, the same on every machine.
 inline SplatCloud audit_cloud(std::uint64_t n = 700, int sh_degree = 3, std::uint64_t seed = 5) {
   SplitMix random(seed);
   SplatCloud cloud;
@@ -59,8 +59,7 @@ inline std::string write_rgs(const std::string& path, const SplatCloud& cloud, c
   return write_bytes(path, *bytes);
 }
 
-/// Cameras "a.png", "b.png", ... that look along +z from -depths[i]: the ball around `origin` is so far before them, or
-/// behind them.
+/// Cameras "a.png", "b.png", ... that look along +z from depth -depths[i] before or behind the ball around `origin`.
 inline std::string write_cameras(const std::string& path, std::span<const double> depths, int width = 96,
                                  int height = 72, const Origin& origin = kNoOrigin) {
   std::string text = "[";
@@ -74,7 +73,7 @@ inline std::string write_cameras(const std::string& path, std::span<const double
   return path;
 }
 
-/// n of them from the front, farther and farther away.
+/// n cameras in front of the ball, each farther away.
 inline std::string write_cameras(const std::string& path, int n, int width = 96, int height = 72,
                                  const Origin& origin = kNoOrigin) {
   std::vector<double> depths;

@@ -1,4 +1,4 @@
-// audit_test.cpp - the parts of an audit: pairing, attribute errors, conditions, pictures and charts.
+// audit_test.cpp - the parts of an audit: pairing, attribute errors, gates, pictures and charts.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit.hpp"
 
@@ -77,7 +77,7 @@ bool means_agree(const Files& f, const Pairing& pairing) {
 
 }  // namespace
 
-TEST_CASE("Gaussians are paired by means, by order or by the permutation, also when some are left out") {
+TEST_CASE("Gaussians are paired by means, by order or by permutation, also where some are missing") {
   SplatCloud cloud = audit_cloud(2000, 1);
   cloud.mean[3 * 77] = std::numeric_limits<float>::quiet_NaN();  // dropped by the encoder
   struct Case {
@@ -103,7 +103,7 @@ TEST_CASE("Gaussians are paired by means, by order or by the permutation, also w
   }
 }
 
-TEST_CASE("a source of doubles is paired with what was made of it, whatever origin that has") {
+TEST_CASE("a source of doubles is paired with its asset, whatever the asset's origin") {
   const SplatCloud cloud = audit_cloud(2000, 1);
   const Origin place{4.2e6, 1.7e5, 4.8e6};
   EncodeOptions same, beside, none;
@@ -146,7 +146,7 @@ TEST_CASE("a source of doubles is paired with what was made of it, whatever orig
   }
 }
 
-TEST_CASE("Gaussians on one spot are paired in the order of the source") {
+TEST_CASE("Gaussians at one position are paired in source order") {
   SplatCloud cloud = audit_cloud(300, 0);
   for (std::uint64_t i = 0; i < cloud.size(); ++i) std::copy_n(&cloud.mean[0], 3, &cloud.mean[3 * i]);
   const AttributeReport report = Files(cloud, cloud).compare();
@@ -155,7 +155,7 @@ TEST_CASE("Gaussians on one spot are paired in the order of the source") {
   CHECK(error_of(report, "opacity").meaning.max < 0.1);
 }
 
-TEST_CASE("files that have nothing to do with each other are not paired") {
+TEST_CASE("unrelated files are not paired") {
   const Files files(audit_cloud(100, 0, 1), audit_cloud(100, 0, 2));
   CHECK(pair_gaussians(files.source, files.asset)->n_paired == 0);
   EncodeOptions order;
@@ -191,7 +191,7 @@ TEST_CASE("attribute errors agree with a plain computation from the decoded file
           100 * std::abs(static_cast<double>(stored.scale[k]) / std::exp(static_cast<double>(s.log_scale[k])) - 1));
     opacity.push_back(100 * std::abs(static_cast<double>(stored.opacity) -
                                      1 / (1 + std::exp(-static_cast<double>(s.opacity_logit)))));
-    // Angle of the product of one rotation with the other's inverse.
+    // Angle of one rotation times the inverse of the other.
     const float *a = s.rotation, *b = stored.rotation;
     const auto product = [&](int i0, int i1, int i2, int i3, double s1, double s2, double s3) {
       return static_cast<double>(a[0]) * static_cast<double>(b[i0]) +
@@ -224,7 +224,7 @@ TEST_CASE("attribute errors agree with a plain computation from the decoded file
   check(error_of(report, "sh2.green").value, green2, 1e-5);
   check(error_of(report, "sh2.green").meaning, levels, 1e-5);
   check(report.colour.meaning, colour, 1e-5);
-  check(error_of(report, "scale").meaning, scale, 2e-3);  // percent of a rounding: the difference of near values
+  check(error_of(report, "scale").meaning, scale, 2e-3);  // percent of a rounding step: a difference of nearby values
   check(error_of(report, "opacity").meaning, opacity, 2e-3);
   check(error_of(report, "rotation").meaning, degrees, 1e-3);
   CHECK(error_of(report, "mean").meaning.max == 0);
@@ -234,7 +234,7 @@ TEST_CASE("attribute errors agree with a plain computation from the decoded file
   CHECK(codes == 48 * cloud.size());
 }
 
-TEST_CASE("what was changed in one Gaussian is found, with its index in both files") {
+TEST_CASE("a change of one Gaussian is found, with its index in both files") {
   const SplatCloud cloud = audit_cloud(1500, 2);
   SplatCloud changed = cloud;
   Splat s = changed.view().splat(1234);
@@ -246,7 +246,7 @@ TEST_CASE("what was changed in one Gaussian is found, with its index in both fil
   s.opacity_logit += 1;
   s.sh[3 * 5 + 2] += 0.25F;
   turned.set(1234, s);
-  const Files files(turned, changed);  // the source is the turned one
+  const Files files(turned, changed);  // the source is the rotated one
   const AttributeReport report = files.compare();
   CHECK(error_of(report, "rotation").meaning.max == doctest::Approx(0.2 * 180 / std::numbers::pi).epsilon(1e-3));
   CHECK(error_of(report, "scale").meaning.max == doctest::Approx(100.0 / 3).epsilon(2e-3));
@@ -265,7 +265,7 @@ TEST_CASE("what was changed in one Gaussian is found, with its index in both fil
   CHECK(worst_of(report, "mean").gaussians.empty());
 }
 
-TEST_CASE("saturation and underflow are counted as they are in the codes") {
+TEST_CASE("saturation and underflow are counted from the codes") {
   SplatCloud cloud = audit_cloud(64, 0);
   std::fill(cloud.log_scale.begin(), cloud.log_scale.end(), 0.F);
   cloud.log_scale[0] = -20;  // subnormal beside 2^7
@@ -285,7 +285,7 @@ TEST_CASE("saturation and underflow are counted as they are in the codes") {
   CHECK(report.ranges.opacity_one == 1);
   CHECK(report.ranges.opacity_zero == 1);
   CHECK(report.ranges.sh_flushed == 1);
-  CHECK(report.ranges.sh_limit == 1 + 2 * 64);  // red: one at -1; green and blue: all are the largest
+  CHECK(report.ranges.sh_limit == 1 + 2 * 64);  // red: one at -1; green and blue: all at the maximum
   CHECK(report.ranges.sh_clipped == 0);
   CHECK(report.codes[0].count[0] == 1);
   CHECK(report.codes[0].count[254] == 2 * 64);
@@ -320,7 +320,7 @@ TEST_CASE("attribute errors do not depend on the number of threads") {
   CHECK(text() == many);
 }
 
-TEST_CASE("conditions are parsed, refused, evaluated and named") {
+TEST_CASE("gates are parsed, refused, evaluated and named") {
   auto conditions = parse_conditions("psnr=50,largest=3,bytes-per-gaussian=60");
   REQUIRE(conditions);
   REQUIRE(conditions->size() == 3);
@@ -349,7 +349,7 @@ TEST_CASE("conditions are parsed, refused, evaluated and named") {
   report.render->psnr = std::numeric_limits<double>::infinity();
   evaluate(*parse_conditions("psnr=50"), report);
   CHECK(report.gate_holds());
-  evaluate(*parse_conditions("loss=1"), report);  // no photographs: not measured is not passed
+  evaluate(*parse_conditions("loss=1"), report);  // no photographs: an unmeasured gate fails
   CHECK_FALSE(report.gate_holds());
 
   Options options;
@@ -366,7 +366,7 @@ TEST_CASE("the verdict follows the worst view and says what is missing") {
   CHECK(verdict(report).grade == Verdict::Grade::unrated);
   report.render.emplace();
   RenderReport& r = *report.render;
-  CHECK(verdict(report).grade == Verdict::Grade::unrated);  // pictures, but no view that shows the scene
+  CHECK(verdict(report).grade == Verdict::Grade::unrated);  // pictures, but no view shows the scene
   CHECK(verdict(report).headline == "3.00x smaller, not rated: no view shows the scene");
   r.n_rated = 1;
   r.gaussians_seen = 1;
@@ -406,11 +406,11 @@ TEST_CASE("the verdict follows the worst view and says what is missing") {
   report.made_from_source = false;
   report.attributes.emplace();
   report.attributes->n_source_only = 1234;
-  CHECK(verdict(report).detail.find("1,234 Gaussians of the source are not in the asset") != std::string::npos);
+  CHECK(verdict(report).detail.find("1,234 Gaussians of the source are missing from the asset") != std::string::npos);
   CHECK(verdict(report).detail.find("another file") != std::string::npos);
 }
 
-TEST_CASE("a file that grew or stayed is not called smaller") {
+TEST_CASE("a file of equal or larger size is not called smaller") {
   Report report;
   const auto headline = [&](std::uint64_t source, std::uint64_t asset) {
     report.size.source_bytes = source;
@@ -431,12 +431,12 @@ TEST_CASE("a file that grew or stayed is not called smaller") {
   CHECK(audit_html(report).find("<small>same size</small>") != std::string::npos);
 }
 
-TEST_CASE("difference maps keep single bad pixels, and find the worst regions apart from each other") {
+TEST_CASE("difference maps keep single bad pixels, and the worst regions lie apart") {
   Image a = Image::make(200, 120, 3), b = a;
   for (float& v : b.pixels) v = 0.5F / 255;
   for (int y = 60; y < 80; ++y)
     for (int x = 100; x < 130; ++x) b.at(x, y, 1) = 8.F / 255;
-  b.at(3, 110, 2) = -0.5F;  // a screen cannot show it
+  b.at(3, 110, 2) = -0.5F;  // below what a screen shows
   b.at(7, 5, 0) = 1;
   const Image levels = difference_levels(a, b);
   CHECK(levels.at(7, 5, 0) == 255);
@@ -470,7 +470,7 @@ TEST_CASE("difference maps keep single bad pixels, and find the worst regions ap
   CHECK(worst_regions({&sliver, 1}, 24, 18, 4, 4).empty());
 }
 
-TEST_CASE("pictures are lossless data while they fit, and smaller than asked otherwise") {
+TEST_CASE("pictures are lossless data while they fit, and smaller otherwise") {
   SplitMix random(9);
   Image noise = Image::make(160, 120, 3);
   for (float& v : noise.pixels) v = random.dyadic(0, 1);
@@ -486,9 +486,9 @@ TEST_CASE("pictures are lossless data while they fit, and smaller than asked oth
   CHECK(jpeg.size() < 9000 * 4 / 3 + 40);
 }
 
-TEST_CASE("charts and pages survive what is in them") {
+TEST_CASE("charts and pages survive any content") {
   ErrorStatistics none;
-  CHECK(error_histogram(none, "levels", "Mean").find("no error at all") != std::string::npos);
+  CHECK(error_histogram(none, "levels", "Mean").find("no error") != std::string::npos);
   ErrorStatistics one{10, 0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, -1, {10}};
   const std::string chart = error_histogram(one, "<b>", "a \"quoted\" <label>");
   CHECK(chart.find("<b>") == std::string::npos);

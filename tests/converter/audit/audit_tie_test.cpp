@@ -1,4 +1,4 @@
-// audit_tie_test.cpp - a scene on a grid, whose depths tie: an asset in another order than its source loses nothing by it.
+// audit_tie_test.cpp - a scene on a grid, whose depths tie: reordering an asset changes nothing.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -19,7 +19,7 @@ using namespace rgs::test;
 
 namespace {
 
-/// The ball of audit_cloud() with means that are multiples of 1/4, so that hundreds share a depth and some a place.
+/// The ball of audit_cloud() with means rounded to 1/4, so that hundreds share a depth and some a position.
 SplatCloud grid_cloud() {
   SplatCloud cloud = audit_cloud(4000);
   for (float& x : cloud.mean) x = std::round(4 * x) / 4;
@@ -49,7 +49,7 @@ std::string converted(const TemporaryFolder& folder, const std::string& source, 
 
 }  // namespace
 
-TEST_CASE("an audit of a scene on a grid reads the same whether the asset keeps the source's order or not") {
+TEST_CASE("an audit of a scene on a grid gives the same results in source order and reordered") {
   const TemporaryFolder folder;
   for (const Origin& place : {kNoOrigin, Origin{4.2e6, 1.7e5, 4.8e6}}) {
     const bool far = place[0] != 0;

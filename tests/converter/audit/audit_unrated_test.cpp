@@ -1,4 +1,4 @@
-// audit_unrated_test.cpp - views that do not show the scene speak for nothing: no gate, mean or verdict rests on them.
+// audit_unrated_test.cpp - views that do not show the scene count for nothing: no gate, mean or verdict uses them.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -23,7 +23,7 @@ namespace {
 
 constexpr double kBehind = -4, kTiny = 100, kSmall = 20, kNear = 2.5;
 
-// What the program says of `asset` seen from these depths.
+// The program's result for `asset` seen from these depths.
 struct Seen {
   ProgramResult run;
   json result;
@@ -61,7 +61,7 @@ TEST_CASE("cameras that see nothing rate nothing: the verdict says so, and a gat
     CHECK(rendered["n_rated"] == 0);
     CHECK(rendered["drawn"] == 0);
     CHECK(rendered["gaussians_seen"] == 0);
-    // Nothing was measured, and nothing can be taken for the null of identical pictures.
+    // Nothing was measured, so nothing can pass for the null of identical pictures.
     for (const char* field : {"psnr", "worst_psnr", "ssim", "worst_ssim", "mse", "largest"})
       CHECK_FALSE_MESSAGE(rendered.contains(field), field);
     CHECK(rendered["attribution"].empty());
@@ -83,7 +83,7 @@ TEST_CASE("cameras that see nothing rate nothing: the verdict says so, and a gat
       CHECK(gated.run.err.find("condition failed") != std::string::npos);
     }
   }
-  // Sizes alone are another matter: no picture was asked for.
+  // Size gates still work: they need no picture.
   CHECK(run_audit({scene.ply, scene.rgs, "--no-render", "--fail-below", "ratio=0.01"}).exit_code == 0);
 }
 
@@ -93,7 +93,7 @@ TEST_CASE("a view is unrated where less than a hundredth of its pixels is drawn"
   const json& rendered = seen.result["rendered"];
   REQUIRE(rendered["views"].size() == 3);
   CHECK(rendered["n_rated"] == 2);
-  // Rated ones first, the worst of them on top; what is unrated comes last.
+  // Rated views come first, the worst on top; unrated ones come last.
   CHECK(rendered["views"][2]["name"] == "a.png");
   CHECK(rendered["views"][2]["rated"] == false);
   CHECK(rendered["views"][2]["drawn"].get<double>() > 0);
@@ -113,7 +113,7 @@ TEST_CASE("a view is unrated where less than a hundredth of its pixels is drawn"
   CHECK(is_warned_of(seen.result, "1 of 3 views"));
 }
 
-TEST_CASE("unrated views enter no mean, no worst, no row of the attribution and none of the other files") {
+TEST_CASE("unrated views enter no mean, no worst view, no attribution row and no other file") {
   const SceneFolder scene;
   const std::vector<std::string> more{"--also", scene.rgs, "--compare-scales"};
   const json with = Seen(scene, scene.rgs, {kNear, kBehind, 3, kTiny}, more).result;
@@ -148,20 +148,20 @@ TEST_CASE("unrated views enter no mean against photographs either") {
   CHECK(none.result["rendered"]["photos"].is_null());
 }
 
-TEST_CASE("a view counts as soon as one side draws: an asset that lost everything is heavy damage") {
+TEST_CASE("a view counts as soon as one side draws: an empty asset is heavy damage") {
   const SceneFolder scene;
   const std::string empty = write_ply(scene.file("none.ply"), audit_cloud(0, 3));
   const Seen lost(scene, empty, {kNear}, {"--fail-below", "psnr=40"});
   CHECK(lost.run.exit_code == 5);
   CHECK(lost.result["rendered"]["n_rated"] == 1);
   CHECK(lost.result["verdict"]["grade"] == "poor");
-  // The other way round: what only the asset draws is a difference too.
+  // The reverse: what only the asset draws is a difference too.
   const ProgramResult added = run_audit({empty, scene.ply, "--cameras", scene.cameras, "--json", "-", "--quiet"});
   REQUIRE(added.exit_code == 0);
   CHECK(json::parse(added.out)["verdict"]["grade"] == "poor");
 }
 
-TEST_CASE("cameras that hardly see the scene are a warning everywhere, and in the verdict") {
+TEST_CASE("cameras that hardly see the scene cause a warning everywhere, and in the verdict") {
   const SceneFolder scene;
   const Seen seen(scene, scene.rgs, {kSmall, kSmall + 1});
   CHECK(seen.run.exit_code == 0);
@@ -178,8 +178,8 @@ TEST_CASE("cameras that hardly see the scene are a warning everywhere, and in th
   CHECK(good["verdict"]["hardly_seen"] == false);
 }
 
-TEST_CASE("views full of a few Gaussians of a scene that lies elsewhere are a warning") {
-  // Twenty large Gaussians before the camera, as floaters are, and the scene behind it.
+TEST_CASE("views full of a few Gaussians of a scene elsewhere cause a warning") {
+  // Twenty large Gaussians before the camera, like floaters, and the scene behind it.
   SceneFolder scene;
   SplatCloud cloud = audit_cloud(1000, 0);
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
@@ -197,7 +197,7 @@ TEST_CASE("views full of a few Gaussians of a scene that lies elsewhere are a wa
   CHECK(seen.result["verdict"]["hardly_seen"] == true);
 }
 
-TEST_CASE("a scene without Gaussians is unrated, and so is one of which nothing can be drawn") {
+TEST_CASE("a scene that is empty or draws nothing is unrated") {
   const TemporaryFolder folder;
   SplatCloud damaged = audit_cloud(5, 1);
   std::fill(damaged.mean.begin(), damaged.mean.end(), std::numeric_limits<float>::quiet_NaN());
@@ -215,7 +215,7 @@ TEST_CASE("a scene without Gaussians is unrated, and so is one of which nothing 
   }
 }
 
-TEST_CASE("two folders: unrated pairs are no pairs of infinite PSNR") {
+TEST_CASE("unrated pairs of folders do not count as pairs of infinite PSNR") {
   const SceneFolder scene;
   for (const char* name : {"ply", "rgs", "cameras"}) fs::create_directory(scene.file(name));
   for (const char* name : {"blind", "fine"}) {
@@ -247,14 +247,14 @@ TEST_CASE("two folders: unrated pairs are no pairs of infinite PSNR") {
   std::vector<std::string> gated = command;
   gated.insert(gated.end(), {"--fail-below", "psnr=20", "--overwrite"});
   CHECK(run_audit(gated).exit_code == 5);
-  // Once more: the row comes from the result that was kept, and says the same.
+  // Again: the row comes from the stored result and is the same.
   const json first = json::parse(read_text(out + "/index.json"));
   CHECK(first["pairs"][0]["status"] == "gate failed");
   CHECK(run_audit(gated).exit_code == 5);
   CHECK(json::parse(read_text(out + "/index.json")) == first);
 }
 
-TEST_CASE("rgs-convert --audit passes on that nothing was rated") {
+TEST_CASE("rgs-convert --audit reports that nothing was rated") {
   const SceneFolder scene;
   const std::string cameras = write_cameras(scene.file("far.json"), std::array{kTiny});
   const ProgramResult run =
@@ -265,7 +265,7 @@ TEST_CASE("rgs-convert --audit passes on that nothing was rated") {
   CHECK(run.out.find("identical") == std::string::npos);
 }
 
-TEST_CASE("the number of rated views can be a condition of its own") {
+TEST_CASE("the number of rated views can be a gate of its own") {
   const SceneFolder scene;
   CHECK(Seen(scene, scene.rgs, {kNear, 3, kBehind}, {"--fail-below", "rated-views=2"}).run.exit_code == 0);
   const Seen few(scene, scene.rgs, {kNear, 3, kBehind}, {"--fail-below", "rated-views=3"});
@@ -285,7 +285,7 @@ TEST_CASE("cameras that mirror the scene and pictures without pixels are refused
   CHECK(audit_with("96", "-1").exit_code == 4);
   CHECK(audit_with("0", "1").exit_code == 4);
   CHECK(run_audit({scene.ply, scene.rgs, "--size", "0x0"}).exit_code == 2);
-  // Colours beyond FP32: the pictures are not finite.
+  // Colours beyond FP32: pictures are not finite.
   SplatCloud glaring = scene.cloud;
   std::fill(glaring.sh.begin(), glaring.sh.end(), std::numeric_limits<float>::max());
   const std::string ply = write_ply(scene.file("glaring.ply"), glaring);

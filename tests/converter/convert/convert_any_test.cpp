@@ -1,4 +1,4 @@
-// convert_any_test.cpp - rgs-convert between any two formats, with edits: what comes out of the program.
+// convert_any_test.cpp - rgs-convert between any two formats, with edits: checks the program's outputs.
 // SPDX-License-Identifier: Apache-2.0
 #include <array>
 #include <nlohmann/json.hpp>
@@ -15,7 +15,7 @@ using namespace rgs::test;
 
 namespace {
 
-// Largest difference of a mean: what tells frames, orders and places apart.
+// Largest difference of a mean: it tells frames, orders and positions apart.
 double mean_error(const SplatCloud& a, const SplatCloud& b) {
   const SplatError e = compare(a, b);
   return std::max({e.mean[0], e.mean[1], e.mean[2]});
@@ -27,7 +27,7 @@ bool holds(const std::string& text, const std::string& part) {
 
 }  // namespace
 
-TEST_CASE("any format to any other, by the output's name, in the frame that each has") {
+TEST_CASE("any format converts to any other, chosen by the output's name, each in its own frame") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(600, 2, 1);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud);
@@ -53,7 +53,7 @@ TEST_CASE("any format to any other, by the output's name, in the frame that each
       SplatCloud expected = cloud;
       if (first == "splat" || second == "splat") strip_sh(expected, 0);
       REQUIRE(file->cloud.sh_degree == expected.sh_degree);
-      // Twice the coarsest step, that of compressed PLY over 16 units.
+      // Twice the coarsest step: that of compressed PLY over 16 units.
       CHECK(mean_error(file->cloud, expected) <= 16.0 / 1023 * 1.01);
       const SplatError e = compare(file->cloud, expected);
       CHECK(e.opacity <= 2.0 / 255);
@@ -64,7 +64,7 @@ TEST_CASE("any format to any other, by the output's name, in the frame that each
   }
 }
 
-TEST_CASE("inputs are placed one by one, merged, filtered and stripped") {
+TEST_CASE("inputs are transformed one by one, merged, filtered and stripped") {
   const TemporaryFolder folder;
   SplatCloud a = ordinary_cloud(200, 3, 2), b = ordinary_cloud(100, 1, 3);
   const std::string first = write_scene(folder.file("a.ply"), a), second = write_scene(folder.file("b.ply"), b),
@@ -107,7 +107,7 @@ TEST_CASE("inputs are placed one by one, merged, filtered and stripped") {
   CHECK(read_splats(folder.file("few.rgs"))->cloud.size() == 50);
 }
 
-TEST_CASE("axes: declared by the file or the user, turned for formats that prescribe theirs or on demand") {
+TEST_CASE("axes are declared by the file or the user, and turned for formats that prescribe theirs or on demand") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(300, 2, 4);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), spz = folder.file("scene.spz"),
@@ -122,24 +122,24 @@ TEST_CASE("axes: declared by the file or the user, turned for formats that presc
 
   REQUIRE(rgs_convert({ply, spz}).exit_code == 0);
   CHECK(mean_error(read(spz).cloud, up) <= 1.0 / 4096);
-  // The scene comes back into the frame that 3DGS cameras know, unless the .rgs is to declare another.
+  // The scene returns to the frame of 3DGS cameras unless the .rgs is to declare another.
   REQUIRE(rgs_convert({"--keep-order", spz, rgs}).exit_code == 0);
   CHECK(read(rgs).axes == kAxes3dgs);
   CHECK(mean_error(read(rgs).cloud, cloud) <= 1.0 / 4096);
   REQUIRE(rgs_convert({"--keep-order", "--to-axes", "opengl", ply, rgs}).exit_code == 0);
   CHECK(read(rgs).axes == kAxesOpenGl);
   CHECK(read(rgs).cloud.mean == up.mean);
-  // A declared frame is honoured on the way out...
+  // A declared frame is honoured on output...
   REQUIRE(rgs_convert({rgs, back}).exit_code == 0);
   CHECK(read(back).cloud.mean == cloud.mean);
-  // ... and one declared by hand beats it.
+  // ... and --axes overrides it.
   REQUIRE(rgs_convert({"--axes", "3dgs", rgs, back}).exit_code == 0);
   CHECK(read(back).cloud.mean == up.mean);
   REQUIRE(rgs_convert({"--axes", "undeclared", rgs, spz}).exit_code == 0);
   CHECK(mean_error(read(spz).cloud, up) <= 1.0 / 4096);
 }
 
-TEST_CASE("SPZ is written in the version that was asked for, else in 3") {
+TEST_CASE("SPZ is written in the requested version, else in version 3") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(300, 3, 4);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), spz = folder.file("scene.spz");
@@ -168,7 +168,7 @@ TEST_CASE("SPZ is written in the version that was asked for, else in 3") {
   CHECK(holds(elsewhere.err, "--spz-version is for .spz outputs"));
 }
 
-TEST_CASE("SPZ extensions: what is not kept is said, what is unknown refused unless told otherwise") {
+TEST_CASE("SPZ extensions that are not kept are reported, unknown ones refused unless told otherwise") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(300, 1, 4);
   const Bytes plain = encode_splats(cloud.view(), SplatFormat::spz, {.spz_version = 4}).value();
@@ -230,11 +230,11 @@ TEST_CASE("pipes, wrong names and damage in other formats") {
   CHECK_FALSE(std::filesystem::exists(folder.file("no.spz")));
 }
 
-TEST_CASE("what a format clamps is counted in text and JSON, and --strict writes nothing") {
+TEST_CASE("values that a format clamps are counted in text and JSON, and --strict then writes nothing") {
   const TemporaryFolder folder;
   SplatCloud cloud = ordinary_cloud(300, 1, 5);
-  cloud.mean[0] = 4.2e6F;      // of SPZ's means, all then move by up to half a unit
-  cloud.log_scale[4] = 17.9F;  // 11.96 beyond SPZ's range; within that of compressed PLY
+  cloud.mean[0] = 4.2e6F;      // of SPZ's means; all then move by up to half a unit
+  cloud.log_scale[4] = 17.9F;  // 11.96 beyond SPZ's range, within that of compressed PLY
   cloud.log_scale[7] = -25;
   cloud.sh[12 * 9] = 5.5F;        // of f_dc
   cloud.sh[12 * 10 + 5] = -4.5F;  // of f_rest
@@ -271,7 +271,7 @@ TEST_CASE("what a format clamps is counted in text and JSON, and --strict writes
     CHECK(holds(text.out, "colours (f_dc)") == (counts.sh_dc != 0));
     CHECK(holds(text.out, "log-scales") == (counts.log_scale != 0));
 
-    // Nothing is written, and what is there stays.
+    // Nothing is written, and the existing file stays.
     write_text(out, "as it was");
     const ProgramResult strict = rgs_convert({"--strict", ply, out});
     CHECK(strict.exit_code == (any ? 4 : 0));
@@ -306,7 +306,7 @@ TEST_CASE("--strict refuses damaged Gaussians and scales that FP16 flushes") {
   CHECK_FALSE(std::filesystem::exists(folder.file("out.glb")));
 }
 
-TEST_CASE("infinite logits and scales of 0 come out of every format as what they are") {
+TEST_CASE("infinite logits and scales of 0 survive every format") {
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
   const TemporaryFolder folder;
   SplatCloud cloud = ordinary_cloud(600, 1, 8);
@@ -329,7 +329,7 @@ TEST_CASE("infinite logits and scales of 0 come out of every format as what they
     REQUIRE(file->cloud.size() == 600);
     CHECK(half_from_float(opacity_from_logit(file->cloud.opacity_logit[10])) == half_from_float(1));
     CHECK(half_from_float(opacity_from_logit(file->cloud.opacity_logit[20])) == 0);
-    // A code of SPZ is at least e^-10, one of compressed PLY e^-20.
+    // SPZ's codes are at least e^-10, those of compressed PLY e^-20.
     CHECK(file->cloud.log_scale[3 * 30 + 2] <= (ending == "spz" ? -10.F : -15.F));
     for (const float x : file->cloud.log_scale) CHECK(x < 10);
     if (ending == "ply") CHECK((file->cloud.opacity_logit == cloud.opacity_logit));
@@ -346,7 +346,7 @@ TEST_CASE("infinite logits and scales of 0 come out of every format as what they
   }
 }
 
-TEST_CASE("a million equal Gaussians are read again, and --max-expansion says what a file may decode to") {
+TEST_CASE("a million equal Gaussians can be read back, and --max-expansion limits what a file may decode to") {
   const TemporaryFolder folder;
   SplatCloud cloud;
   cloud.resize(300'000, 0);

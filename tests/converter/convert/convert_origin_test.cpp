@@ -22,7 +22,7 @@ namespace {
 using Position = std::array<double, 3>;
 constexpr Origin kEcef{4.2e6, 1.7e5, 4.8e6};
 
-// A scene of doubles that no FP32 number holds, and where its Gaussians are.
+// A scene of doubles that FP32 cannot hold, and its Gaussians' positions.
 std::vector<Position> write_far_scene(const std::string& path, SplatCloud cloud, const Origin& place = kEcef) {
   std::mt19937_64 random(3);
   std::uniform_real_distribution<double> below_fp32(-1e-3, 1e-3);
@@ -68,12 +68,12 @@ SplatFile read(const std::string& path) {
   return *std::move(file);
 }
 
-// Half an ulp of what lies within 32 units of the origin, and FP64's own rounding.
+// Half an ulp within 32 units of the origin, and FP64's own rounding.
 constexpr double kBound = 0x1p-20 + 1e-9;
 
 }  // namespace
 
-TEST_CASE("doubles go through .rgs and come back as doubles, to half an ulp at the distance from the origin") {
+TEST_CASE("doubles go through .rgs and back as doubles, to half an ulp at the distance from the origin") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(700, 2, 1);
   const std::string ply = folder.file("far.ply"), rgs = folder.file("far.rgs"), back = folder.file("back.ply");
@@ -90,13 +90,13 @@ TEST_CASE("doubles go through .rgs and come back as doubles, to half an ulp at t
       REQUIRE(view);
       CHECK(view->header().version_minor == 3);
       CHECK(json["origin"] == view->declarations().origin);
-      // Within 8 units: multiples of 16.
+      // Extent within 8 units: multiples of 16.
       CHECK(view->declarations().origin == kEcef);
       converted({rgs, back});
       const SplatFile file = read(back);
       CHECK(file.origin == view->declarations().origin);
       CHECK(largest_error(positions_of(file), positions) <= kBound);
-      // What was read from it once is kept from then on.
+      // Values that were read from it once do not change again.
       converted({"--profile", profile, order, back, rgs});
       CHECK(largest_error(positions_of(read(rgs)), positions_of(file)) <= (order == "--keep-order" ? 0 : HUGE_VAL));
     }
@@ -123,7 +123,7 @@ TEST_CASE("files of FP32 scenes have no origin and no doubles") {
   CHECK(text_of(read_bytes(folder.file("back.ply"))).find("double") == std::string::npos);
 }
 
-TEST_CASE("formats without a place for an origin: the rounding is in the summary") {
+TEST_CASE("formats without an origin: the summary states the rounding") {
   const TemporaryFolder folder;
   const std::string ply = folder.file("far.ply"), rgs = folder.file("far.rgs");
   write_far_scene(ply, ordinary_cloud(300, 1, 3));
@@ -167,7 +167,7 @@ TEST_CASE("far scenes are moved, cropped, turned and merged in FP64") {
   };
   converted({"--translate", "0.001,1000,-0.25", ply, out});
   CHECK(largest_error(positions_of(read(out)), moved(glm::dmat3(1.0), 1, {0.001, 1000, -0.25})) <= kBound);
-  // Home and back again: the origin vanishes, and FP32 positions are what is written.
+  // Moved to the world's origin and back: the scene's origin vanishes, and FP32 positions are written.
   converted({"--translate=-4200000,-170000,-4800000", ply, near});
   CHECK(read(near).origin == kNoOrigin);
   CHECK(largest_error(positions_of(read(near)), moved(glm::dmat3(1.0), 1, {-kEcef[0], -kEcef[1], -kEcef[2]})) <=
@@ -188,7 +188,7 @@ TEST_CASE("far scenes are moved, cropped, turned and merged in FP64") {
   CHECK(n_inside > 20);
   CHECK(read(out).cloud.size() == n_inside);
 
-  // Merged: the first origin is that of all, and a scene beside it loses nothing to speak of.
+  // Merged: all inputs take the first origin, and a scene nearby loses next to nothing.
   const std::string beside = folder.file("beside.ply");
   const auto others = write_far_scene(beside, cloud, {4.2e6 + 32, 1.7e5 - 16, 4.8e6});
   auto json = converted({"--merge", ply, beside, out});
@@ -197,13 +197,13 @@ TEST_CASE("far scenes are moved, cropped, turned and merged in FP64") {
   auto both = positions;
   both.insert(both.end(), others.begin(), others.end());
   CHECK(largest_error(positions_of(read(out)), both) <= 4 * kBound);
-  // A scene at home loses to it, which is said.
+  // A scene at the world's origin loses precision, which is reported.
   json = converted({"--merge", near, ply, folder.file("out.rgs")});
   CHECK(json["position_rounding"] > 0.1);
   CHECK(json["position_rounding"] <= 0.25);
 }
 
-TEST_CASE("cameras in the world see a far scene as they see it at home") {
+TEST_CASE("cameras in the world see a far scene as they see it near the world's origin") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(3000, 0, 5);
   const std::string home = folder.file("home.ply"), far = folder.file("far.ply"), cameras = folder.file("cameras.json"),

@@ -1,4 +1,4 @@
-// convert_program.hpp - rgs-convert as the tests run it: its outputs replaced and not synced.
+// convert_program.hpp - runs rgs-convert for the tests: outputs are replaced and not synced.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,7 +18,7 @@ inline ProgramResult rgs_convert(std::vector<std::string> arguments) {
   return run_program(arguments);
 }
 
-/// What --json says of a run that succeeds.
+/// The --json output of a successful run.
 inline nlohmann::json converted(std::vector<std::string> arguments) {
   arguments.insert(arguments.begin(), "--json");
   const ProgramResult run = rgs_convert(arguments);

@@ -1,4 +1,4 @@
-// convert_scenes.hpp - scenes as PLY files, and their damage, for the tests of rgs-convert.
+// convert_scenes.hpp - scenes as PLY files, intact and damaged, for the tests of rgs-convert.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -25,7 +25,7 @@ inline std::string write_scene(const std::string& path, const SplatCloud& cloud)
   return path;
 }
 
-/// The scene as ASCII or big-endian PLY without normals; nine digits give each float back.
+/// The scene as ASCII or big-endian PLY without normals; nine digits restore each float.
 inline std::string other_ply(const SplatCloud& cloud, bool ascii) {
   const int per_channel = sh_coefficients(cloud.sh_degree) - 1;
   std::string text =
@@ -53,8 +53,8 @@ inline std::string other_ply(const SplatCloud& cloud, bool ascii) {
   return text;
 }
 
-/// Damages Gaussians 0, every, 2 every, ...: by turns a NaN mean, a NaN rotation, a zero quaternion, an SH
-/// coefficient that is infinite. Repairing mends all but the first kind.
+/// Damages Gaussians 0, every, 2 every, ... in turn: a NaN mean, a NaN rotation, a zero quaternion, an infinite SH
+/// coefficient. Repair fixes all but the first kind.
 inline SplatCloud damaged(SplatCloud cloud, std::uint64_t every) {
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
   for (std::uint64_t i = 0, kind = 0; i < cloud.size(); i += every, ++kind) {

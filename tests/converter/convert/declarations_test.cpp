@@ -1,4 +1,4 @@
-// declarations_test.cpp - what files declare of their scene, on its way through rgs-convert.
+// declarations_test.cpp - a scene's declarations on their way through rgs-convert.
 // SPDX-License-Identifier: Apache-2.0
 #include <array>
 #include <nlohmann/json.hpp>
@@ -34,7 +34,7 @@ struct RgsFile {
   std::vector<std::uint64_t> source_index;
 };
 
-// All that can be declared, nothing at its default.
+// Every declaration, none at its default.
 EncodeOptions unusual_options() {
   EncodeOptions o;
   o.aa_mode = AaMode::mip_splatting;
@@ -75,7 +75,7 @@ TEST_CASE("the anti-aliasing flag of an SPZ survives PLY, compressed PLY and glT
       CHECK(RgsFile(rgs).d.low_pass_px2 == default_low_pass_px2(mode));
     }
   }
-  // .splat has no place for it, and says so.
+  // .splat cannot hold it, and says so.
   const auto json = converted({spz, folder.file("scene.splat")});
   CHECK(json["declared"]["anti_aliasing"] == "mip-splatting");
   CHECK(json["declared"]["low_pass_px2"] == 0.1);
@@ -84,7 +84,7 @@ TEST_CASE("the anti-aliasing flag of an SPZ survives PLY, compressed PLY and glT
   CHECK(text.out.find("anti-aliasing") != std::string::npos);
 }
 
-TEST_CASE("the low-pass is declared: by option, else by the anti-aliasing, and stays with the scene") {
+TEST_CASE("the low-pass is declared by option, else by the anti-aliasing, and stays with the scene") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(100, 0, 2)),
                     rgs = folder.file("scene.rgs"), again = folder.file("again.rgs");
@@ -107,7 +107,7 @@ TEST_CASE("the low-pass is declared: by option, else by the anti-aliasing, and s
   CHECK(declared({"--low-pass", "0.1"}, rgs) == Pair{AaMode::mip_splatting, 0.1F});
   CHECK(rgs_convert({"--low-pass", "-1", ply, again}).exit_code == 2);
   CHECK(rgs_convert({"--low-pass", "nan", ply, again}).exit_code == 2);
-  // Without a declared mode a low-pass means nothing.
+  // Without a declared mode a low-pass has no meaning.
   CHECK(rgs_convert({"--aa", "undeclared", "--low-pass", "0.1", ply, again}).exit_code == 2);
   converted({"--aa", "undeclared", ply, rgs});
   CHECK(declared({}, rgs) == Pair{AaMode::undeclared, 0.3F});
@@ -116,7 +116,7 @@ TEST_CASE("the low-pass is declared: by option, else by the anti-aliasing, and s
   CHECK(refused.err.find("--aa") != std::string::npos);
 }
 
-TEST_CASE("PLY and glTF carry what has no common form in words of ours, and it is read back") {
+TEST_CASE("PLY and glTF carry declarations without a common form in names of ours, and read them back") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(200, 1, 3);
   const std::string rgs = write_rgs(folder.file("scene.rgs"), cloud, unusual_options()), back = folder.file("back.rgs");
@@ -138,7 +138,7 @@ TEST_CASE("PLY and glTF carry what has no common form in words of ours, and it i
       CHECK(d.axes == kAxes3dgs);
     }
   }
-  // What a format cannot hold is said.
+  // A format reports what it cannot hold.
   for (const std::string to : {"spz", "splat"}) {
     CAPTURE(to);
     const auto lost = converted({rgs, folder.file("lossy." + to)})["lost"];
@@ -147,7 +147,7 @@ TEST_CASE("PLY and glTF carry what has no common form in words of ours, and it i
     CHECK(holds(lost, "metres per unit"));
     CHECK(holds(lost, "anti-aliasing") == (to == "splat"));
   }
-  // Undeclared things stay so.
+  // Undeclared stays undeclared.
   EncodeOptions undeclared;
   undeclared.axes.fill(Axis::undeclared);
   undeclared.colour_space = ColourSpace::undeclared;
@@ -162,7 +162,7 @@ TEST_CASE("PLY and glTF carry what has no common form in words of ours, and it i
     CHECK(RgsFile(back).d.colour_space == ColourSpace::undeclared);
     CHECK(RgsFile(back).d.aa_mode == AaMode::undeclared);
   }
-  // Axes that are not those of 3DGS are stated, so that nobody turns the scene twice.
+  // Axes other than 3DGS's are stated, so that nobody turns the scene twice.
   const std::string turned = folder.file("turned.ply");
   converted({"--to-axes", "opengl", write_scene(folder.file("plain.ply"), cloud), turned});
   converted({"--keep-order", turned, back});
@@ -173,7 +173,7 @@ TEST_CASE("PLY and glTF carry what has no common form in words of ours, and it i
   CHECK(read_splats(turned)->cloud.mean == cloud.mean);
 }
 
-TEST_CASE("a PLY of usual declarations has no comment, one by others is understood") {
+TEST_CASE("a PLY of default declarations has no comment, and other programs' comments are understood") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(50, 0, 4);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), rgs = folder.file("scene.rgs"),
@@ -207,7 +207,7 @@ TEST_CASE("a PLY of usual declarations has no comment, one by others is understo
   }
 }
 
-TEST_CASE(".rgs to .rgs keeps all that was declared, in units of the new scene") {
+TEST_CASE(".rgs to .rgs keeps every declaration, in units of the new scene") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(300, 1, 5);
   const std::string rgs = write_rgs(folder.file("scene.rgs"), cloud, unusual_options()), out = folder.file("out.rgs");
@@ -231,13 +231,13 @@ TEST_CASE(".rgs to .rgs keeps all that was declared, in units of the new scene")
     CHECK(d.depth_source == DepthSource::cameras);
     CHECK(d.depth_mapping == DepthMapping::linear);
   }
-  // Twice as many units for the same thing.
+  // Twice as many units for the same length.
   Declarations d = after({"--scale", "2"});
   CHECK(d.metres_per_unit == 0.25F);
   CHECK(d.z_near == 1);
   CHECK(d.z_far == 64);
   CHECK(d.depth_source == DepthSource::cameras);
-  // Options win.
+  // Options take precedence.
   d = after({"--scale", "2", "--metres-per-unit", "3", "--near", "0.125", "--depth-map", "log"});
   CHECK(d.metres_per_unit == 3);
   CHECK(d.z_near == 0.125F);
@@ -245,7 +245,7 @@ TEST_CASE(".rgs to .rgs keeps all that was declared, in units of the new scene")
   CHECK(d.depth_source == DepthSource::by_hand);
   CHECK(d.depth_mapping == DepthMapping::logarithmic);
   CHECK(after({"--metres-per-unit", "0"}).metres_per_unit == 0);
-  // A range out of the scene's extent belongs to its mapping.
+  // A depth range from the scene's extent belongs to its mapping.
   EncodeOptions linear;
   linear.depth_mapping = DepthMapping::linear;
   const auto extent = FileView::open(encode(cloud.view(), {}).value())->declarations();
@@ -255,7 +255,7 @@ TEST_CASE(".rgs to .rgs keeps all that was declared, in units of the new scene")
   CHECK(d.depth_source == DepthSource::scene_extent);
 }
 
-TEST_CASE("merged inputs that declare different things: the first is taken, and said") {
+TEST_CASE("merged inputs with different declarations: the first is taken and reported") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(100, 0, 6);
   EncodeOptions other = unusual_options();
@@ -277,7 +277,7 @@ TEST_CASE("merged inputs that declare different things: the first is taken, and 
   CHECK(holds(json["notes"], "depth range"));
   CHECK(holds(json["notes"], "b.rgs"));
   CHECK(rgs_convert({"--merge", a, b, out}).out.find("anti-aliasing") != std::string::npos);
-  // Brought to one unit by --scale they agree; what an option says needs no note.
+  // Scaled to one unit by --scale they agree; a value set by an option needs no note.
   json = converted({"--merge", "--scale", "1", "--scale", "4", "--aa", "classic", a, b, out});
   CHECK_FALSE(holds(json["notes"], "metres per unit"));
   CHECK_FALSE(holds(json["notes"], "anti-aliasing"));
@@ -287,7 +287,7 @@ TEST_CASE("merged inputs that declare different things: the first is taken, and 
   CHECK(RgsFile(out).d.z_far == 32);
 }
 
-TEST_CASE("positions in the source: of the original, through .rgs files and filters") {
+TEST_CASE("positions in the source refer to the original, through .rgs files and filters") {
   const TemporaryFolder folder;
   SplatCloud cloud = ordinary_cloud(400, 0, 7);
   cloud.mean[3 * 17] = std::numeric_limits<float>::quiet_NaN();
@@ -318,7 +318,7 @@ TEST_CASE("positions in the source: of the original, through .rgs files and filt
     check(two, 399, options.empty() || options[0] != "--profile" ? 0 : 0.01);
     CHECK(RgsFile(two).provenance->source_xxh3 == RgsFile(one).provenance->source_xxh3);
   }
-  // A filter names positions in its source too, from PLY and from .rgs.
+  // A filter states source positions too, from PLY and from .rgs.
   const std::uint64_t n = converted({"--keep-permutation", "--crop=-4,-4,-4,4,4,4", ply, two})["output"]["gaussians"];
   CHECK(n > 10);
   check(two, n, 0);
@@ -326,14 +326,14 @@ TEST_CASE("positions in the source: of the original, through .rgs files and filt
   check(two, n, 0);
   converted({"--keep-permutation", two, three});
   check(three, n, 0);
-  // Other formats get the order of the source back, filtered or not.
+  // Other formats restore the source's order, filtered or not.
   for (const std::string to : {"ply", "splat", "glb"}) {
     for (const std::string filter : {"--min-opacity=0", "--min-opacity=0.5"}) {
       CAPTURE(to);
       const std::string file = folder.file("ordered." + to);
       converted({filter, one, file});
       const SplatCloud ordered = read_splats(file).value().cloud;
-      std::uint64_t at = 0;  // every Gaussian is found behind the one before
+      std::uint64_t at = 0;  // each Gaussian comes after the one before
       for (std::uint64_t i = 0; i < cloud.size() && at < ordered.size(); ++i) {
         if (std::abs(ordered.mean[3 * at] - cloud.mean[3 * i]) < 1e-6F) ++at;
       }
@@ -341,18 +341,18 @@ TEST_CASE("positions in the source: of the original, through .rgs files and filt
       CHECK(ordered.size() > 100);
     }
   }
-  // Without --keep-permutation they are lost, and that is said.
+  // Without --keep-permutation they are lost, which is reported.
   CHECK(holds(converted({one, two})["lost"], "positions"));
   CHECK(RgsFile(two).d.n_source == 400);
   CHECK(RgsFile(two).d.n_dropped == 1);
 
-  // A file in the order of its source that lacks none of it needs no permutation to know them.
+  // A complete file in source order needs no permutation to know them.
   cloud.mean[3 * 17] = 1;
   write_scene(ply, cloud);
   converted({"--keep-order", ply, one});
   converted({"--keep-permutation", one, two});
   check(two, 400, 0);
-  // A file that has lost them is a source of its own: numbers, counts and provenance are of that one, and it is said.
+  // A file that lost them is its own source: positions, counts and provenance refer to it, which is reported.
   converted({"--crop=-4,-4,-4,4,4,4", ply, one});
   const auto json = converted({"--keep-permutation", one, two});
   CHECK(holds(json["notes"], "one.rgs"));

@@ -1,4 +1,4 @@
-// parts_program_test.cpp - rgs-convert --lod-partition, --lod-build, --lod-assemble and --lod-list, as they are called.
+// parts_program_test.cpp - rgs-convert --lod-partition, --lod-build, --lod-assemble and --lod-list on the command line.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -57,7 +57,7 @@ void check_same(const TemporaryFolder& folder, const std::vector<std::string>& i
 
 }  // namespace
 
-TEST_CASE("parts by the program have the bytes of --lod, whatever inputs and options") {
+TEST_CASE("parts by the program have the bytes of --lod, whatever the inputs and options") {
   const TemporaryFolder folder;
   const std::vector<std::string> inputs = three_inputs(folder);
   const std::string cameras = folder.file("cameras.json");
@@ -73,7 +73,7 @@ TEST_CASE("parts by the program have the bytes of --lod, whatever inputs and opt
   check_same(folder, {inputs[0]}, {"--axes", "opengl", "--metres-per-unit", "0.5"});
 }
 
-TEST_CASE("processes take the inputs and ranges that they are told, and say what there is to do") {
+TEST_CASE("processes take the inputs and ranges named, and print the work that remains") {
   const TemporaryFolder folder;
   const std::vector<std::string> inputs = three_inputs(folder);
   const std::string work = folder.file("work"), list = folder.file("list.txt");
@@ -82,7 +82,7 @@ TEST_CASE("processes take the inputs and ranges that they are told, and say what
       {"--lod-partition", work, "--ranges", "5", "--lod-input", "none", "--on-bad", "drop", inputs[0], "--list", list});
   CAPTURE(begun.err);
   REQUIRE(begun.exit_code == 0);
-  CHECK(begun.out.find("3 of 3 inputs are to be scanned") != std::string::npos);
+  CHECK(begun.out.find("3 of 3 inputs are not scanned") != std::string::npos);
   const auto listed = [&] {
     const ProgramResult run = program({"--lod-list", work});
     REQUIRE(run.exit_code == 0);
@@ -110,7 +110,7 @@ TEST_CASE("processes take the inputs and ranges that they are told, and say what
   REQUIRE(program({"--lod-partition", work}).exit_code == 0);
   state = listed();
   CHECK(state["inputs"][2]["placed"] == true);
-  // One stretch: only one range has anything to build.
+  // One stretch: only one range has work.
   std::size_t n_stretches = 0;
   for (const auto& range : state["ranges"]) {
     n_stretches += range["stretches"].get<std::size_t>();
@@ -125,7 +125,7 @@ TEST_CASE("processes take the inputs and ranges that they are told, and say what
   const ProgramResult json = program({"--lod-assemble", work, out, "--json"});
   REQUIRE(json.exit_code == 0);
   CHECK(nlohmann::json::parse(json.out)["output"]["format"] == "rgs");
-  CHECK(program({"--lod-assemble", work, out}).exit_code == 3);  // is there already
+  CHECK(program({"--lod-assemble", work, out}).exit_code == 3);  // exists already
   CHECK(program({"--quiet", "--lod-assemble", work, out, "--overwrite"}).out.empty());
   const Bytes input = read_bytes(inputs[0]);
   for (const std::string& taken : {inputs[0], work + "/plan", work + "/job", work + "/scan.1", work + "/rows.2"})
@@ -134,7 +134,7 @@ TEST_CASE("processes take the inputs and ranges that they are told, and say what
   CHECK_FALSE(std::filesystem::exists(folder.file("early.rgs")));
 }
 
-TEST_CASE("what parts cannot do is refused before anything is written") {
+TEST_CASE("options that parts cannot honour are refused before anything is written") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("a.ply"), ordinary_cloud(300, 0, 1)), work = folder.file("work"),
                     rgs = folder.file("a.rgs");
@@ -171,7 +171,7 @@ TEST_CASE("what parts cannot do is refused before anything is written") {
   CHECK(program({}).exit_code == 2);
   for (const char* mode : {"--lod-partition", "--lod-build", "--lod-list"}) CHECK(program({mode, work}).exit_code == 3);
   CHECK(program(joined(begin, {folder.file("missing.ply")})).exit_code == 3);
-  CHECK(program(joined(begin, {ply, "--lod-input", "7"})).exit_code == 2);  // has begun, and there is no input 7
+  CHECK(program(joined(begin, {ply, "--lod-input", "7"})).exit_code == 2);  // begun, but there is no input 7
   REQUIRE(program(joined(begin, {ply})).exit_code == 0);
   CHECK(program({"--lod-build", work, "--profile", "direct"}).exit_code == 2);
   CHECK(program({"--lod-build", work, ply}).exit_code == 2);

@@ -1,5 +1,5 @@
-// parts_test.cpp - one scene by many processes: the bytes of one process, whatever is done by whom in which order; what is
-// missing, damaged or of other work is said with its file.
+// parts_test.cpp - one scene by many processes: the bytes equal one process's in any order of work, and missing,
+// damaged or foreign work is reported by file.
 // SPDX-License-Identifier: Apache-2.0
 #include "parts.hpp"
 
@@ -31,7 +31,7 @@ using namespace rgs::test;
 
 namespace {
 
-// 256 Gaussians a page and 7 pages a stretch of one level: stretches of 1,792, few of whose ends are those of bins.
+// 256 Gaussians per page and 7 pages per stretch of one level: stretches of 1,792, which seldom end where bins do.
 lod::BuildOptions small_stretches() {
   lod::BuildOptions build;
   build.page_chunks = 4;
@@ -46,7 +46,7 @@ struct Scene {
   std::vector<Similarity> placed;
 };
 
-// Three tiles of other sizes and degrees, damaged here and there, and one that is empty.
+// Three tiles of different sizes and degrees, partly damaged, and an empty one.
 Scene three_tiles(const std::string& folder) {
   Scene scene;
   const std::uint64_t sizes[] = {3000, 0, 1900, 2500};
@@ -80,7 +80,7 @@ EncodeOptions with_provenance(const Scene& scene) {
   return encode;
 }
 
-// As one process converts it.
+// Converted by one process.
 Bytes at_once(const Scene& scene, const std::string& path) {
   std::deque<SceneInput> inputs;
   std::vector<Tile> tiles;
@@ -112,9 +112,9 @@ PartsJob job_of(const Scene& scene, std::uint32_t n_ranges) {
   for (std::size_t i = 0; i < scene.paths.size(); ++i) {
     SceneInput input;
     REQUIRE(input.open(scene.paths[i]));
-    const auto facts = look_at_tile(tile_of(input, scene.placed[i]), job.encode.axes);
+    const auto facts = tile_facts(tile_of(input, scene.placed[i]), job.encode.axes);
     REQUIRE(facts);
-    job.inputs.push_back({scene.paths[i], input.name(), input.bytes().size(), hash_of_beginning(input.bytes()),
+    job.inputs.push_back({scene.paths[i], input.name(), input.bytes().size(), hash_of_prefix(input.bytes()),
                           SplatFormat::ply, kAxes3dgs, scene.placed[i], *facts, job.n});
     job.n += facts->n;
     job.sh_degree = std::max(job.sh_degree, facts->sh_degree);
@@ -135,7 +135,7 @@ PartsRun run_in(const std::string& folder) {
   return run;
 }
 
-// The error of whatever failed; nothing failed: an empty name.
+// The failed step's error; its name is empty if all succeeded.
 template <class T>
 Failure failure_of(const Outcome<T>& outcome) {
   return outcome ? Failure{"", {}} : outcome.error();
@@ -147,7 +147,7 @@ std::vector<std::size_t> numbers(std::size_t n) {
   return all;
 }
 
-// All steps, each in a process of its own as far as their functions know; `order` brings numbers into some order.
+// All steps, each as if in its own process; `order` permutes the numbers.
 Failure all_steps(const PartsRun& run, const std::function<void(std::vector<std::size_t>&)>& order,
                   const std::string& output) {
   const auto job = open_job(run);
@@ -216,7 +216,7 @@ TEST_CASE("parts make the bytes of one process, for any number of ranges, order,
   }
 }
 
-TEST_CASE("a scene that is no larger than a stretch has the bytes of one process too, and so has one of one page") {
+TEST_CASE("a scene of at most one stretch or one page has the bytes of one process too") {
   const TemporaryFolder folder;
   for (const std::uint64_t n : {100U, 1500U}) {
     SplitMix random(n);
@@ -229,7 +229,7 @@ TEST_CASE("a scene that is no larger than a stretch has the bytes of one process
   }
 }
 
-TEST_CASE("a step that is done is done, and work that is there is not done again") {
+TEST_CASE("finished steps and existing work are not repeated") {
   const TemporaryFolder folder;
   const Scene scene = three_tiles(folder.path());
   const PartsRun run = run_in(folder.file("work"));
@@ -253,13 +253,13 @@ TEST_CASE("a step that is done is done, and work that is there is not done again
     for (std::size_t i = 0; i < 2; ++i) CHECK(build_range(run, *job, **plan, i).value() == (path == run.range_path(i)));
     CHECK(read_bytes(path) == before);
   }
-  // The same job begun again is the same job; a touched input is the same input.
+  // The same job begun again is unchanged, and so is a touched input.
   REQUIRE(begin_parts(run, job_of(scene, 2), false));
   std::filesystem::last_write_time(scene.paths[0], std::filesystem::file_time_type::clock::now());
   CHECK_FALSE(scan_input(run, *job, 0).value());
 }
 
-TEST_CASE("rows that were placed in other memory are the same rows") {
+TEST_CASE("rows placed with different memory are the same") {
   const TemporaryFolder folder;
   const Scene scene = three_tiles(folder.path());
   const PartsRun run = run_in(folder.file("work"));
@@ -278,7 +278,7 @@ TEST_CASE("rows that were placed in other memory are the same rows") {
   CHECK(read_bytes(folder.file("out.rgs")) == parts);
 }
 
-TEST_CASE("work of other inputs or options is refused, unless it may be overwritten") {
+TEST_CASE("work from other inputs or options is refused unless it may be overwritten") {
   const TemporaryFolder folder;
   Scene scene = three_tiles(folder.path());
   const PartsRun run = run_in(folder.file("work"));
@@ -301,7 +301,7 @@ TEST_CASE("work of other inputs or options is refused, unless it may be overwrit
   CHECK_FALSE(std::filesystem::exists(run.range_path(1)));
   CHECK(in_parts(other, 2, run, false) == at_once(other, folder.file("whole.rgs")));
 
-  // A range of another plan is not taken for one of this.
+  // A range of another plan does not count for this one.
   const Bytes range = read_bytes(run.range_path(0));
   in_parts(scene, 2, run, false);
   const auto job = open_job(run);
@@ -314,7 +314,7 @@ TEST_CASE("work of other inputs or options is refused, unless it may be overwrit
   CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
 }
 
-TEST_CASE("an input that changes or vanishes is named; what does not need it goes on") {
+TEST_CASE("an input that changes or vanishes is named, and work that does not need it goes on") {
   const TemporaryFolder folder;
   const Scene scene = three_tiles(folder.path());
   const PartsRun run = run_in(folder.file("work"));
@@ -331,7 +331,7 @@ TEST_CASE("an input that changes or vanishes is named; what does not need it goe
   const Failure other = failure_of(place_input(run, *job, **plan, 2));
   CHECK(other.file == scene.paths[2]);
   CHECK(other.error.code == Errc::read_failed);
-  // What begin found in it may be another as well.
+  // Begin's findings may be outdated as well.
   const Failure scanned = failure_of(scan_input(run, *job, 2));
   CHECK(scanned.file == scene.paths[2]);
   CHECK(scanned.error.code == Errc::read_failed);
@@ -348,7 +348,7 @@ TEST_CASE("an input that changes or vanishes is named; what does not need it goe
   CHECK(missing.file == run.rows_path(1));
   CHECK(missing.error.code == Errc::open_failed);
 
-  // As it was: all goes on.
+  // Restored: everything goes on.
   write_file(scene.paths[2], original);
   REQUIRE(scan_input(run, *job, 2));
   const Failure none = all_steps(
@@ -358,7 +358,7 @@ TEST_CASE("an input that changes or vanishes is named; what does not need it goe
   CHECK(none.file.empty());
   CHECK(read_bytes(folder.file("out.rgs")) == at_once(scene, folder.file("whole.rgs")));
 
-  // Begun again it is another scene.
+  // Begun again, it is another scene.
   changed = original;
   changed[changed.size() - 100] ^= std::byte{1};
   write_file(scene.paths[2], changed);
@@ -366,7 +366,7 @@ TEST_CASE("an input that changes or vanishes is named; what does not need it goe
   CHECK(in_parts(scene, 2, run, false) == at_once(scene, folder.file("whole.rgs")));
 }
 
-TEST_CASE("an input whose beginning changes before it is scanned is named: the job says what it declared") {
+TEST_CASE("an input whose header changes before it is scanned is named: the job holds what it declared") {
   const TemporaryFolder folder;
   const Scene scene = three_tiles(folder.path());
   const PartsRun run = run_in(folder.file("work"));
@@ -382,7 +382,7 @@ TEST_CASE("an input whose beginning changes before it is scanned is named: the j
   CHECK(failure_of(begin_parts(run, job_of(scene, 2), false)).error.code == Errc::output_exists);
 }
 
-TEST_CASE("to begin again removes what the work made, and nothing else") {
+TEST_CASE("beginning again removes the work's own files and nothing else") {
   const TemporaryFolder folder;
   const PartsRun run = run_in(folder.file("work"));
   std::filesystem::create_directories(run.folder + "/rows.9");
@@ -420,7 +420,7 @@ TEST_CASE("to begin again removes what the work made, and nothing else") {
     CHECK(read_bytes(kept[i]) == before[i]);
   }
   CHECK(std::filesystem::is_directory(run.folder + "/rows.9"));
-  // A lost job is no reason to keep what was made for it; the same job again is none either.
+  // Beginning again removes the plan, whether the job file is lost or the same.
   for (const bool lost : {true, false}) {
     CAPTURE(lost);
     write_file(run.plan_path(), {std::byte{7}});
@@ -430,7 +430,7 @@ TEST_CASE("to begin again removes what the work made, and nothing else") {
   }
 }
 
-TEST_CASE("an input or a camera file that has the name of a file of the work is refused, and stays") {
+TEST_CASE("inputs and camera files named like a file of the work are refused and stay") {
   const TemporaryFolder folder;
   const PartsRun run = run_in(folder.file("work"));
   std::filesystem::create_directories(run.folder);
@@ -461,7 +461,7 @@ TEST_CASE("an input or a camera file that has the name of a file of the work is 
   }
 }
 
-TEST_CASE("what another version made is as good as missing") {
+TEST_CASE("files of another version count as missing") {
   const TemporaryFolder folder;
   const Scene scene = three_tiles(folder.path());
   const PartsRun run = run_in(folder.file("work"));
@@ -498,14 +498,14 @@ TEST_CASE("what another version made is as good as missing") {
             run, [](auto&) {}, output)
             .file.empty());
   CHECK(read_bytes(output) == whole);
-  // A job is what the others hang on: it says so itself.
+  // Everything depends on the job file, so it reports the version itself.
   age(run.job_path());
   CHECK(failure_of(open_job(run)).error.code == Errc::unsupported_version);
   CHECK(failure_of(begin_parts(run, job_of(scene, 2), false)).error.code == Errc::unsupported_version);
   CHECK(in_parts(scene, 2, run, false) == whole);
 }
 
-TEST_CASE("a plan is marked as made of the scans that it was made of") {
+TEST_CASE("a plan records the scans that it was made from") {
   const TemporaryFolder folder;
   const Scene scene = three_tiles(folder.path());
   const PartsRun run = run_in(folder.file("work"));
@@ -527,7 +527,7 @@ TEST_CASE("a plan is marked as made of the scans that it was made of") {
   REQUIRE(other != scan);
   write_file(scene.paths[3], original);
   write_file(run.scan_path(3), scan);
-  // All scans are read when the cameras' sample begins; then one of them is replaced.
+  // One scan is replaced after all were read, when the cameras' sample begins.
   PartsRun disturbed = run;
   bool is_disturbed = false;
   disturbed.observer.begin = [&](const char* stage, std::uint64_t, const char*) {
@@ -544,8 +544,8 @@ TEST_CASE("a plan is marked as made of the scans that it was made of") {
   CHECK(find_plan(run, *job).value().has_value());
 }
 
-TEST_CASE("rows that wait take the memory that they may, however many bins there are") {
-  if (!counts_live_memory()) return skip("a sanitizer that does not count has the allocator");
+TEST_CASE("waiting rows stay within the memory limit, however many bins there are") {
+  if (!counts_live_memory()) return skip("the sanitizer replaces the allocator and counts nothing");
   const TemporaryFolder folder;
   PartsPlan plan;
   SplitMix random(5);
@@ -558,7 +558,7 @@ TEST_CASE("rows that wait take the memory that they may, however many bins there
   std::ranges::sort(keys);
   constexpr std::size_t kBins = 20;
   for (std::size_t bin = 0; bin < kBins; ++bin) plan.bins.push_back(bin == 0 ? 0 : keys[bin * keys.size() / kBins]);
-  // Of the same Gaussians 50 times so many, bin by bin, as tiles come that lie side by side: 1 MB each.
+  // 50 times the same Gaussians, bin by bin, like adjacent tiles: 1 MB each.
   constexpr std::uint64_t kMemory = 8'000'000;
   auto file = WorkWriter::create(folder.file("rows.0"), WorkKind::rows, 0, false);
   REQUIRE(file);
@@ -578,11 +578,11 @@ TEST_CASE("rows that wait take the memory that they may, however many bins there
     most = std::max(most, live_bytes() - before);
   }
   REQUIRE(rows.size() * 50 * row_bytes > kMemory);
-  CHECK(most < static_cast<std::int64_t>(kMemory / 4));  // an eighth, where vectors grow by doubling
+  CHECK(most < static_cast<std::int64_t>(kMemory / 4));
   REQUIRE(writer.finish());
 }
 
-TEST_CASE("every byte of every file of the work is looked at") {
+TEST_CASE("every byte of every file of the work is checked") {
   const TemporaryFolder folder;
   Scene scene = three_tiles(folder.path());
   scene.encode.keep_permutation = true;
@@ -590,7 +590,7 @@ TEST_CASE("every byte of every file of the work is looked at") {
   in_parts(scene, 2, run, false);
   const auto job = open_job(run);
   const auto plan = find_plan(run, *job);
-  // The step that reads the file, and first loses what it made of it.
+  // The step that reads the file, after its own output is removed.
   const auto reads = [&](const std::string& path) -> Failure {
     if (path == run.job_path()) return failure_of(open_job(run));
     if (path == run.plan_path() || path == run.scan_path(0)) {
@@ -630,14 +630,14 @@ TEST_CASE("every byte of every file of the work is looked at") {
   }
 }
 
-TEST_CASE("tables whose hashes fit but which contradict the plan are refused") {
+TEST_CASE("tables with valid hashes that contradict the plan are refused") {
   const TemporaryFolder folder;
   const Scene scene = three_tiles(folder.path());
   const PartsRun run = run_in(folder.file("work"));
   in_parts(scene, 2, run, false);
   const auto job = open_job(run);
   const auto plan = find_plan(run, *job);
-  // The file with another table, and its hashes made to fit.
+  // The file with another table and matching hashes.
   const auto reseal = [&](const std::string& path, WorkKind kind, const std::function<void(nlohmann::json&)>& change) {
     auto file = WorkFile::open(path, kind);
     REQUIRE(file);
@@ -684,7 +684,7 @@ TEST_CASE("tables whose hashes fit but which contradict the plan are refused") {
     for (std::size_t i = 0; i < page_changes.size(); ++i) {
       CAPTURE(level);
       CAPTURE(i);
-      if (i == 9 && level > 0) continue;  // an error of 1e-44 of a page is as good as another that is not 0
+      if (i == 9 && level > 0) continue;  // a page's error of 1e-44 is as valid as any other nonzero one
       reseal(run.range_path(1), WorkKind::range, [&](nlohmann::json& about) {
         nlohmann::json& pages = about["stretches"][0]["levels"][level]["pages"];
         auto words = unpack_numbers<std::uint32_t>(pages);
@@ -715,7 +715,7 @@ TEST_CASE("tables whose hashes fit but which contradict the plan are refused") {
   CHECK(failure_of(assemble_parts(run, *job, **plan, folder.file("yes.rgs"), {.sync = false})).file.empty());
 }
 
-TEST_CASE("damage is treated as asked for, and a scene of nothing is an error") {
+TEST_CASE("damage is treated as requested, and an empty scene is an error") {
   const TemporaryFolder folder;
   Scene scene = three_tiles(folder.path());
   scene.encode.on_bad = BadPolicy::refuse;
@@ -736,7 +736,7 @@ TEST_CASE("damage is treated as asked for, and a scene of nothing is an error") 
   CHECK(empty.error.code == Errc::bad_argument);
 }
 
-TEST_CASE("more in one place than fits into memory is said") {
+TEST_CASE("more Gaussians in one bin than memory holds is an error") {
   const TemporaryFolder folder;
   SplitMix random(3);
   SplatCloud cloud = plausible_cloud(20'000, 0, random);
@@ -756,7 +756,7 @@ TEST_CASE("more in one place than fits into memory is said") {
             .file.empty());
 }
 
-TEST_CASE("what a process takes is said by numbers") {
+TEST_CASE("a process chooses its work by numbers") {
   CHECK(parse_selection("all")->last == ~std::size_t{0});
   CHECK(parse_selection("none")->last < parse_selection("none")->first);
   CHECK(parse_selection("4")->first == 4);

@@ -1,4 +1,4 @@
-// compressed_ply_test.cpp - compressed PLY: the peer's file, round trips, older and gsplat's variants, hostile files.
+// compressed_ply_test.cpp - compressed PLY: another tool's file, round trips, older and gsplat's variants, hostile files.
 // SPDX-License-Identifier: Apache-2.0
 #include <cstring>
 #include <limits>
@@ -11,8 +11,8 @@ using namespace rgs::test;
 
 namespace {
 
-// Steps of one chunk's codes. Its decoded values reach the bounds that they are stored relative to; rounding to floats
-// adds a few units in the last place, and a chunk of one Gaussian has nothing else.
+// Steps of one chunk's codes. Decoded values span the stored bounds; rounding to floats adds a few units in the last
+// place, which is all the error of a chunk of one Gaussian.
 SplatError steps_of(const SplatCloud& copy, std::uint64_t first, std::uint64_t end) {
   double low[9], high[9];
   std::fill_n(low, 9, std::numeric_limits<double>::infinity());
@@ -40,7 +40,7 @@ SplatError steps_of(const SplatCloud& copy, std::uint64_t first, std::uint64_t e
   return step;
 }
 
-// Every Gaussian of `copy` within half a step of its original, in the same order or wherever it went.
+// Every Gaussian of `copy` is within half a step of its original, in the same order or found by search.
 void check_half_a_step(const SplatCloud& copy, const SplatCloud& original, bool same_order) {
   REQUIRE(copy.size() == original.size());
   REQUIRE(copy.sh_degree == original.sh_degree);
@@ -55,7 +55,7 @@ void check_half_a_step(const SplatCloud& copy, const SplatCloud& original, bool 
     }
   }
   CHECK(worst <= 0.502);
-  if (!same_order) CHECK(matcher.n_found() >= original.size() - original.size() / 100);  // some are nearly alike
+  if (!same_order) CHECK(matcher.n_found() >= original.size() - original.size() / 100);  // some are nearly equal
 }
 
 std::string replaced(std::string text, const std::string& from, const std::string& to) {
@@ -66,7 +66,7 @@ std::string replaced(std::string text, const std::string& from, const std::strin
 
 }  // namespace
 
-TEST_CASE("a compressed PLY by the peer holds the PLY's Gaussians within the format's steps") {
+TEST_CASE("a compressed PLY by another tool holds the PLY's Gaussians within the format's steps") {
   if (!has_peer_files()) return;
   const SplatCloud original = read_splats(peer_file("crop.ply")).value().cloud;
   const auto file = read_splats(peer_file("crop.compressed.ply"));
@@ -100,7 +100,7 @@ TEST_CASE("compressed PLY without chunk colours, as older tools wrote it, and wi
   const std::string text =
       text_of(encode_splats(cloud.view(), SplatFormat::compressed_ply, {.keep_order = true}).value());
   const std::size_t data = text.find("end_header\n") + 11;
-  // Bounds 0..1 left out: what the codes say is then the colour itself.
+  // Without the bounds 0..1 the codes are the colour itself.
   std::string header = text.substr(0, data);
   for (const char* name : {"min_r", "min_g", "min_b", "max_r", "max_g", "max_b"}) {
     header = replaced(header, std::string("property float ") + name + "\n", "");
@@ -127,7 +127,7 @@ TEST_CASE("compressed PLY without chunk colours, as older tools wrote it, and wi
   CHECK(other->cloud.sh[6] == now.sh[3]);
 }
 
-TEST_CASE("plain PLY as gsplat writes it: no normals, no harmonics, further columns") {
+TEST_CASE("plain PLY as gsplat writes it: no normals, no harmonics, extra columns") {
   for (const bool extra : {false, true}) {
     std::string text = "ply\nformat binary_little_endian 1.0\nelement vertex 1\n";
     for (const char* name : {"x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2",
@@ -151,7 +151,7 @@ TEST_CASE("plain PLY as gsplat writes it: no normals, no harmonics, further colu
   }
 }
 
-TEST_CASE("damaged compressed PLY files are refused or read, never more") {
+TEST_CASE("damaged compressed PLY files are refused or read, but never crash") {
   const SplatCloud cloud = ordinary_cloud(3, 1, 5);
   const Bytes bytes = encode_splats(cloud.view(), SplatFormat::compressed_ply).value();
   check_hostile(bytes, 3);
@@ -179,7 +179,7 @@ TEST_CASE("damaged compressed PLY files are refused or read, never more") {
   refused("uchar f_rest_8", "uchar f_rest_9", Errc::unsupported_feature);
   refused("binary_little_endian", "binary_big_endian", Errc::unsupported_feature);
   refused("uchar f_rest_0", "list uchar int f_rest_0", Errc::unsupported_feature);
-  // Counts that agree with each other, but not with the file.
+  // Counts that agree with each other but not with the file.
   const std::string fewer = replaced(replaced(text, "vertex 3", "vertex 2"), "sh 3", "sh 2");
   const auto file = read_splats(bytes_of(fewer));
   REQUIRE_FALSE(file);
@@ -203,7 +203,7 @@ TEST_CASE("growth: compressed PLY is written in linear time wherever the Gaussia
   CHECK(growth(2000,
                placed([=](std::uint64_t i, std::uint64_t k, auto) { return k == 0 && i % 2 == 0 ? huge : -huge; }),
                write) < kLinearGrowth);
-  // One far from the others, one of those far from the rest, ...
+  // Distances grow exponentially.
   CHECK(growth(2000, placed([](std::uint64_t i, std::uint64_t k, std::uint64_t n) {
                  const auto share = static_cast<double>(i) / static_cast<double>(n);
                  return k == 0 ? static_cast<float>(std::exp2(250 * share - 125)) : 0.F;

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# formats_record_test.py - what the documents say of formats' sizes and quality is what the record holds.
+# formats_record_test.py - the documents state the record's sizes and quality of formats.
 # SPDX-License-Identifier: Apache-2.0
 """formats_record_test.py SOURCE_FOLDER
 
@@ -20,7 +20,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 def boxes(picture):
-    """(words, box) of each upright text, wider than it will be."""
+    """(words, box) of each upright text; the box is an upper bound."""
     for text in ElementTree.fromstring(picture).iter(f"{SVG}text"):
         if "transform" in text.attrib:
             continue
@@ -43,10 +43,10 @@ lines = plot_formats.table(record)
 check(lines in (root / "docs/records/MEASUREMENTS.md").read_text(), f"MEASUREMENTS.md does not have the record's table:\n{lines}")
 for words, (left, top, right, bottom) in boxes(picture):
     inside = 0 <= left and right <= plot_formats.WIDTH and 0 <= top and bottom <= plot_formats.HEIGHT
-    check(inside, f"'{words}' leaves the picture")
+    check(inside, f"'{words}' reaches outside the picture")
 for (a, box), (b, other) in itertools.combinations(boxes(picture), 2):
-    check(not plot_formats.overlap(box, other), f"'{a}' and '{b}' cover each other")
+    check(not plot_formats.overlap(box, other), f"'{a}' and '{b}' overlap")
 worse = json.loads(json.dumps(record))
 worse["entries"][1]["psnr_db"] -= 1
-check(plot_formats.svg(worse) != picture and plot_formats.table(worse) != plot_formats.table(record), "points do not move")
+check(plot_formats.svg(worse) != picture and plot_formats.table(worse) != plot_formats.table(record), "the points do not move")
 sys.exit(1 if failures else 0)

@@ -18,7 +18,7 @@ json json_of(const Bytes& glb) {
   return json::parse(text);
 }
 
-// The file with another JSON chunk.
+// The file with its JSON chunk replaced.
 Bytes with_json(const Bytes& glb, const json& root) {
   std::string text = root.dump();
   text.resize((text.size() + 3) / 4 * 4, ' ');
@@ -40,7 +40,7 @@ Result<SplatFile> read_edited(const Bytes& glb, const std::function<void(json&)>
 
 }  // namespace
 
-TEST_CASE(".glb round trip: everything to the last places of a float") {
+TEST_CASE(".glb round trip: exact to the last places of a float") {
   for (int degree = 0; degree <= 3; ++degree) {
     for (const std::uint64_t n : {0U, 1U, 500U}) {
       CAPTURE(degree);
@@ -63,7 +63,7 @@ TEST_CASE(".glb round trip: everything to the last places of a float") {
   }
 }
 
-TEST_CASE(".glb: what the extension has no place for is in a primitive's extras") {
+TEST_CASE(".glb: a primitive's extras hold what the extension does not define") {
   const SplatCloud cloud = ordinary_cloud(20, 0, 3);
   const auto plain = encode_splats(cloud.view(), SplatFormat::glb);
   REQUIRE(plain);
@@ -79,7 +79,7 @@ TEST_CASE(".glb: what the extension has no place for is in a primitive's extras"
   CHECK(file->aa_mode == AaMode::mip_splatting);
   CHECK(file->low_pass_px2 == 0.3F);
   CHECK(file->metres_per_unit == 0.5F);
-  // A node that scales changes the unit with the scene.
+  // A scaling node changes the unit along with the scene.
   const auto scaled = read_edited(*glb, [](json& root) { root["nodes"][0]["scale"] = {4, 4, 4}; });
   REQUIRE(scaled);
   CHECK(scaled->metres_per_unit == 0.125F);
@@ -100,7 +100,7 @@ TEST_CASE(".glb: what the extension has no place for is in a primitive's extras"
   }
 }
 
-TEST_CASE(".glb says what glTF asks for") {
+TEST_CASE(".glb writes what glTF requires") {
   const SplatCloud cloud = ordinary_cloud(9, 1, 1);
   const Bytes bytes = encode_splats(cloud.view(), SplatFormat::glb).value();
   const json root = json_of(bytes);
@@ -125,7 +125,7 @@ TEST_CASE(".glb says what glTF asks for") {
   CHECK(root["buffers"][0]["byteLength"] == bytes.size() - 28 - get<std::uint32_t>(bytes, 12));
 }
 
-TEST_CASE(".glb: nodes move, turn and scale what they show, as often as they show it") {
+TEST_CASE(".glb: nodes move, turn and scale their meshes, however often they show them") {
   const SplatCloud cloud = ordinary_cloud(50, 3, 2);
   const Bytes bytes = encode_splats(cloud.view(), SplatFormat::glb).value();
   const double half = std::sqrt(0.5);
@@ -148,7 +148,7 @@ TEST_CASE(".glb: nodes move, turn and scale what they show, as often as they sho
   CHECK(e.rotation <= 1e-6);
 }
 
-TEST_CASE(".glb: what is not supported or not sound is refused with its reason") {
+TEST_CASE(".glb: unsupported or invalid input is refused with its reason") {
   const Bytes bytes = encode_splats(ordinary_cloud(4, 1, 3).view(), SplatFormat::glb).value();
   const auto refused = [&](const std::function<void(json&)>& edit, Errc code) {
     const auto file = read_edited(bytes, edit);
@@ -178,7 +178,7 @@ TEST_CASE(".glb: what is not supported or not sound is refused with its reason")
   refused([](json& r) { r["bufferViews"][0]["byteOffset"] = 4294967295U; }, Errc::truncated);
   refused([](json& r) { r["bufferViews"][0]["byteStride"] = 4; }, Errc::bad_syntax);
   refused([](json& r) { r["bufferViews"][0]["buffer"] = 1; }, Errc::unsupported_feature);
-  refused(  // one mesh, shown again and again
+  refused(  // one mesh, shown repeatedly
       [](json& r) {
         for (int i = 0; i < 100; ++i) r["meshes"][0]["primitives"].push_back(r["meshes"][0]["primitives"][0]);
         for (int i = 1; i < 400; ++i) {
@@ -189,7 +189,7 @@ TEST_CASE(".glb: what is not supported or not sound is refused with its reason")
       Errc::limit_exceeded);
 }
 
-TEST_CASE(".glb: nothing that a node shows is left out silently") {
+TEST_CASE(".glb: no mesh of a node is dropped silently") {
   const Bytes bytes = encode_splats(ordinary_cloud(4, 2, 3).view(), SplatFormat::glb).value();
   const auto refused = [&](const std::function<void(json&)>& edit, Errc code) {
     const auto file = read_edited(bytes, edit);
@@ -250,7 +250,7 @@ TEST_CASE(".glb: meshes of unlike degrees and several primitives are one scene")
 
 namespace {
 
-// `n_nodes` that show a mesh of `n_primitives`, all the same.
+// `n_nodes` nodes that all show one mesh of `n_primitives`.
 Bytes many_instances(const SplatCloud& cloud, std::uint64_t n_nodes, std::uint64_t n_primitives) {
   const Bytes bytes = encode_splats(cloud.view(), SplatFormat::glb).value();
   json root = json_of(bytes);
@@ -272,14 +272,14 @@ TEST_CASE("growth: .glb: reading is linear in what the nodes show") {
             3000, [&](std::uint64_t n) { return many_instances(one, n, 1); }, read) < kLinearGrowth);
   CHECK(growth(
             3000, [&](std::uint64_t n) { return many_instances(one, 1, n); }, read) < kLinearGrowth);
-  // Nodes that show no Gaussians are work as well.
+  // Nodes without Gaussians are work as well.
   const SplatCloud none = ordinary_cloud(0, 0, 4);
   const auto refuse = [](const Bytes& file) { CHECK_FALSE(read_splats(file)); };
   CHECK(growth(
             500, [&](std::uint64_t n) { return many_instances(none, n, n); }, refuse) < kLinearGrowth);
 }
 
-TEST_CASE(".glb: what the nodes show is bounded by the file's size") {
+TEST_CASE(".glb: the file's size bounds what its nodes may show") {
   for (const std::uint64_t n : {std::uint64_t{0}, std::uint64_t{1}}) {
     const auto refused = read_splats(many_instances(ordinary_cloud(n, 0, 4), 3000, 3000));
     REQUIRE_FALSE(refused);
@@ -287,12 +287,12 @@ TEST_CASE(".glb: what the nodes show is bounded by the file's size") {
     CHECK(refused.error().offset == 20);
     CHECK(refused.error().found > refused.error().expected);
   }
-  // A small scene may show its trees again and again.
+  // A small scene may repeat its trees.
   const auto forest = read_splats(many_instances(ordinary_cloud(50, 0, 5), 100, 1));
   REQUIRE(forest);
   CHECK(forest->cloud.size() == 5000);
 }
 
-TEST_CASE("damaged .glb files are refused or read, never more") {
+TEST_CASE("damaged .glb files are refused or read, but never crash") {
   check_hostile(encode_splats(ordinary_cloud(4, 0, 3).view(), SplatFormat::glb).value(), 8, 1000);
 }

@@ -1,5 +1,5 @@
-// interchange_samples.hpp - clouds that every format can hold, comparison by attribute, the peer's files, and hostile
-// variants of a file.
+// interchange_samples.hpp - clouds that every format can hold, comparison by attribute, files of other tools, and
+// hostile variants of a file.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -64,7 +64,7 @@ inline SplatCloud ordinary_cloud(std::uint64_t n, int sh_degree, std::uint64_t s
 struct SplatError {
   double mean[3] = {0, 0, 0}, log_scale[3] = {0, 0, 0};  ///< by axis
   double opacity = 0;                                    ///< activated
-  double rotation = 0;                                   ///< largest of a component, the signs made alike
+  double rotation = 0;                                   ///< largest of a component, with the same sign
   double sh[4] = {0, 0, 0, 0};                           ///< by degree
 
   void widen(const SplatError& other) {
@@ -74,7 +74,7 @@ struct SplatError {
     larger(rotation, other.rotation);
     for (int d = 0; d < 4; ++d) larger(sh[d], other.sh[d]);
   }
-  /// Largest ratio to a step; steps of 0 do not count.
+  /// Largest ratio of a difference to its step; steps of 0 do not count.
   double over(const SplatError& step) const {
     double worst = 0;
     const auto ratio = [&worst](double a, double b) { worst = b > 0 ? std::max(worst, a / b) : worst; };
@@ -115,7 +115,7 @@ inline SplatError compare(const Splat& a, const Splat& b, int sh_degree) {
   return e;
 }
 
-/// Largest differences between Gaussians of the same index.
+/// Largest differences between Gaussians of equal index.
 inline SplatError compare(const SplatCloud& a, const SplatCloud& b) {
   REQUIRE(a.size() == b.size());
   REQUIRE(a.sh_degree == b.sh_degree);
@@ -124,7 +124,7 @@ inline SplatError compare(const SplatCloud& a, const SplatCloud& b) {
   return e;
 }
 
-/// Finds Gaussians again in a scene whose order was changed.
+/// Finds Gaussians in a reordered scene.
 class Matcher {
  public:
   explicit Matcher(const SplatCloud& original) : original_(original) {
@@ -132,8 +132,8 @@ class Matcher {
     std::ranges::sort(by_x_);
     used_.resize(original.size());
   }
-  /// The Gaussian whose largest difference from `s`, each over its step, is the least; among those whose means are
-  /// within two steps and 1e-6. Steps of 0 do not count.
+  /// The Gaussian closest to `s` by its largest difference in steps, among those whose means are within two steps and
+  /// 1e-6. Steps of 0 do not count.
   std::uint64_t nearest(const Splat& s, const SplatError& step) {
     std::optional<std::pair<double, std::uint64_t>> best;
     const auto reach = static_cast<float>(2 * step.mean[0] + 1e-6);
@@ -148,7 +148,7 @@ class Matcher {
     used_[best->second] = true;
     return best->second;
   }
-  /// How many different ones were found.
+  /// Number of different Gaussians found.
   std::uint64_t n_found() const { return static_cast<std::uint64_t>(std::ranges::count(used_, true)); }
 
  private:
@@ -157,26 +157,27 @@ class Matcher {
   std::vector<bool> used_;
 };
 
-/// A file that the peer's tool wrote.
+/// A file written by another tool.
 inline std::string peer_file(const std::string& name) {
   return (data_folder() / "formats" / name).string();
 }
 inline bool has_peer_files() {
   const bool found = std::filesystem::exists(peer_file("crop.ply"));
-  if (!found) skip_without_data("the peer's files are not here; set RGS_DATA_DIR to a folder with formats/crop.*");
+  if (!found)
+    skip_without_data("the files of other tools are missing; set RGS_DATA_DIR to a folder with formats/crop.*");
   return found;
 }
 
 inline constexpr ReadOptions kKeepAxes{{}, SplatFormat::unknown, true};
 
 inline Result<SplatFile> read_exact(std::span<const std::byte> bytes) {
-  // A heap block of the exact size, so that the address sanitizer sees a read past its end.
+  // A heap block of the exact size, so that AddressSanitizer detects any overread.
   const auto block = std::make_unique<std::byte[]>(bytes.size());
   std::ranges::copy(bytes, block.get());
   return read_splats(std::span<const std::byte>(block.get(), bytes.size()));
 }
 
-/// An error of malformed input with a text and, if it has an offset, one inside the file.
+/// A malformed-input error with a text; its offset, if any, lies inside the file.
 inline void check_refusal(const Result<SplatFile>& file, std::uint64_t size) {
   REQUIRE_FALSE(file);
   CHECK(exit_code(file.error().code) == 4);
@@ -184,8 +185,7 @@ inline void check_refusal(const Result<SplatFile>& file, std::uint64_t size) {
   CHECK((file.error().offset == Error::kNone || file.error().offset <= size));
 }
 
-/// Every prefix is refused; files with flipped bytes are refused or read, and what is read keeps to what the file's
-/// size allows.
+/// Every prefix is refused. Files with flipped bytes are refused or read within the limits of the file's size.
 inline void check_hostile(const Bytes& bytes, std::uint64_t seed, int flips = 400) {
   for (std::size_t size = 0; size < bytes.size(); ++size) {
     CAPTURE(size);

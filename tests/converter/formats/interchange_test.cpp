@@ -1,4 +1,4 @@
-// interchange_test.cpp - one call for all formats: told apart by content, frames, limits, refusals.
+// interchange_test.cpp - one API for all formats: detection by content, frames, limits, refusals.
 // SPDX-License-Identifier: Apache-2.0
 #include <limits>
 
@@ -18,7 +18,7 @@ constexpr SplatFormat kWritable[] = {SplatFormat::ply, SplatFormat::compressed_p
 
 }  // namespace
 
-TEST_CASE("what is written is recognised by its content, whatever its name") {
+TEST_CASE("written files are recognised by content, whatever their names") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(300, 2, 1);
   for (const SplatFormat format : kWritable) {
@@ -47,7 +47,7 @@ TEST_CASE("what is written is recognised by its content, whatever its name") {
 
 namespace {
 
-// Gaussians of which some have attributes that some formats cannot hold.
+// Gaussians with some attributes outside some formats' ranges.
 SplatCloud wide_cloud(std::uint64_t n, int degree, std::uint64_t seed) {
   SplatCloud cloud = ordinary_cloud(n, degree, seed);
   SplitMix random(seed + 1);
@@ -58,7 +58,7 @@ SplatCloud wide_cloud(std::uint64_t n, int degree, std::uint64_t seed) {
   return cloud;
 }
 
-// Gaussians whose value in the copy is farther from the original than `step`, half the format's, and the largest distance.
+// Gaussians whose copy differs by more than `step`, half the format's, and the largest distance.
 template <class Difference>
 Clamped beyond(const SplatCloud& copy, const SplatCloud& original, double step, const Difference& difference) {
   Clamped clamped;
@@ -85,7 +85,7 @@ void check_same(const Clamped& counted, const Clamped& seen, double tolerance) {
 
 }  // namespace
 
-TEST_CASE("what a format clamps is what comes back farther away than half its step, and it is counted") {
+TEST_CASE("values that come back farther away than half a step count as clamped") {
   for (int degree = 0; degree <= 3; ++degree) {
     CAPTURE(degree);
     const SplatCloud cloud = wide_cloud(600, degree, 40);
@@ -120,7 +120,7 @@ TEST_CASE("what a format clamps is what comes back farther away than half its st
     check_same(report.mean, beyond(copy, cloud, 0x1p-13, mean), 1e-6);
     check_same(report.log_scale, beyond(copy, cloud, 1 / 32.0 + 1e-6, log_scale), 1e-6);
     check_same(report.sh_dc, beyond(copy, cloud, 0.5 / 255 / 0.15 + 1e-6, dc), 1e-6);
-    // Codes of harmonics take on each other's errors: only those far outside are told by the copy.
+    // Codes of harmonics absorb each other's errors, so the copy reveals only values far outside.
     CHECK(report.sh.n >= beyond(copy, cloud, 0.3, rest).n);
     CHECK((report.sh.n > 0) == (degree > 0));
     CHECK(report.opacity_logit.n == 0);
@@ -134,7 +134,7 @@ TEST_CASE("what a format clamps is what comes back farther away than half its st
     CHECK(report.mean.n + report.log_scale.n + report.opacity_logit.n == 0);
 
     copy = copy_as(SplatFormat::compressed_ply);
-    // The outermost codes stand for the ends of the range, a whole step from what else they hold: only beyond it.
+    // The outermost codes represent the ends of the range, a whole step from the next code: only values beyond count.
     const auto outside = [&](const Splat& a, const Splat& b) {
       double largest = 0;
       for (int k = 3; k < 3 + n_rest; ++k) {
@@ -194,13 +194,13 @@ TEST_CASE("growth: all formats are read and written in linear time, coincident G
   for (const SplatFormat format : formats) {
     check(format, coincident);
     if (format == SplatFormat::spz)
-      continue;  // Zstandard's search in what has no repetitions outgrows one cache after another
+      continue;  // without repetitions, Zstandard's search outgrows one cache after another
     check(format, ordinary);
     check(format, outliers);
   }
 }
 
-TEST_CASE("names give a format by their ending") {
+TEST_CASE("an output's extension chooses the format") {
   CHECK(format_of_name("a/b.ply") == SplatFormat::ply);
   CHECK(format_of_name("b.compressed.ply") == SplatFormat::compressed_ply);
   CHECK(format_of_name("B.Compressed.PLY") == SplatFormat::compressed_ply);
@@ -215,7 +215,7 @@ TEST_CASE("names give a format by their ending") {
   CHECK(format_of_name("x.zip") == SplatFormat::unknown);
 }
 
-TEST_CASE("Gaussians arrive in the frame of 3DGS unless asked otherwise or undeclared") {
+TEST_CASE("Gaussians arrive in 3DGS's frame unless the caller keeps theirs or none is declared") {
   const SplatCloud cloud = ordinary_cloud(100, 3, 2);
   for (const SplatFormat format : {SplatFormat::spz, SplatFormat::glb}) {
     CAPTURE(format_name(format));
@@ -245,7 +245,7 @@ TEST_CASE("Gaussians arrive in the frame of 3DGS unless asked otherwise or undec
   CHECK(declared->cloud.mean[1] == -undeclared->cloud.mean[1]);
 }
 
-TEST_CASE("a file that is read, filtered and encoded again keeps what it declared") {
+TEST_CASE("a file that is read, filtered and encoded again keeps its declarations") {
   const SplatCloud cloud = ordinary_cloud(100, 1, 5);
   EncodeOptions first;
   first.aa_mode = AaMode::mip_splatting;
@@ -275,7 +275,7 @@ TEST_CASE("a file that is read, filtered and encoded again keeps what it declare
   CHECK(d.z_far == 32);
   CHECK(d.n_source == 100);
   CHECK(view->provenance()->source_name == "garden.ply");
-  // Of another format, which has no depth range: that is the new file's own.
+  // Another format has no depth range: the new file computes its own.
   file = read_splats(encode_splats(cloud.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting}).value());
   REQUIRE(file);
   const Bytes own = encode(file->cloud.view(), keep_declarations({}, *file)).value();
@@ -304,7 +304,7 @@ TEST_CASE("limits hold for every format") {
   }
 }
 
-TEST_CASE("damaged Gaussians are passed on by PLY and refused by formats that cannot say so") {
+TEST_CASE("PLY passes damaged Gaussians on, and formats that cannot express them refuse") {
   SplatCloud cloud = ordinary_cloud(10, 1, 4);
   cloud.opacity_logit[7] = std::numeric_limits<float>::quiet_NaN();
   for (const SplatFormat format : kWritable) {

@@ -1,4 +1,4 @@
-// ksplat_test.cpp - .ksplat: files made after the format's layout, all levels and degrees, buckets, hostile files.
+// ksplat_test.cpp - .ksplat: files built from the format's layout, all levels and degrees, buckets, hostile files.
 // SPDX-License-Identifier: Apache-2.0
 #include <cstring>
 
@@ -53,11 +53,11 @@ void add_record(Bytes& bytes, const Splat& s, int level, int degree, const float
 struct Layout {
   int level = 0, degree = 0;
   std::uint64_t n_full = 0;            ///< buckets of kBucketSize
-  std::vector<std::uint32_t> partial;  ///< lengths of the others
-  std::uint32_t room = 0;              ///< places after the Gaussians
+  std::vector<std::uint32_t> partial;  ///< sizes of partly filled buckets
+  std::uint32_t room = 0;              ///< room after the Gaussians
 };
 
-// One section; Gaussians fill the buckets in order, each bucket's centre is that of its first Gaussian.
+// One section; Gaussians fill the buckets in order, centred at their first Gaussian.
 void add_section(Bytes& headers, Bytes& data, const SplatCloud& cloud, const Layout& layout) {
   const auto n = static_cast<std::uint32_t>(cloud.size());
   const auto n_buckets = static_cast<std::uint32_t>(layout.n_full + layout.partial.size());
@@ -123,7 +123,7 @@ Bytes ksplat(const std::vector<std::pair<SplatCloud, Layout>>& sections, std::ui
   return file;
 }
 
-// Means within a bucket's reach of each other.
+// Means within a bucket's range of each other.
 SplatCloud near_cloud(std::uint64_t n, int degree, std::uint64_t seed) {
   SplatCloud cloud = ordinary_cloud(n, degree, seed);
   for (float& x : cloud.mean) x /= 8;
@@ -157,7 +157,7 @@ TEST_CASE(".ksplat of all levels and degrees") {
   }
 }
 
-TEST_CASE(".ksplat with several sections, room to spare and unlike degrees") {
+TEST_CASE(".ksplat with several sections, spare room and different degrees") {
   for (int level = 0; level <= 2; ++level) {
     CAPTURE(level);
     const SplatCloud a = near_cloud(5, 2, 6), b = near_cloud(8, 0, 7), c = near_cloud(3, 1, 8);
@@ -176,12 +176,12 @@ TEST_CASE(".ksplat with several sections, room to spare and unlike degrees") {
   }
 }
 
-TEST_CASE(".ksplat: what is loaded may be less than what is there, and GaussianSplats3D reads what is there") {
+TEST_CASE(".ksplat: a partly loaded file holds fewer Gaussians than it has room for, as in GaussianSplats3D") {
   for (int level = 0; level <= 2; ++level) {
     CAPTURE(level);
     const SplatCloud a = near_cloud(6, 1, 9), b = near_cloud(3, 1, 10);
     const Bytes file = ksplat({{a, {level, 1, 1, {2}, 0}}, {b, {level, 1, 0, {3}, 0}}});
-    // How many are read of each section, none if the file is refused.
+    // Gaussians read from each section; empty if the file is refused.
     using Counts = std::pair<std::uint64_t, std::uint64_t>;
     const auto check = [&](const std::vector<std::pair<std::size_t, std::uint32_t>>& edits,
                            const std::optional<Counts>& counts) {
@@ -204,13 +204,13 @@ TEST_CASE(".ksplat: what is loaded may be less than what is there, and GaussianS
     };
     constexpr std::size_t kLoaded = 8, kRoom = 12, kN = 16, kA = 4096, kB = 4096 + 1024;
     check({}, Counts(6, 3));
-    check({{kLoaded, 0}}, Counts(6, 3));  // the sections are there all the same
+    check({{kLoaded, 0}}, Counts(6, 3));  // the sections are still there
     check({{kLoaded, 1}}, Counts(6, 3));
     check({{kLoaded, 0}, {kN, 0}}, Counts(6, 3));
     check({{kLoaded, 0}, {kN, 0}, {kA, 0}, {kB, 0}}, Counts(6, 3));
-    check({{kA, 2}}, Counts(6, 3));                // streamed: the section counts its first piece
-    check({{kA, 2}, {kN, 5}}, Counts(2, 3));       // so much is loaded, and says so
-    check({{kLoaded, 1}, {kN, 6}}, Counts(6, 0));  // the second section was never reached
+    check({{kA, 2}}, Counts(6, 3));                // streamed: the section counts its first part
+    check({{kA, 2}, {kN, 5}}, Counts(2, 3));       // loaded so far, by its own count
+    check({{kLoaded, 1}, {kN, 6}}, Counts(6, 0));  // the second section was not reached
     check({{kA, 2}, {kN, 6}}, std::nullopt);
     check({{kN, 8}}, std::nullopt);
     check({{kN, 10}}, std::nullopt);
@@ -219,7 +219,7 @@ TEST_CASE(".ksplat: what is loaded may be less than what is there, and GaussianS
   }
 }
 
-TEST_CASE(".ksplat: an empty scene is one that promises none") {
+TEST_CASE(".ksplat: an empty scene is one that declares none") {
   Bytes file(4096 + 1024);
   file[1] = std::byte{1};
   put(file, 4, 1U);
@@ -232,7 +232,7 @@ TEST_CASE(".ksplat: an empty scene is one that promises none") {
   CHECK(promised.error().offset == 12);
   CHECK(promised.error().expected == 4);
   CHECK(promised.error().found == 0);
-  put(file, 4, 0U);  // no section at all
+  put(file, 4, 0U);  // no sections
   CHECK_FALSE(read_splats(file, {{}, SplatFormat::ksplat, true}));
 }
 
@@ -249,7 +249,7 @@ TEST_CASE(".ksplat: buckets hold the section's Gaussians, and nothing follows th
     put(edited, 4096 + 1024, length);
     refused(edited, Errc::bad_header, 4096 + 32);
   }
-  for (const std::uint32_t size : {3U, 5U}) {  // of the full one
+  for (const std::uint32_t size : {3U, 5U}) {  // of the full bucket
     Bytes edited = file;
     put(edited, 4096 + 8, size);
     refused(edited, Errc::bad_header, 4096 + 32);
@@ -272,14 +272,14 @@ TEST_CASE("growth: .ksplat: reading is linear in sections and buckets, empty one
     put(file, 4096 + 36, static_cast<std::uint32_t>(n));
     put(file, 4096 + 1024, 0U);
     Bytes more(16 * (n - 1));
-    put(more, 4 * (n - 2), 1U);  // all but the last hold none
+    put(more, 4 * (n - 2), 1U);  // all but the last are empty
     file.insert(file.begin() + 4096 + 1024 + 4, more.begin(), more.end());
     return file;
   };
   CHECK(growth(5000, buckets, read) < kLinearGrowth);
 }
 
-TEST_CASE("damaged .ksplat files are refused or read, never more") {
+TEST_CASE("damaged .ksplat files are refused or read, but never crash") {
   const Bytes file = ksplat({{near_cloud(6, 1, 9), {1, 1, 1, {2}, 0}}});
   for (std::size_t size = 0; size < file.size(); ++size) {
     CAPTURE(size);
@@ -299,7 +299,7 @@ TEST_CASE("damaged .ksplat files are refused or read, never more") {
   }
 }
 
-TEST_CASE(".ksplat headers that promise too much are no scene") {
+TEST_CASE(".ksplat headers that declare too much are refused") {
   const Bytes file = ksplat({{near_cloud(6, 1, 9), {1, 1, 1, {2}, 0}}});
   for (const std::size_t at : {4U, 8U, 4096U, 4100U, 4108U, 4128U, 4132U}) {
     for (const std::uint32_t value : {7U, 1000000U, 0xFFFFFFFFU}) {

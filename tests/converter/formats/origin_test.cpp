@@ -1,4 +1,4 @@
-// origin_test.cpp - scenes whose coordinates are too large for FP32: read relative to an origin, edited, written back.
+// origin_test.cpp - scenes whose coordinates exceed FP32: read relative to an origin, edited, written back.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -25,7 +25,7 @@ namespace {
 using Position = std::array<double, 3>;
 constexpr Position kEcef{4.2e6, 1.7e5, 4.8e6};
 
-// Positions with more digits than FP32 has, within `size` of `centre` on each axis.
+// Positions with more digits than FP32, within `size` of `centre` on each axis.
 std::vector<Position> positions_around(const Position& centre, double size, std::size_t n) {
   std::mt19937_64 random(7);
   std::uniform_real_distribution<double> place(-size, size);
@@ -38,7 +38,7 @@ std::vector<Position> positions_around(const Position& centre, double size, std:
 
 enum class Encoding { ascii, little, big };
 
-// A PLY of degree 0 with coordinates of `type`; with_list: every row holds a list of three numbers, too.
+// A PLY of degree 0 with coordinates of `type`; with_list: every row also holds a list of three numbers.
 std::string ply_of(const std::vector<Position>& positions, const std::string& type = "double",
                    Encoding encoding = Encoding::little, bool with_list = false) {
   const char* const names[] = {"ascii", "binary_little_endian", "binary_big_endian"};
@@ -82,7 +82,7 @@ double half_ulp(double x) {
   return 0.5 * static_cast<double>(std::nextafter(size, std::numeric_limits<float>::infinity()) - size);
 }
 
-// Every position is origin + mean to half an ulp of the mean, and what FP64 rounds.
+// Every position is origin + mean, to half an ulp of the mean and FP64's rounding.
 void check_positions(const SplatCloud& cloud, const Origin& origin, const std::vector<Position>& positions) {
   REQUIRE(cloud.size() == positions.size());
   std::size_t n_off = 0;
@@ -103,7 +103,7 @@ SplatFile read(const std::string& text) {
 
 }  // namespace
 
-TEST_CASE("double coordinates are read relative to an origin in every encoding, to half an ulp of what is left") {
+TEST_CASE("double coordinates are read relative to an origin in every encoding, to half an ulp of the means") {
   const auto positions = positions_around(kEcef, 30, 500);
   const SplatFile expected = read(ply_of(positions));
   // 60 units across: multiples of 64.
@@ -123,7 +123,7 @@ TEST_CASE("double coordinates are read relative to an origin in every encoding, 
   }
 }
 
-TEST_CASE("an origin is chosen only where FP32 does not hold the coordinates, and near the scene's bulk") {
+TEST_CASE("an origin is chosen only where FP32 cannot hold the coordinates, and near most of the scene") {
   SUBCASE("floats in doubles, and floats") {
     auto positions = positions_around(kEcef, 30, 50);
     for (Position& p : positions) {
@@ -177,7 +177,7 @@ TEST_CASE("an origin is chosen only where FP32 does not hold the coordinates, an
   }
 }
 
-TEST_CASE("what was read from doubles is written as doubles, and again the same") {
+TEST_CASE("positions read from doubles are written as doubles, twice the same") {
   const auto positions = positions_around(kEcef, 2000, 300);
   const SplatFile file = read(ply_of(positions));
   const auto bytes = encode_splats(file.cloud.view(), SplatFormat::ply, {.origin = file.origin});
@@ -188,7 +188,7 @@ TEST_CASE("what was read from doubles is written as doubles, and again the same"
   CHECK(again.origin == file.origin);
   CHECK(again.cloud.mean == file.cloud.mean);
   CHECK(encode_splats(again.cloud.view(), SplatFormat::ply, {.origin = again.origin}).value() == *bytes);
-  // The positions themselves, as any other reader of PLY gets them.
+  // The positions, as any PLY reader gets them.
   const auto ply = PlyFile::open(*bytes);
   REQUIRE(ply);
   CHECK(ply->row_offset(1) - ply->row_offset(0) == ply_row_bytes(0, file.origin));
@@ -203,7 +203,7 @@ TEST_CASE("what was read from doubles is written as doubles, and again the same"
   CHECK(plain.find("double") == plain.npos);
 }
 
-TEST_CASE("a PLY is read relative to the origin of another file on demand") {
+TEST_CASE("a PLY is read relative to another file's origin on demand") {
   const auto positions = positions_around(kEcef, 30, 100);
   const std::string wide = ply_of(positions), narrow = ply_of(positions, "float");
   for (const std::string* text : {&wide, &narrow}) {
@@ -254,7 +254,7 @@ TEST_CASE("a scene with an origin is moved, turned, scaled and mirrored in FP64"
   CHECK(turned == origin);
 }
 
-TEST_CASE("a far translation becomes the origin, a near one goes into the means") {
+TEST_CASE("a far translation becomes the origin, a near one changes the means") {
   const SplatCloud cloud = ordinary_cloud(200, 0, 4);  // within 8 units, the median 4
   SplatCloud near = cloud, far = cloud, expected = cloud;
   Origin origin = kNoOrigin;
@@ -270,7 +270,7 @@ TEST_CASE("a far translation becomes the origin, a near one goes into the means"
   CHECK(far.mean == cloud.mean);
 }
 
-TEST_CASE("merged scenes get one origin, and what that rounds is told") {
+TEST_CASE("merged scenes get one origin, and the rounding is reported") {
   const SplatCloud a = ordinary_cloud(50, 1, 5), b = ordinary_cloud(60, 1, 6);
   SplatCloud both = a;
   Origin origin{4.2e6, 0, 0};
@@ -280,7 +280,7 @@ TEST_CASE("merged scenes get one origin, and what that rounds is told") {
   CHECK(both.mean[0] == a.mean[0]);
   CHECK(both.mean[3 * 50] == b.mean[0] + 16);
   CHECK(both.mean[3 * 50 + 2] == b.mean[2] - 8);
-  // A scene without an origin takes that of the other.
+  // A scene without an origin takes the other's.
   both = a, origin = kNoOrigin;
   const double rounding = append_splats(both, origin, SplatCloud(b), {4.2e6, 0, 0});
   CHECK(origin == Origin{4.2e6, 0, 0});
@@ -289,7 +289,7 @@ TEST_CASE("merged scenes get one origin, and what that rounds is told") {
   CHECK(rounding <= 0.25);
 }
 
-TEST_CASE("a crop is one of the world's coordinates, FP32 or not") {
+TEST_CASE("a crop takes world coordinates, FP32 or not") {
   const auto positions = positions_around(kEcef, 30, 1000);
   const SplatFile file = read(ply_of(positions));
   const WorldBox box{{kEcef[0] - 10.03, kEcef[1] - 5, kEcef[2] - 20}, {kEcef[0] + 3.01, kEcef[1] + 5, kEcef[2]}};
@@ -306,14 +306,14 @@ TEST_CASE("a crop is one of the world's coordinates, FP32 or not") {
   }
   REQUIRE(expected.size() > 30);
   CHECK(cropped.mean == expected);
-  // Borders are decimals: a mean at 0.1F lies on the border 0.1.
+  // Borders are decimals: a mean of 0.1F lies on the border 0.1.
   SplatCloud one = ordinary_cloud(1, 0, 1);
   one.mean = {0.1F, 0, 0};
   filter_splats(one, {.crop = WorldBox{{-1, -1, -1}, {0.1, 1, 1}}});
   CHECK(one.size() == 1);
 }
 
-TEST_CASE("glb: an origin is its node's translation, and a far node is an origin") {
+TEST_CASE(".glb: a node's translation is the origin if it is far") {
   const SplatCloud cloud = ordinary_cloud(100, 1, 8);
   const Origin origin{4.2e6 + 0.1, 1.7e5, -4.8e6};
   const auto bytes = encode_splats(cloud.view(), SplatFormat::glb, {.origin = origin});
@@ -332,7 +332,7 @@ TEST_CASE("glb: an origin is its node's translation, and a far node is an origin
   CHECK(turned->cloud.mean[0] == -cloud.mean[0]);
 }
 
-TEST_CASE("formats without a place for an origin hold FP32 positions, and the rounding is told") {
+TEST_CASE("formats without an origin hold FP32 positions, and the rounding is reported") {
   const auto positions = positions_around(kEcef, 30, 400);
   const SplatFile file = read(ply_of(positions));
   const auto rounding = [&](SplatFormat format, const Origin& origin) {
@@ -346,10 +346,10 @@ TEST_CASE("formats without a place for an origin hold FP32 positions, and the ro
     CAPTURE(format_name(format));
     CHECK_FALSE(keeps_origin(format));
     const double largest = rounding(format, file.origin);
-    // FP32 has steps of 1/2 at 4.8e6, SPZ's 24 bits steps of 1.
+    // FP32 has steps of 1/2 at 4.8e6; SPZ's 24 bits have steps of 1.
     CHECK(largest > (format == SplatFormat::spz ? 0.45 : 0.2));
     CHECK(largest <= (format == SplatFormat::spz ? 0.75 : 0.25) + 1e-6);
-    if (format == SplatFormat::compressed_ply) continue;  // whose blocks come in another order, and lose more
+    if (format == SplatFormat::compressed_ply) continue;  // blocks come in another order and lose more
     const auto bytes = encode_splats(file.cloud.view(), format, {.origin = file.origin});
     REQUIRE(bytes);
     ReadOptions keep_axes;

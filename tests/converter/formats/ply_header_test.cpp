@@ -1,4 +1,4 @@
-// ply_header_test.cpp - which PLY headers are read, and what the others are refused for.
+// ply_header_test.cpp - valid PLY headers are read, others refused with a reason.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -123,7 +123,7 @@ TEST_CASE("every missing property is named") {
   }
 }
 
-TEST_CASE("the number of f_rest properties gives the degree or is refused as found") {
+TEST_CASE("the number of f_rest properties gives the degree or is refused with the number found") {
   for (int count = 0; count <= 80; ++count) {
     CAPTURE(count);
     const auto ply = open_text(header_of(splat_properties(count), "0"));
@@ -160,7 +160,7 @@ TEST_CASE("comments, obj_info, CR LF, tabs and type aliases change nothing") {
   }
 }
 
-TEST_CASE("counts that the file cannot hold are refused with expected and found bytes") {
+TEST_CASE("counts beyond the file's size are refused with expected and found bytes") {
   struct Case {
     const char* count;
     std::uint64_t expected_rows_bytes;  // saturated one below kNone
@@ -188,7 +188,7 @@ TEST_CASE("counts that the file cannot hold are refused with expected and found 
   }
 }
 
-TEST_CASE("huge counts of other elements and lists are refused, not walked or multiplied out") {
+TEST_CASE("huge counts of other elements and lists are refused without walking or multiplying") {
   const std::string vertex =
       header_of(splat_properties(0), "1").substr(std::string("ply\nformat binary_little_endian 1.0\n").size());
   for (const char* format : {"ascii", "binary_little_endian", "binary_big_endian"}) {
@@ -238,7 +238,7 @@ TEST_CASE("every prefix and every single-byte change of the header is an error o
     for (std::size_t n = 0; n < file.size(); ++n) {
       CAPTURE(n);
       const bool opened = open_and_read(file.substr(0, n));
-      // Text may lose its last line end and digits of its last value; binary data nothing.
+      // Text may lack its last line end and digits of its last value; binary data may lack nothing.
       if (&file != &files[1] || n + 3 < file.size()) CHECK_FALSE(opened);
     }
     const std::size_t end = file.find("end_header\n") + 11;

@@ -70,7 +70,7 @@ class Emitter {
   Encoding encoding_;
 };
 
-// Value of the property `name` of a splat, by the definition of the original code's names.
+// A splat's property by its name in the original code.
 float property_of(const Splat& s, const std::string& name, int degree) {
   const int number =
       name.find_last_of('_') == std::string::npos ? 0 : std::atoi(name.c_str() + name.find_last_of('_') + 1);
@@ -106,9 +106,9 @@ class TemporaryVariable {
   bool had_ = false;
 };
 
-// Opens what a thread writes into a pipe.
+// A pipe that a thread writes into.
 rgs::Result<PlyFile> open_piped(const std::string& text) {
-  std::signal(SIGPIPE, SIG_IGN);  // the writing thread meets a closed pipe when open() gives up
+  std::signal(SIGPIPE, SIG_IGN);  // the writing thread hits a closed pipe when open() fails
   int ends[2];
   REQUIRE(::pipe(ends) == 0);
   std::thread writer([&] {
@@ -213,7 +213,7 @@ TEST_CASE("any encoding, property order, scalar type, extra property and extra e
   }
 }
 
-TEST_CASE("reading overwrites all of a splat, also the degrees that the file lacks") {
+TEST_CASE("reading overwrites the whole splat, degrees above the file's included") {
   for (int degree = 0; degree <= 3; ++degree) {
     const auto splats = random_splats(40, degree, 2);
     const std::string text = binary_ply(splats, degree);
@@ -295,7 +295,7 @@ TEST_CASE("numbers in text") {
   }
 }
 
-TEST_CASE("lines of text may end in CR LF, be blank or lack the last line end; a short or missing line is refused") {
+TEST_CASE("text lines may end in CR LF, be blank or lack the last line end; a short or missing line is refused") {
   const std::string header = header_of(splat_properties(0), "2", "ascii");
   const std::string row = "1 2 3 4 5 6 7 8 9 10 11 12 13 14";
   for (const std::string& data : {row + "\n" + row + "\n", row + "\r\n" + row + "\r\n", row + "\n" + row,
@@ -321,8 +321,8 @@ TEST_CASE("lines of text may end in CR LF, be blank or lack the last line end; a
   CHECK(missing.error().found == 1);
 }
 
-TEST_CASE("what follows the vertices must be there, and nothing may follow it") {
-  // Elements behind the vertices: numbers alone, and lists.
+TEST_CASE("elements after the vertices must be complete, and nothing may follow them") {
+  // Elements after the vertices: numbers alone, and lists.
   struct Tail {
     const char* header;
     std::vector<std::string> rows;  // little-endian
@@ -369,7 +369,7 @@ TEST_CASE("what follows the vertices must be there, and nothing may follow it") 
     const std::size_t line_end = text.size();
     text += tail.text;
     CHECK(open_text(text));
-    CHECK(open_text(text + " \r\n\n"));  // blank lines are none
+    CHECK(open_text(text + " \r\n\n"));  // blank lines do not count
     const auto trailing = open_text(text + "\n1\n");
     REQUIRE_FALSE(trailing);
     CHECK(trailing.error().code == Errc::trailing_bytes);
@@ -379,13 +379,13 @@ TEST_CASE("what follows the vertices must be there, and nothing may follow it") 
     REQUIRE_FALSE(cut);
     CHECK(cut.error().code == Errc::truncated);
   }
-  // A count that no file can hold is refused at once.
+  // A count beyond any file is refused at once.
   std::string huge = binary_ply(splats, 0);
   huge.insert(huge.find("end_header"), "element face 18446744073709551615\nproperty list uchar int i\n");
   CHECK(open_text(huge).error().code == Errc::truncated);
 }
 
-TEST_CASE("a list with a negative length is refused where it stands") {
+TEST_CASE("a list of negative length is refused at its offset") {
   std::string text = header_of(splat_properties(0), "1");
   text.insert(text.find("end_header"), "property list char int tags\n");
   const std::size_t at = text.size() + 56;
@@ -396,9 +396,9 @@ TEST_CASE("a list with a negative length is refused where it stands") {
   CHECK(ply.error().offset == at);
 }
 
-TEST_CASE("files, pipes, named pipes and redirected files give what memory gives") {
+TEST_CASE("files, pipes, named pipes and redirected files read like memory") {
   const TemporaryFolder folder;
-  // Sizes on both sides of what is kept in memory (1 MiB).
+  // Sizes on both sides of the memory buffer (1 MiB).
   for (const std::size_t n : {3UL, 9000UL}) {
     const auto splats = random_splats(n, 3, 77);
     const std::string text = binary_ply(splats, 3);
@@ -430,7 +430,7 @@ TEST_CASE("files, pipes, named pipes and redirected files give what memory gives
     CHECK(same_bits(read_all(*from_fifo), splats));
     std::filesystem::remove(fifo);
 
-    // A descriptor that stands behind the start is read from there, as a program reads its standard input.
+    // A descriptor past the start is read from its position, as standard input is.
     std::ofstream(path, std::ios::binary) << "skipped\n" << text;
     const int fd = ::open(path.c_str(), O_RDONLY);
     REQUIRE(::lseek(fd, 8, SEEK_SET) == 8);
@@ -441,7 +441,7 @@ TEST_CASE("files, pipes, named pipes and redirected files give what memory gives
   }
 }
 
-TEST_CASE("text larger than the memory buffer is converted in a temporary file that leaves no name behind") {
+TEST_CASE("text larger than the memory buffer is converted in an unlinked temporary file") {
   const TemporaryFolder folder;
   const TemporaryVariable tmpdir("TMPDIR", folder.path().string());
   const auto splats = random_splats(30000, 0, 123);
@@ -460,7 +460,7 @@ TEST_CASE("text larger than the memory buffer is converted in a temporary file t
   CHECK(same_bits(read_all(*ply), splats));
 }
 
-TEST_CASE("no room or no folder for the temporary file is an input/output error with errno") {
+TEST_CASE("a full disk or missing temporary folder is an input/output error with errno") {
   const TemporaryFolder folder;
   const std::string text = binary_ply(random_splats(9000, 3, 8), 3);
   {
@@ -470,7 +470,7 @@ TEST_CASE("no room or no folder for the temporary file is an input/output error 
     CHECK(ply.error().code == Errc::open_failed);
     CHECK(ply.error().system == ENOENT);
   }
-  // A file size limit stands in for a full disk: both surface as a failed write.
+  // A file size limit simulates a full disk: both fail a write.
   const TemporaryVariable tmpdir("TMPDIR", folder.path().string());
   rlimit old{};
   REQUIRE(::getrlimit(RLIMIT_FSIZE, &old) == 0);
@@ -486,7 +486,7 @@ TEST_CASE("no room or no folder for the temporary file is an input/output error 
   CHECK(ply.error().system == EFBIG);
 }
 
-TEST_CASE("a file that loses its name while it is open stays readable; missing files and folders are refused") {
+TEST_CASE("an open file stays readable after it is unlinked; missing files and folders are refused") {
   const TemporaryFolder folder;
   const auto splats = random_splats(500, 2, 31);
   const std::string path = folder.file("scene.ply");

@@ -52,7 +52,7 @@ inline std::vector<Splat> read_all(const PlyFile& ply) {
   return splats;
 }
 
-/// A copy of exactly the string's size on the heap, so that the address sanitizer sees a read past its end.
+/// A heap copy of the exact size, so that AddressSanitizer detects any overread.
 class ExactCopy {
  public:
   explicit ExactCopy(std::string_view text) : bytes_(new std::byte[text.size()]), size_(text.size()) {

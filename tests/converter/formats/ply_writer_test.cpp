@@ -1,4 +1,4 @@
-// ply_writer_test.cpp - PLY files written are those of the original code, and read back bit for bit.
+// ply_writer_test.cpp - written PLY files match the original code's layout and read back bit for bit.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -45,7 +45,7 @@ TEST_CASE("the header is that of the original 3DGS code") {
   CHECK(rgs::ply_row_bytes(3) == 248);
 }
 
-TEST_CASE("comments state what is not as in the original code, and are read back") {
+TEST_CASE("comments state what differs from the original code, and are read back") {
   using namespace rgs;
   Declarations d;
   d.aa_mode = AaMode::mip_splatting, d.low_pass_px2 = 0.1F;
@@ -91,7 +91,7 @@ TEST_CASE("a row is position, zero normals, DC, channel-major f_rest, opacity, s
                                   202, 203, 301, 302, 303, 10, 20,  21,  22,  30,  31,  32,  33});
 }
 
-TEST_CASE("what is written is read back with the same bits, at every degree") {
+TEST_CASE("written values are read back bit for bit, at every degree") {
   const TemporaryFolder folder;
   for (int degree = 0; degree <= 3; ++degree) {
     for (const std::size_t n : {0UL, 1UL, 1023UL, 1024UL, 2500UL}) {
@@ -148,7 +148,7 @@ TEST_CASE("rows written by several threads out of order make the same file") {
   }
 }
 
-TEST_CASE("the writer refuses bad degrees, impossible counts and existing outputs; no commit leaves no file") {
+TEST_CASE("the writer refuses bad degrees, impossible counts and existing outputs; without a commit there is no file") {
   const TemporaryFolder folder;
   const std::string path = folder.file("out.ply");
   const auto bad_degree = PlyWriter::create(path, 1, 4, kFast);

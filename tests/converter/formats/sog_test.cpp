@@ -1,4 +1,4 @@
-// sog_test.cpp - SOG: the peer's file, both versions made by hand, zipped and as a folder, hostile files.
+// sog_test.cpp - SOG: another tool's file, both versions by hand, zipped and as a folder, hostile files.
 // SPDX-License-Identifier: Apache-2.0
 #include <webp/encode.h>
 #include <zip.h>
@@ -148,7 +148,7 @@ json meta_of(const Files& files) {
 
 }  // namespace
 
-TEST_CASE("a SOG by the peer holds the PLY's Gaussians within the format's steps") {
+TEST_CASE("a SOG by another tool holds the PLY's Gaussians within the format's steps") {
   if (!has_peer_files()) return;
   const SplatCloud original = read_splats(peer_file("crop.ply")).value().cloud;
   const auto file = read_splats(peer_file("crop.sog"));
@@ -156,7 +156,7 @@ TEST_CASE("a SOG by the peer holds the PLY's Gaussians within the format's steps
   REQUIRE(file->cloud.size() == original.size());
   CHECK(file->format == SplatFormat::sog);
   SplatError step;
-  std::fill_n(step.mean, 3, 1.5e-5);  // of ln(1 + |x|), whose slope is 1 / (1 + |x|): twice that where the scene ends
+  std::fill_n(step.mean, 3, 1.5e-5);  // of ln(1 + |x|), whose slope is 1 / (1 + |x|): twice that at the scene's ends
   step.opacity = 1.0 / 255;
   step.rotation = 3 * 2 * 0.70711 / 255;
   step.log_scale[0] = step.log_scale[1] = step.log_scale[2] = step.sh[0] = 0.3;
@@ -166,7 +166,8 @@ TEST_CASE("a SOG by the peer holds the PLY's Gaussians within the format's steps
   for (std::uint64_t i = 0; i < original.size(); ++i) {
     const Splat a = file->cloud.view().splat(i), b = original.view().splat(matcher.nearest(a, step));
     const SplatError e = compare(a, b, 3);
-    bool within = e.opacity <= 1.001 / 255 && e.rotation <= 1.51 * 2 * 0.70711 / 255;  // the peer rounds codes down
+    bool within =
+        e.opacity <= 1.001 / 255 && e.rotation <= 1.51 * 2 * 0.70711 / 255;  // the other tool rounds codes down
     for (int k = 0; k < 3; ++k) {
       within = within && e.mean[k] <= 1.01 / 65535 * (1 + std::abs(static_cast<double>(b.mean[k])));
       log_scale += e.log_scale[k] / 3;
@@ -175,10 +176,10 @@ TEST_CASE("a SOG by the peer holds the PLY's Gaussians within the format's steps
     dc += e.sh[0];
     sh += (e.sh[1] + e.sh[2] + e.sh[3]) / 3;
   }
-  // The scene has Gaussians that were split from one and are nearly alike: a few are taken for their twins.
+  // Some Gaussians were split from one and are nearly equal: the search mistakes a few for their twins.
   CHECK(n_within >= original.size() - original.size() / 200);
   CHECK(matcher.n_found() >= original.size() - original.size() / 100);
-  // Codebooks and the palette are fitted, not stepped: their mean errors tell right from wrong.
+  // Codebooks and the palette are fitted and have no steps: their mean errors tell right from wrong.
   const auto n = static_cast<double>(original.size());
   CHECK(log_scale / n < 0.02);
   CHECK(dc / n < 0.02);
@@ -206,7 +207,7 @@ TEST_CASE("SOG of versions 1 and 2, zipped and as a folder") {
   }
 }
 
-TEST_CASE("a SOG says that it is anti-aliased in either of two ways") {
+TEST_CASE("a SOG declares anti-aliasing in either of two ways") {
   const auto mode_of = [](const char* key, const json& value) {
     Files files = version2();
     json meta = meta_of(files);
@@ -234,9 +235,9 @@ TEST_CASE("a SOG without harmonics") {
   CHECK(file->cloud.sh_degree == 0);
 }
 
-TEST_CASE("damaged SOG files are refused or read, never more") {
+TEST_CASE("damaged SOG files are refused or read, but never crash") {
   check_hostile(zipped(version2()), 4, 600);
-  // What a zip's checksum would catch, tried on the images and the text themselves.
+  // Damage that the zip's checksum would hide, tried on the images and the text themselves.
   const TemporaryFolder folder;
   for (const auto& [name, bytes] : version2()) write_bytes(folder.file(name), bytes);
   SplitMix random(6);
@@ -250,14 +251,14 @@ TEST_CASE("damaged SOG files are refused or read, never more") {
       if (file) {
         CHECK(file->cloud.size() <= 9);
       } else {
-        CHECK((exit_code(file.error().code) == 4 || file.error().code == Errc::open_failed));  // another file's name
+        CHECK((exit_code(file.error().code) == 4 || file.error().code == Errc::open_failed));  // the wrong file's name
       }
     }
     write_bytes(folder.file(name), bytes);
   }
 }
 
-TEST_CASE("SOG of version 1 states its number of Gaussians again and again") {
+TEST_CASE("SOG of version 1 repeats its number of Gaussians, and the copies must agree") {
   for (const char* name : {"means", "scales", "quats"}) {
     CAPTURE(name);
     Files files = version1();

@@ -1,5 +1,5 @@
-// splat_edit_test.cpp - moving, turning, mirroring, merging, filtering and stripping: judged by the colours, shapes and
-// places that come out.
+// splat_edit_test.cpp - moving, turning, mirroring, merging, filtering and stripping, checked by the resulting colours,
+// shapes and positions.
 // SPDX-License-Identifier: Apache-2.0
 #include <cmath>
 #include <glm/geometric.hpp>
@@ -32,7 +32,7 @@ double colour(const Splat& s, int degree, const glm::dvec3& d, int channel) {
   return sum;
 }
 
-// `after` is `before` under x -> scale * m x + shift: places, shapes, and colours seen from turned directions.
+// `after` is `before` under x -> scale * m x + shift: positions, shapes, and colours from turned directions.
 void check_moved(const SplatCloud& before, const SplatCloud& after, const glm::dmat3& m, double scale,
                  const glm::dvec3& shift) {
   REQUIRE(before.size() == after.size());
@@ -57,7 +57,7 @@ void check_moved(const SplatCloud& before, const SplatCloud& after, const glm::d
 
 }  // namespace
 
-TEST_CASE("a scene that is not moved keeps its bits, those of damaged Gaussians too") {
+TEST_CASE("a scene that does not move keeps its bits, damaged Gaussians included") {
   SplatCloud cloud;
   cloud.resize(1, 0);
   cloud.mean = {std::numeric_limits<float>::quiet_NaN(), 2.5F, -0.0F};
@@ -67,7 +67,7 @@ TEST_CASE("a scene that is not moved keeps its bits, those of damaged Gaussians 
   CHECK(std::signbit(cloud.mean[2]));
 }
 
-TEST_CASE("a similarity moves places, shapes and view-dependent colours together") {
+TEST_CASE("a similarity transforms positions, shapes and view-dependent colours together") {
   SplitMix random(3);
   for (int degree = 0; degree <= 3; ++degree) {
     for (int round = 0; round < 8; ++round) {
@@ -88,7 +88,7 @@ TEST_CASE("a similarity moves places, shapes and view-dependent colours together
   }
 }
 
-TEST_CASE("Euler angles turn about x, then y, then z; composition is application in turn") {
+TEST_CASE("Euler angles turn about x, then y, then z; composition applies them in turn") {
   const glm::dvec3 turned = rotation_from_euler({90, 90, 0}) * glm::dvec3(0, 1, 0);  // y -> z by x, z -> x by y
   CHECK(glm::distance(turned, glm::dvec3(1, 0, 0)) < 1e-12);
   const Similarity a{rotation_from_euler({10, 20, 30}), 2, {1, 2, 3}},
@@ -103,7 +103,7 @@ TEST_CASE("Euler angles turn about x, then y, then z; composition is application
   for (const double error : e.sh) CHECK(error <= 2e-6);
 }
 
-TEST_CASE("a whole turn in twelve steps gives the scene back") {
+TEST_CASE("twelve steps of a full turn restore the scene") {
   const SplatCloud before = ordinary_cloud(30, 3, 5);
   SplatCloud after = before;
   for (int i = 0; i < 12; ++i) transform_splats(after, {rotation_from_euler({0, 30, 0}), 1, {0, 0, 0}});
@@ -113,7 +113,7 @@ TEST_CASE("a whole turn in twelve steps gives the scene back") {
   CHECK(e.rotation <= 2e-6);
 }
 
-TEST_CASE("axes: every pair of frames, mirrored ones too, and exactly back") {
+TEST_CASE("axes: every pair of frames, mirrored ones too, and back exactly") {
   const std::vector<Axes> frames{kAxes3dgs,
                                  kAxesOpenGl,
                                  kAxesGltf,
@@ -146,7 +146,7 @@ TEST_CASE("axes: every pair of frames, mirrored ones too, and exactly back") {
       for (const double error : e.sh) CHECK(error <= 1e-6);
     }
   }
-  // Signs only: harmonics are exact too.
+  // Only signs change: harmonics are exact too.
   const SplatCloud before = ordinary_cloud(10, 3, 6);
   SplatCloud after = before;
   convert_axes(after, kAxes3dgs, kAxesOpenGl);
@@ -186,7 +186,7 @@ TEST_CASE("stripping harmonics keeps the lower ones") {
   }
 }
 
-TEST_CASE("filters keep what they say, in order") {
+TEST_CASE("filters keep the Gaussians named, in order") {
   const SplatCloud before = ordinary_cloud(500, 1, 10);
   SplatFilter crop;
   crop.crop = WorldBox{{-4, -8, 0}, {4, 8, 8}};
@@ -227,7 +227,7 @@ TEST_CASE("filters keep what they say, in order") {
   CHECK(none.size() == 0);
 }
 
-TEST_CASE("infinite logits and scales of 0 are filtered as what they are") {
+TEST_CASE("filters accept infinite logits and scales of 0") {
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
   SplatCloud cloud = ordinary_cloud(100, 0, 12);
   cloud.opacity_logit[3] = kInfinity;
@@ -276,7 +276,7 @@ TEST_CASE("cleaning applies the damage policies of encode()") {
   CHECK(clean_splats(cloud, options).error().code == Errc::too_many_bad);
 }
 
-TEST_CASE("growth: appending piece by piece is linear in all pieces together") {
+TEST_CASE("growth: appending piece by piece is linear in the total size") {
   const SplatCloud piece = ordinary_cloud(1, 0, 1);
   const auto append = [&](std::uint64_t n) {
     SplatCloud all;

@@ -50,12 +50,13 @@ TEST_CASE(".splat round trip: exact means, scales to the last place, bytes for t
       }
       CHECK(e.opacity <= 0.5 / 255 * 1.001);
       CHECK(e.sh[0] <= 0.5 / 255 / 0.28209479 * 1.001);
-      CHECK(e.rotation <= 2.0 / 128);  // normalising shares four errors of half a step; 1 itself is a whole step off
+      CHECK(e.rotation <=
+            2.0 / 128);  // normalising combines four errors of half a step; 1 itself is off by a whole step
     }
   }
 }
 
-TEST_CASE(".splat files that are no multiple of 32 bytes, or hold nonsense, are not taken for scenes") {
+TEST_CASE(".splat files of nonsense or of a size that is no multiple of 32 are refused") {
   const std::vector<std::byte> bytes = encode_splats(ordinary_cloud(2, 0, 1).view(), SplatFormat::splat).value();
   for (std::size_t size = 0; size < bytes.size(); ++size) {
     CAPTURE(size);

@@ -1,4 +1,4 @@
-// spz_test.cpp - SPZ: the peer's files, round trips, older versions, hostile files.
+// spz_test.cpp - SPZ: another tool's files, round trips, older versions, hostile files.
 // SPDX-License-Identifier: Apache-2.0
 #include <zlib.h>
 
@@ -17,7 +17,7 @@ constexpr double kSmallestThreeError = 0.5 * 3 * 0.70711 / 511;
 // Version 2: half of the worst angle among 200,000 random rotations.
 constexpr double kFirstThreeError = 0.06;
 
-// Half a step of each attribute, and what the smallest three leave to the fourth component; SH as given.
+// Half a step of each attribute; the smallest three components determine the fourth's error; SH as given.
 void check_within_steps(const SplatError& e, double sh1_step, double sh_step,
                         double rotation_error = kSmallestThreeError) {
   for (int k = 0; k < 3; ++k) {
@@ -32,7 +32,7 @@ void check_within_steps(const SplatError& e, double sh1_step, double sh_step,
   CHECK(e.sh[3] <= sh_step / 128 * 1.001);
 }
 
-// As SPZ versions 2 and 3 frame them: header and body in one gzip stream.
+// Framing of SPZ versions 2 and 3: header and body in one gzip stream.
 Bytes gzip(const Bytes& data) {
   z_stream z{};
   REQUIRE(deflateInit2(&z, 6, Z_DEFLATED, 15 + 16, 8, Z_DEFAULT_STRATEGY) == Z_OK);
@@ -69,7 +69,7 @@ Bytes hand_made_v2() {
   return file;
 }
 
-// A record of an extension.
+// An extension's record.
 Bytes extension(std::uint32_t type, const Bytes& payload, std::optional<std::uint32_t> bytes = std::nullopt) {
   Bytes record(8);
   const std::uint32_t size = bytes.value_or(static_cast<std::uint32_t>(payload.size()));
@@ -99,7 +99,7 @@ Bytes ungzip(const Bytes& data) {
   return out;
 }
 
-// The file with these records as its extensions, where its version has them: behind the streams, or before their table.
+// The file with these extension records at its version's location: behind the streams, or before their table.
 Bytes with_extensions(const Bytes& file, const Bytes& records) {
   Bytes out = get<std::uint16_t>(file, 0) == 0x8B1F ? ungzip(file) : file;
   out[14] |= std::byte{2};
@@ -110,7 +110,7 @@ Bytes with_extensions(const Bytes& file, const Bytes& records) {
   return out;
 }
 
-// Where with_extensions() puts the first record: in the file, or in what its gzip stream unfolds to.
+// Offset of with_extensions()'s first record: in the file, or in its inflated gzip stream.
 std::uint64_t extensions_at(const Bytes& file) {
   return get<std::uint16_t>(file, 0) == 0x8B1F ? ungzip(file).size() : 32;
 }
@@ -126,10 +126,10 @@ constexpr std::uint32_t kOrbit = 0xADBE0002, kAxesType = 0xADBE0003, kGeoreferen
 
 }  // namespace
 
-TEST_CASE("SPZ files of versions 3 and 4 by the peer hold the PLY's Gaussians within the format's steps") {
+TEST_CASE("SPZ files of versions 3 and 4 by another tool hold the PLY's Gaussians within the format's steps") {
   if (!has_peer_files()) return;
   const SplatCloud original = read_splats(peer_file("crop.ply")).value().cloud;
-  // The last is in other axes than SPZ's own, which an extension declares.
+  // The last file has axes other than SPZ's, declared by an extension.
   for (const std::string name : {"crop.v3.spz", "crop.v4.spz", "crop.adobe.spz"}) {
     CAPTURE(name);
     const auto file = read_splats(peer_file(name));
@@ -139,7 +139,7 @@ TEST_CASE("SPZ files of versions 3 and 4 by the peer hold the PLY's Gaussians wi
     const bool adobe = name == "crop.adobe.spz";
     CHECK(read_splats(peer_file(name), kKeepAxes)->axes == (adobe ? kAxes3dgs : kAxesOpenGl));
     CHECK(file->aa_mode == (adobe ? AaMode::mip_splatting : AaMode::classic));
-    // Log-scales below -10 do not exist in SPZ; compare what does. The peer rounds SH twice: 4.5 and 8.5 of 128.
+    // SPZ has no log-scales below -10; compare the others. The other tool rounds SH twice: 4.5 and 8.5 of 128.
     SplatCloud clamped = original;
     for (float& value : clamped.log_scale) value = std::max(value, -10.F);
     for (std::size_t i = 0; i < clamped.sh.size(); ++i) {
@@ -172,11 +172,11 @@ TEST_CASE("SPZ round trip within half a step, 0.62 of SH, whatever version and d
                            number == 2 ? kFirstThreeError : kSmallestThreeError);
         const Bytes head = number == 4 ? *bytes : ungzip(*bytes);
         CHECK(get<std::uint32_t>(head, 4) == static_cast<std::uint32_t>(number));
-        // Streams: the peer wants no empty one. Reserved before version 4.
+        // Streams: other readers refuse empty ones. Reserved before version 4.
         CHECK(get<std::uint8_t>(head, 15) == (number < 4 ? 0 : degree == 0 ? 5 : 6));
         const auto again = encode_splats(file->cloud.view(), SplatFormat::spz, options);
-        // Decoded values give the same codes. A rotation may change which of two equals is the largest; in version 2
-        // codes may be longer than a unit quaternion.
+        // Decoded values give the same codes. A rotation may exchange which of two equal components is the largest; in
+        // version 2 codes may exceed a unit quaternion.
         REQUIRE(again);
         const SplatError e = compare(read_splats(*again, kKeepAxes).value().cloud, file->cloud);
         CHECK(e.sum() == e.rotation);
@@ -186,7 +186,7 @@ TEST_CASE("SPZ round trip within half a step, 0.62 of SH, whatever version and d
   }
 }
 
-TEST_CASE("SPZ versions hold the same codes, but for the rotations of version 2") {
+TEST_CASE("SPZ versions hold the same codes, except the rotations of version 2") {
   const SplatCloud cloud = ordinary_cloud(3000, 3, 11);
   const auto coded = [&](int number) {
     return read_splats(encode_splats(cloud.view(), SplatFormat::spz, version(number)).value(), kKeepAxes).value().cloud;
@@ -204,7 +204,7 @@ TEST_CASE("SPZ versions hold the same codes, but for the rotations of version 2"
   }
 }
 
-TEST_CASE("SPZ of versions 2 and 3 says nothing of when and where it was written") {
+TEST_CASE("SPZ of versions 2 and 3 holds no time and no place of writing") {
   const SplatCloud cloud = ordinary_cloud(50, 1, 3);
   for (const int number : {2, 3}) {
     const Bytes file = encode_splats(cloud.view(), SplatFormat::spz, version(number)).value();
@@ -213,8 +213,8 @@ TEST_CASE("SPZ of versions 2 and 3 says nothing of when and where it was written
   }
 }
 
-TEST_CASE("rotations in SPZ version 2 take the nearest of the codes around them") {
-  // Rounding each component leaves a w near 0 with all of their errors.
+TEST_CASE("rotations in SPZ version 2 take the nearest of the surrounding codes") {
+  // Rounding each component gives a w near 0 all of their errors.
   const SplatCloud cloud = ordinary_cloud(20000, 0, 5);
   const SplatCloud coded =
       read_splats(encode_splats(cloud.view(), SplatFormat::spz, version(2)).value(), kKeepAxes).value().cloud;
@@ -234,7 +234,7 @@ TEST_CASE("rotations in SPZ version 2 take the nearest of the codes around them"
   CHECK(std::sqrt(squares / static_cast<double>(cloud.size())) < 0.018);  // 0.030
 }
 
-TEST_CASE("SPZ extensions: axes are honoured, what leaves the Gaussians alone is named, the rest refused") {
+TEST_CASE("SPZ extensions: axes are honoured, harmless ones named, the rest refused") {
   const SplatCloud cloud = ordinary_cloud(20, 3, 5);
   const Bytes orbit = extension(kOrbit, Bytes(12)), georeference = extension(kGeoreference, Bytes(85));
   for (const int number : {2, 3, 4}) {
@@ -252,7 +252,7 @@ TEST_CASE("SPZ extensions: axes are honoured, what leaves the Gaussians alone is
       CHECK(file.error().code == code);
       CHECK(file.error().offset == at + offset);
     };
-    // Axes as the value names them; 0 says nothing, which is the format's own.
+    // Axes by the value's name; 0 states nothing, which means the format's own.
     const std::pair<int, Axes> systems[] = {{0, kAxesOpenGl},
                                             {4, kAxesOpenGl},
                                             {6, kAxes3dgs},
@@ -282,7 +282,7 @@ TEST_CASE("SPZ extensions: axes are honoured, what leaves the Gaussians alone is
     CHECK(several->unused == std::vector<std::string>{"SPZ extension 0xADBE0002 (safe orbit camera, 12 bytes)",
                                                       "SPZ extension 0x4E530001 (georeference, 85 bytes)"});
     same_codes(read_splats(with_extensions(plain, {}), kKeepAxes));
-    // As the first builds of the reference library wrote it: without a length.
+    // The reference library's first builds wrote no length.
     Bytes old = orbit;
     old.erase(old.begin() + 4, old.begin() + 8);
     const auto early = read_splats(with_extensions(plain, old), kKeepAxes);
@@ -312,14 +312,14 @@ TEST_CASE("SPZ extensions: axes are honoured, what leaves the Gaussians alone is
   }
 }
 
-TEST_CASE("damaged SPZ extensions are refused or read, never more") {
+TEST_CASE("damaged SPZ extensions are refused or read, but never crash") {
   const SplatCloud cloud = ordinary_cloud(3, 0, 5);
   const Bytes records = joined(extension(kOrbit, Bytes(12)), extension(kAxesType, list_of({6, 0, 0, 0})));
   for (const int number : {2, 3, 4}) {
     const Bytes plain = encode_splats(cloud.view(), SplatFormat::spz, version(number)).value();
     check_hostile(with_extensions(plain, records), 3, 100);
     SplitMix random(static_cast<std::uint64_t>(number));
-    for (int i = 0; i < 300; ++i) {  // the records alone, so that a checksum does not hide them
+    for (int i = 0; i < 300; ++i) {  // the records alone, so that a checksum cannot hide them
       Bytes damaged = records;
       damaged[random.below(damaged.size())] = static_cast<std::byte>(random.below(256));
       damaged.resize(random.below(2) == 0 ? damaged.size() : random.below(damaged.size()));
@@ -328,14 +328,14 @@ TEST_CASE("damaged SPZ extensions are refused or read, never more") {
       if (!file) CHECK(exit_code(file.error().code) == 4);
     }
   }
-  // What a gzip stream unfolds to is bounded before it is kept.
+  // The size of an inflated gzip stream is bounded before it is kept.
   const Bytes plain = encode_splats(cloud.view(), SplatFormat::spz, version(3)).value();
   const auto bomb = read_exact(with_extensions(plain, Bytes((std::size_t{16} << 20) + 1)));
   REQUIRE_FALSE(bomb);
   CHECK(bomb.error().code == Errc::limit_exceeded);
 }
 
-TEST_CASE("SPZ's SH codes make up for the errors of neighbours in space, wherever these stand in the file") {
+TEST_CASE("SPZ's SH codes compensate for the errors of neighbours in space, wherever they are in the file") {
   SplatCloud cloud = ordinary_cloud(4000, 1, 9), reversed = cloud;
   SplitMix random(4);
   for (std::size_t i = 0; i < cloud.sh.size(); ++i) {
@@ -355,7 +355,7 @@ TEST_CASE("SPZ's SH codes make up for the errors of neighbours in space, whereve
   }
 }
 
-TEST_CASE("SPZ gives up fractional bits for distant means, and refuses what no bits can hold") {
+TEST_CASE("SPZ spends fractional bits on distant means, and refuses means beyond all bits") {
   SplatCloud cloud = ordinary_cloud(3, 0, 1);
   cloud.mean[4] = -50000.F;
   const auto bytes = encode_splats(cloud.view(), SplatFormat::spz);
@@ -392,7 +392,7 @@ TEST_CASE("SPZ version 2 by hand") {
   CHECK(c.rotation[6] == -1);
 }
 
-TEST_CASE("damaged SPZ files of every version are refused or read, never more") {
+TEST_CASE("damaged SPZ files of every version are refused or read, but never crash") {
   const SplatCloud cloud = ordinary_cloud(20, 1, 5);
   for (const int number : {2, 3, 4}) {
     check_hostile(encode_splats(cloud.view(), SplatFormat::spz, version(number)).value(), 1);
@@ -405,7 +405,7 @@ TEST_CASE("damaged SPZ files of every version are refused or read, never more") 
   CHECK(read_splats(longer).error().code == Errc::trailing_bytes);
 }
 
-TEST_CASE("SPZ headers that promise too much are refused before memory is taken") {
+TEST_CASE("SPZ headers that declare too much are refused before allocating") {
   const auto refused = [](Bytes bytes, std::size_t offset, std::uint32_t value, Errc code) {
     CAPTURE(offset);
     std::memcpy(&bytes[offset], &value, 4);
@@ -432,7 +432,7 @@ TEST_CASE("SPZ headers that promise too much are refused before memory is taken"
   }
 }
 
-TEST_CASE("a file of equal Gaussians is read by the reader's defaults, and a caller's limits are kept") {
+TEST_CASE("the reader's defaults accept a file of equal Gaussians, and a caller's limits hold") {
   SplatCloud cloud;
   cloud.resize(300'000, 0);
   const Splat s = ordinary_cloud(1, 0, 5).view().splat(0);

@@ -1,4 +1,4 @@
-// info_test.cpp - the program rgs-info, run on files made here.
+// info_test.cpp - runs rgs-info on generated files.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -75,7 +75,7 @@ void flip(std::vector<std::byte>& bytes, std::uint64_t at) {
 
 }  // namespace
 
-TEST_CASE_FIXTURE(Fixture, "the text states what the file holds and declares") {
+TEST_CASE_FIXTURE(Fixture, "the text states the file's contents and declarations") {
   EncodeOptions options;
   options.chunk_size = 64;
   options.depth = DepthRange{0.25f, 80.f, DepthSource::cameras};
@@ -105,7 +105,7 @@ TEST_CASE_FIXTURE(Fixture, "the text states what the file holds and declares") {
   CHECK_FALSE(has(brief.out, "entropy"));
 }
 
-TEST_CASE_FIXTURE(Fixture, "an origin is stated where there is one") {
+TEST_CASE_FIXTURE(Fixture, "an origin is stated if there is one") {
   EncodeOptions options;
   options.origin = {4201984.125, -1.7e5, 0.5};
   const std::string far = write(encoded(100, 0, options)), home = write(encoded(100, 0), "home.rgs");
@@ -117,7 +117,7 @@ TEST_CASE_FIXTURE(Fixture, "an origin is stated where there is one") {
   CHECK(json(home)["declarations"]["origin"] == kNoOrigin);
 }
 
-TEST_CASE_FIXTURE(Fixture, "the JSON agrees with the file in every degree, with one step set and with many") {
+TEST_CASE_FIXTURE(Fixture, "the JSON matches the file in every degree, with one step set and with many") {
   for (int degree = 0; degree <= 3; ++degree) {
     CAPTURE(degree);
     EncodeOptions options;
@@ -151,7 +151,7 @@ TEST_CASE_FIXTURE(Fixture, "the JSON agrees with the file in every degree, with 
     }
     CHECK(share < 1);
 
-    // The same figures computed the plain way.
+    // The same figures, computed directly.
     std::vector<ActivatedSplat> splats(777);
     REQUIRE(view.read(0, std::span(splats)));
     std::vector<float> opacities, scales, dc_red;
@@ -269,7 +269,7 @@ TEST_CASE_FIXTURE(Fixture, "one chunk") {
   CHECK(has(absent.err, "no such chunk"));
 }
 
-TEST_CASE_FIXTURE(Fixture, "--verify passes a good file and names place and section of damage") {
+TEST_CASE_FIXTURE(Fixture, "--verify accepts a good file and names offset and section of damage") {
   auto bytes = encoded(500, 2);
   const ProgramResult good = run(write(bytes) + " --verify");
   CHECK(good.exit_code == 0);
@@ -279,7 +279,7 @@ TEST_CASE_FIXTURE(Fixture, "--verify passes a good file and names place and sect
   const SectionEntry geometry = *FileView::open(bytes).value().find(SectionType::geometry);
   flip(bytes, geometry.offset + 100);
   const std::string path = write(bytes);
-  CHECK(run(path).exit_code == 0);  // the payload's checksums are looked at only on request
+  CHECK(run(path).exit_code == 0);  // the payload's checksums are checked only on request
   const ProgramResult damaged = run(path + " --verify");
   CHECK(damaged.exit_code == 4);
   CHECK(has(damaged.err, "byte " + std::to_string(geometry.offset) + ":"));
@@ -295,7 +295,7 @@ TEST_CASE_FIXTURE(Fixture, "--verify passes a good file and names place and sect
   for (const auto& s : j["sections"]) CHECK((s["xxh3"] == s["xxh3_found"]) == (s["type"] != "GEOM"));
 }
 
-TEST_CASE_FIXTURE(Fixture, "--verify also checks values under right checksums") {
+TEST_CASE_FIXTURE(Fixture, "--verify also checks values under valid checksums") {
   auto bytes = encoded(50, 0);
   const FileView view = FileView::open(bytes).value();
   const std::uint64_t at = view.find(SectionType::geometry)->offset + 14;  // opacity of the first Gaussian
@@ -314,7 +314,7 @@ TEST_CASE_FIXTURE(Fixture, "--verify also checks values under right checksums") 
   CHECK(has(r.out, "1 stored numbers are not legal"));
 }
 
-TEST_CASE_FIXTURE(Fixture, "a damaged table: what can be read is printed, then the error") {
+TEST_CASE_FIXTURE(Fixture, "with a damaged table the readable part is printed, then the error") {
   auto bytes = encoded(500, 1);
   const std::uint64_t chunks = FileView::open(bytes).value().find(SectionType::chunks)->offset;
   bytes[chunks + 44] = std::byte{1};
@@ -324,7 +324,7 @@ TEST_CASE_FIXTURE(Fixture, "a damaged table: what can be read is printed, then t
   CHECK(has(r.err, "byte " + std::to_string(chunks + 44) + ":"));
 }
 
-TEST_CASE_FIXTURE(Fixture, "of a section of an unknown type only what is certain is stated") {
+TEST_CASE_FIXTURE(Fixture, "of an unknown section only certain facts are stated") {
   EncodeOptions options;
   options.keep_permutation = true;
   auto bytes = encoded(500, 0, options);
@@ -343,7 +343,7 @@ TEST_CASE_FIXTURE(Fixture, "of a section of an unknown type only what is certain
     CHECK(has(line, name));
     const std::string total = r.out.substr(r.out.find("  total "), 100), size = std::to_string(bytes.size());
     const std::string grouped = size.substr(0, size.size() - 3) + "," + size.substr(size.size() - 3);
-    CHECK(total.find(grouped) != total.rfind(grouped));  // stored, and decoded: here they are the same
+    CHECK(total.find(grouped) != total.rfind(grouped));  // stored, and decoded: equal here
     CHECK(json(path)["sections"][6]["codec"] == name);
     CHECK(json(path)["sections"][6]["known"] == false);
   }
@@ -360,7 +360,7 @@ TEST_CASE_FIXTURE(Fixture, "an empty scene") {
   CHECK(run(path + " --chunk 0").exit_code == 2);
 }
 
-TEST_CASE_FIXTURE(Fixture, "texts of the file cannot act on the terminal") {
+TEST_CASE_FIXTURE(Fixture, "texts from the file cannot control the terminal") {
   EncodeOptions options;
   options.provenance =
       Provenance{1, 2, "a\x1b[31m\n\r\x7f\\b\xc2\x9b\xe2\x80\xae\xff\xc3\xa9\"", std::string(3000, 'x')};
@@ -395,7 +395,7 @@ TEST_CASE_FIXTURE(Fixture, "exit codes") {
   CHECK(run(write({}, "nothing.rgs")).exit_code == 4);
 }
 
-TEST_CASE_FIXTURE(Fixture, "a closed or full standard output") {
+TEST_CASE_FIXTURE(Fixture, "a closed or full standard output is reported") {
   const std::string path = write(encoded(10, 0));
   // The pipe has no reader by the time the program writes; its exit code goes past the pipe.
   const ProgramResult closed = run_shell("{ ( sleep 0.1; '" RGS_INFO "' '" + path + "'; echo $? >&3 ) | true; } 3>&1");
@@ -403,7 +403,7 @@ TEST_CASE_FIXTURE(Fixture, "a closed or full standard output") {
   CHECK(run(path, ">/dev/full").exit_code == 3);
 }
 
-TEST_CASE("levels of detail are listed, page by page if asked") {
+TEST_CASE("levels of detail are listed, page by page on request") {
   Fixture f;
   for (const test::GoldenLevels& scene : test::all_golden_levels()) {
     CAPTURE(scene.name);
@@ -429,7 +429,7 @@ TEST_CASE("levels of detail are listed, page by page if asked") {
     }
     CHECK(n == file->n_stored());
     CHECK(stored <= file->head().find(SectionType::pages)->stored_bytes);
-    // Values are those of the leaves.
+    // Values refer to the leaves.
     CHECK(j["values"]["n"] == scene.leaves.size());
     const ProgramResult text = f.run(path + " --verify --ascii");
     CHECK(text.exit_code == 0);
@@ -452,13 +452,13 @@ TEST_CASE("levels of detail are listed, page by page if asked") {
     CHECK(chunk["first"] == 32);
     CHECK(chunk["stored"]["PAGE"]["page"] == lod::pages_of_level(file->pages(), 0)[0]);
     CHECK(f.run(path + " --chunk 1").exit_code == 0);
-    // --no-stats leaves out values, not what is asked for.
+    // --no-stats omits values, but not requested parts.
     CHECK(f.json(path + " --chunk 1 --no-stats")["chunk"]["first"] == 32);
   }
   CHECK(f.run(f.write(encoded(10, 0)) + " --page 0").exit_code == 2);
 }
 
-TEST_CASE("a missing end of a file with levels is a warning with an exit code of its own, damage is not") {
+TEST_CASE("a missing end of a file with levels is a warning with its own exit code, damage is not") {
   Fixture f;
   const test::GoldenLevels scene = test::golden_levels("", Profile::packed, 300, 1, 60);
   std::vector<std::byte> bytes = test::encode_levels(scene);
@@ -480,7 +480,7 @@ TEST_CASE("a missing end of a file with levels is a warning with an exit code of
   CHECK(j["error"]["exit_code"] == 6);
   CHECK(j["error"]["offset"] == part.size());
   CHECK(f.run(f.write(part) + " --page 0").exit_code == 6);
-  // What is there is checked all the same.
+  // The present part is checked nevertheless.
   part[file->stored(2).offset + 30] ^= std::byte{1};
   const nlohmann::json damaged = f.json(f.write(part) + " --verify", 4);
   CHECK(damaged["error"]["code"] == "checksum_mismatch");
@@ -488,7 +488,7 @@ TEST_CASE("a missing end of a file with levels is a warning with an exit code of
   bytes[file->stored(5).offset + 30] ^= std::byte{1};
   const nlohmann::json whole = f.json(f.write(bytes) + " --verify", 4);
   CHECK(whole["error"]["offset"] == file->stored(5).offset);
-  // Not even a root.
+  // Not even the root.
   part.resize(file->stored(0).offset + 10);
   CHECK(f.run(f.write(part)).exit_code == 4);
 }

@@ -1,4 +1,4 @@
-// build_levels_test.cpp - the tree of pages: what must hold of it for scenes of all sizes and kinds.
+// build_levels_test.cpp - the tree of pages: invariants for scenes of all sizes and kinds.
 // SPDX-License-Identifier: Apache-2.0
 #include "build_levels.hpp"
 
@@ -32,7 +32,7 @@ void check_levels(const Levels& levels, const rgs::SplatCloud& leaves, const Bui
   REQUIRE(checked.has_value());
   REQUIRE(levels.n_leaves() == leaves.size());
   REQUIRE(levels.splats.view().consistent());
-  // Leaves come last, as they are.
+  // Leaves come last, unchanged.
   const auto tail = [](const std::vector<float>& all, const std::vector<float>& part) {
     return std::equal(part.begin(), part.end(), all.end() - static_cast<std::ptrdiff_t>(part.size()));
   };
@@ -48,7 +48,7 @@ void check_levels(const Levels& levels, const rgs::SplatCloud& leaves, const Bui
     for (std::uint32_t k = 0; k < page.n_children; ++k) below += levels.pages[page.first_child + k].count;
     CHECK(page.count <= (below + options.children - 1) / options.children);
   }
-  // Bounds hold three standard deviations of what is in the page, along each axis of the Gaussian.
+  // Bounds hold three standard deviations of the page's Gaussians, along each axis of the Gaussian.
   for (const Page& page : levels.pages) {
     for (std::uint64_t i = page.first; i < page.first + page.count; ++i) {
       for (std::size_t k = 0; k < 3; ++k) {
@@ -60,7 +60,7 @@ void check_levels(const Levels& levels, const rgs::SplatCloud& leaves, const Bui
       }
     }
   }
-  // A page's core is that of what is in its leaves, and no larger than that asks for.
+  // A leaf's core follows from its Gaussians; a parent's joins its children's.
   for (const Page& page : levels.pages) {
     rgs::Box core = page.core;
     if (page.level == 0) {
@@ -83,7 +83,7 @@ void check_levels(const Levels& levels, const rgs::SplatCloud& leaves, const Bui
 
 }  // namespace
 
-TEST_CASE("levels of scenes of all sizes and degrees form a tree with the leaves as they are") {
+TEST_CASE("levels of scenes of all sizes and degrees form a tree with unchanged leaves") {
   for (const std::uint64_t n : {1U, 2U, 63U, 64U, 65U, 256U, 257U, 1024U, 1025U, 5000U}) {
     for (const int degree : {0, 3}) {
       rgs::test::SplitMix random(n + static_cast<std::uint64_t>(degree));
@@ -96,7 +96,7 @@ TEST_CASE("levels of scenes of all sizes and degrees form a tree with the leaves
   }
 }
 
-TEST_CASE("levels are the same bytes on one thread and on two, and page by page") {
+TEST_CASE("levels are the same bytes on one thread, on two, and page by page") {
   rgs::test::SplitMix random(5);
   const rgs::SplatCloud cloud = rgs::test::wall(96, 1, random);
   const BuildOptions options = small_pages();
@@ -108,7 +108,7 @@ TEST_CASE("levels are the same bytes on one thread and on two, and page by page"
   CHECK(one.splats.rotation == two.splats.rotation);
   CHECK(one.splats.opacity_logit == two.splats.opacity_logit);
   CHECK(one.splats.sh == two.splats.sh);
-  // A page by itself, as another process would build it.
+  // A page alone, as another process would build it.
   const std::vector<Page> leaves = cut_leaves(cloud.view(), options);
   const std::vector<std::uint32_t> begins = group_pages(leaves, options);
   REQUIRE(begins.size() > 3);
@@ -121,7 +121,7 @@ TEST_CASE("levels are the same bytes on one thread and on two, and page by page"
                    level.splats.mean.begin() + static_cast<std::ptrdiff_t>(3 * level.pages[2].first)));
 }
 
-TEST_CASE("stretches are whole chunks and like each other, whatever the number of Gaussians") {
+TEST_CASE("stretches are whole chunks of similar size, whatever the number of Gaussians") {
   BuildOptions options = small_pages();
   options.stretch_pages = 4;  // 1,024 Gaussians
   for (const std::uint64_t n : {1U, 64U, 1535U, 1536U, 1537U, 2048U, 2559U, 2560U, 100'000U, 100'001U}) {
@@ -134,16 +134,16 @@ TEST_CASE("stretches are whole chunks and like each other, whatever the number o
     CHECK(last < 1536);
     if (n >= 512) CHECK(last >= 512);
   }
-  // A file of large scenes depends on it.
+  // Files of large scenes depend on it.
   CHECK(cut_stretches(2'359'295, {}).size() == 2);
   CHECK(cut_stretches(2'359'296, {}) == std::vector<std::uint64_t>{0, 1'572'864, 2'359'296});
 }
 
-TEST_CASE("the levels of a stretch are those of a scene of its own, up to where stretches meet") {
+TEST_CASE("the levels of a stretch equal those of a scene of its own, up to where stretches meet") {
   rgs::test::SplitMix random(8);
   const rgs::SplatCloud cloud = rgs::test::wall(82, 1, random);  // 6,724
   BuildOptions options = small_pages();
-  options.stretch_pages = 7;  // 1,792 Gaussians: four stretches, of which no group of four pages ends where one does
+  options.stretch_pages = 7;  // 1,792 Gaussians: four stretches, whose ends match no group of four pages
   options.stretch_levels = 1;
   const Levels whole = build_levels(cloud.view(), options);
   check_levels(whole, cloud, options);
@@ -175,11 +175,11 @@ TEST_CASE("the levels of a stretch are those of a scene of its own, up to where 
   CHECK(next == pages.size());
 }
 
-TEST_CASE("a floater far away gets a page of its own") {
+TEST_CASE("a distant floater gets its own page") {
   rgs::test::SplitMix random(6);
   rgs::SplatCloud cloud = rgs::test::wall(64, 0, random);
   const BuildOptions options = small_pages();
-  // The last chunk is scattered over a thousand times the wall.
+  // The last chunk is spread over a thousand times the wall's size.
   for (std::uint64_t i = cloud.size() - options.chunk_size; i < cloud.size(); ++i) {
     for (std::size_t k = 0; k < 3; ++k) cloud.mean[3 * i + k] = random.dyadic(-500, 500);
   }
@@ -189,7 +189,7 @@ TEST_CASE("a floater far away gets a page of its own") {
   check_levels(build_levels(cloud.view(), options), cloud, options);
 }
 
-TEST_CASE("levels do not mind how far away or how large Gaussians are") {
+TEST_CASE("levels accept Gaussians of any distance and size") {
   const BuildOptions options = small_pages();
   for (const float farthest : {1e9F, 3e10F, 1e12F, 1e19F, 1e37F, 3e38F}) {
     for (const std::uint64_t n_far : {1U, 3U, 300U, 4096U}) {
@@ -211,7 +211,7 @@ TEST_CASE("levels do not mind how far away or how large Gaussians are") {
   }
 }
 
-// Of 1,024 Gaussians, in a box of any.
+// Four leaves of 1,024 Gaussians in all, with huge boxes.
 std::vector<Page> wide_leaves() {
   std::vector<Page> leaves(4);
   for (std::uint64_t i = 0; i < 4; ++i) {
@@ -222,10 +222,10 @@ std::vector<Page> wide_leaves() {
   return leaves;
 }
 
-TEST_CASE("what is far from a group neither goes nor spoils the group") {
+TEST_CASE("a Gaussian far from a group survives and does not spoil the group") {
   const BuildOptions options = small_pages();
   rgs::test::SplitMix random(8);
-  rgs::SplatCloud cloud = rgs::test::wall(32, 0, random);  // 1,024 in four pages, which become one
+  rgs::SplatCloud cloud = rgs::test::wall(32, 0, random);  // 1,024 in four pages, which are merged into one
   const Levels without = build_levels(cloud.view(), options);
   for (const std::uint64_t at : {0U, 500U}) {
     rgs::SplatCloud with = cloud;
@@ -240,7 +240,7 @@ TEST_CASE("what is far from a group neither goes nor spoils the group") {
   }
 }
 
-TEST_CASE("a scene that is far from one of its Gaussians is simplified all the same") {
+TEST_CASE("a scene far from one of its Gaussians is still simplified") {
   const BuildOptions options = small_pages();
   rgs::test::SplitMix random(9);
   rgs::SplatCloud cloud = rgs::test::wall(32, 0, random);
@@ -255,7 +255,7 @@ TEST_CASE("a scene that is far from one of its Gaussians is simplified all the s
     for (std::size_t k = 0; k < 3; ++k) with.mean[3 * at + k] = 0;
     rgs::SplatCloud root;
     const Page page = build_page(with.view(), wide_leaves(), 0, 4, options, root);
-    // Merged ones are larger than any that were there.
+    // Merged Gaussians are larger than the originals.
     const float largest = *std::max_element(with.log_scale.begin(), with.log_scale.end());
     std::uint64_t n_merged = 0;
     for (std::uint64_t i = 0; i < page.count; ++i) {
@@ -266,7 +266,7 @@ TEST_CASE("a scene that is far from one of its Gaussians is simplified all the s
   }
 }
 
-TEST_CASE("equal Gaussians, and those that do not show, become levels") {
+TEST_CASE("levels accept equal and invisible Gaussians") {
   const BuildOptions options = small_pages();
   rgs::SplatCloud cloud;
   cloud.resize(2000, 0);

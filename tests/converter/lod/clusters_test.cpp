@@ -1,4 +1,4 @@
-// clusters_test.cpp - which Gaussians become one, and their moments.
+// clusters_test.cpp - clusters of Gaussians to merge, and their moments.
 // SPDX-License-Identifier: Apache-2.0
 #include "clusters.hpp"
 
@@ -19,7 +19,7 @@ constexpr float kCentre[3] = {0, 0, 0};
 
 }  // namespace
 
-TEST_CASE("principal axes give the covariance back") {
+TEST_CASE("principal axes restore the covariance") {
   rgs::test::SplitMix random(1);
   for (int round = 0; round < 200; ++round) {
     Gaussians one(1, 0), two(1, 0);
@@ -48,7 +48,7 @@ TEST_CASE("the mean cross-section of a ball is that of its disc") {
   CHECK(mean_cross_section(covariance(ball, 0)) == doctest::Approx(2 * 3.14159265 * 0.25));
 }
 
-TEST_CASE("clusters: every Gaussian in one, as many as asked for, and kept ones alone") {
+TEST_CASE("clusters: every Gaussian is in one, their number is as requested, and kept Gaussians stay alone") {
   rgs::test::SplitMix random(2);
   const rgs::SplatCloud cloud = rgs::test::wall(32, 1, random);
   const Gaussians gaussians = activate(cloud.view(), 0, cloud.size(), kCentre);
@@ -73,7 +73,7 @@ TEST_CASE("clusters: every Gaussian in one, as many as asked for, and kept ones 
 }
 
 TEST_CASE("neighbours of one colour are merged before those of two") {
-  // Pairs at equal distances; within a pair both have one colour, red or green, or one each.
+  // Pairs at equal distances; the two of a pair are both red, both green, or one each.
   constexpr std::size_t kPairs = 60;
   Gaussians gaussians(2 * kPairs, 0);
   for (std::size_t i = 0; i < 2 * kPairs; ++i) {
@@ -96,7 +96,7 @@ TEST_CASE("neighbours of one colour are merged before those of two") {
   }
 }
 
-TEST_CASE("where many lie in one place, a round can merge them in pairs") {
+TEST_CASE("many Gaussians at one position are merged in pairs in one round") {
   constexpr std::uint32_t kAlike = 3000, kOthers = 1000;
   rgs::test::SplitMix random(5);
   std::vector<Cluster> clusters(kAlike + kOthers);

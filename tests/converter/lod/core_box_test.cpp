@@ -1,4 +1,4 @@
-// core_box_test.cpp - where most of a page is: floaters and large faint Gaussians do not count, what covers does.
+// core_box_test.cpp - the core of a page ignores floaters and large faint Gaussians, and keeps what covers.
 // SPDX-License-Identifier: Apache-2.0
 #include "core_box.hpp"
 
@@ -14,7 +14,7 @@ namespace {
 
 using rgs::lod::core_of;
 
-// Gaussians at x = 0, 1, 2, ...; y the negative of it, z = 7. All equal.
+// Gaussians at x = 0, 1, 2, ..., y = -x and z = 7. All equal.
 rgs::SplatCloud row(std::uint64_t n) {
   rgs::SplatCloud cloud;
   cloud.resize(n, 0);
@@ -41,13 +41,13 @@ TEST_CASE("a core leaves out at most a twentieth on each side") {
   CHECK(one.max == one.min);
 }
 
-TEST_CASE("what covers much is in the core, however few it are; what does not show is not") {
+TEST_CASE("a core holds few Gaussians that cover much, and no invisible ones") {
   rgs::SplatCloud cloud = row(100);
   for (std::size_t k = 0; k < 3; ++k) cloud.log_scale[3 * 99 + k] = 2;  // 55 times the area
   CHECK(core_of(cloud.view(), 0, 100).max[0] == 99);
   cloud.opacity_logit[99] = -20;
   CHECK(core_of(cloud.view(), 0, 100).max[0] == 94);
-  // Nothing shows at all: any place among the means will do.
+  // All are invisible: the core lies anywhere among the means.
   cloud.log_scale.assign(cloud.log_scale.size(), -800);
   const rgs::Box none = core_of(cloud.view(), 0, 100);
   for (std::size_t k = 0; k < 3; ++k) CHECK(none.min[k] <= none.max[k]);
@@ -55,7 +55,7 @@ TEST_CASE("what covers much is in the core, however few it are; what does not sh
   CHECK(none.max[0] <= 99);
 }
 
-TEST_CASE("the order of Gaussians, and means that are equal, do not change a core") {
+TEST_CASE("neither the order of Gaussians nor equal means change a core") {
   rgs::test::SplitMix random(3);
   rgs::SplatCloud cloud = rgs::test::golden_cloud(300, 0, 12);
   for (std::size_t i = 0; i < 100; ++i) cloud.mean[3 * i] = 0.25F;

@@ -9,8 +9,8 @@
 
 namespace rgs::test {
 
-/// A wall of side x side small Gaussians in the plane z = 0, one unit wide, in the order of rows; bricks of 8 x 4 of them
-/// have one colour, and every fourth Gaussian lies behind the wall and does not show from the front.
+/// A wall of side x side small Gaussians in the plane z = 0, one unit wide, in row order. Bricks of 8 x 4 share a
+/// colour; every fourth Gaussian is hidden behind the wall.
 inline SplatCloud wall(std::uint64_t side, int sh_degree, SplitMix& random) {
   SplatCloud cloud;
   cloud.resize(side * side, sh_degree);

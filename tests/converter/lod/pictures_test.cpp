@@ -1,4 +1,4 @@
-// pictures_test.cpp - pictures of groups: the image's definition, what each Gaussian gave, and derivatives.
+// pictures_test.cpp - pictures of groups: the image's definition, contributions of Gaussians, and derivatives.
 // SPDX-License-Identifier: Apache-2.0
 #include "pictures.hpp"
 
@@ -22,7 +22,7 @@ using namespace rgs::lod;
 
 constexpr float kCentre[3] = {0, 0, 0};
 
-// A few large Gaussians inside a frame of 48 pixels.
+// A few large Gaussians in a frame of 48 pixels.
 Gaussians few(std::uint64_t n, rgs::test::SplitMix& random) {
   rgs::SplatCloud cloud;
   cloud.resize(n, 2);
@@ -56,7 +56,7 @@ Picture picture_of(const Gaussians& gaussians, const Frame& frame, const Filter&
   return out;
 }
 
-// Sum over pixels of fixed weights times what is drawn.
+// Weighted sum over the picture's pixels.
 double weighted(const Picture& picture, const Picture& weights) {
   double total = 0;
   for (int y = 0; y < picture.height(); ++y) {
@@ -72,13 +72,13 @@ double weighted(const Picture& picture, const Picture& weights) {
 
 }  // namespace
 
-TEST_CASE("a picture is the image's definition seen from very far") {
+TEST_CASE("a picture follows the image's definition at a great distance") {
   rgs::test::SplitMix random(1);
   const Gaussians gaussians = few(20, random);
   for (const bool compensated : {false, true}) {
     const Frame frame = frame_of(direction(3, 7));
     const Picture picture = picture_of(gaussians, frame, {0.3F, compensated});
-    // The same with the renderer's formulas, pixel by pixel: a camera so far away that there is no perspective.
+    // The renderer's formulas, pixel by pixel: the camera is so distant that there is no perspective.
     struct One {
       rgs::math::Projected<double> p;
       rgs::math::Vec3<double> color;
@@ -138,11 +138,11 @@ TEST_CASE("a picture is the image's definition seen from very far") {
       }
     }
     CHECK(covered > 100);
-    CHECK(largest < 6e-3);  // an alpha of 1/255 on one side of the threshold, and FP32
+    CHECK(largest < 6e-3);  // an alpha of 1/255 across the threshold, and FP32
   }
 }
 
-TEST_CASE("what Gaussians give to a picture adds up to what is covered") {
+TEST_CASE("contributions of Gaussians add up to the coverage") {
   rgs::test::SplitMix random(2);
   const Gaussians gaussians = few(30, random);
   const Frame frame = frame_of(direction(0, 5));
@@ -163,11 +163,11 @@ TEST_CASE("what Gaussians give to a picture adds up to what is covered") {
   CHECK(std::accumulate(sums.begin(), sums.end(), 0.0) == doctest::Approx(covered).epsilon(0.02));
 }
 
-TEST_CASE("gradients are those of finite differences") {
+TEST_CASE("gradients match finite differences") {
   rgs::test::SplitMix random(3);
   const Gaussians gaussians = few(6, random);
   const Frame frame = frame_of(direction(2, 9));
-  // Smooth weights, 0 at the edge, where pictures end.
+  // Smooth weights that vanish at the picture's edge.
   Picture weights;
   weights.reset(frame.width, frame.height);
   for (int k = 0; k < 4; ++k) {
@@ -195,7 +195,7 @@ TEST_CASE("gradients are those of finite differences") {
       const double numeric = (value_of(more) - value_of(less)) / (2 * static_cast<double>(h));
       const double analytic = static_cast<double>(slopes[static_cast<std::size_t>(gradient) * gaussians.padded() + i]);
       INFO("Gaussian ", i, " gradient ", static_cast<int>(gradient));
-      // The edge at 1/255 moves with the Gaussian, which the gradient leaves out.
+      // The edge at 1/255 moves with the Gaussian; the gradient ignores it.
       CHECK(std::abs(numeric - analytic) <= 0.12 * std::abs(numeric) + 0.6);
       squared += numeric * numeric;
       squared_apart += (numeric - analytic) * (numeric - analytic);

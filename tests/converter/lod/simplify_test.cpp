@@ -1,4 +1,4 @@
-// simplify_test.cpp - fewer Gaussians for a group: what they look like, and whether the stated error holds.
+// simplify_test.cpp - simplified groups: their appearance, and whether the stated error holds.
 // SPDX-License-Identifier: Apache-2.0
 #include "simplify.hpp"
 
@@ -16,8 +16,8 @@ using namespace rgs::lod;
 
 constexpr float kCentre[3] = {0, 0, 0};
 
-// Squared difference a covered pixel of `drawn` from the supersampled `group` in pixels of that size, from 7 directions that
-// the builder does not use; and what of it is covered.
+// Squared difference per covered pixel between `drawn` and the supersampled `group` at that pixel size, from 7
+// directions that the builder does not use; and the covered share.
 struct Seen {
   double squared = 0, covered = 0, of_truth = 0;
 };
@@ -62,7 +62,7 @@ TEST_CASE("a quarter of a wall's Gaussians looks like the wall from its error on
   }
 }
 
-TEST_CASE("optimisation improves the picture, and a smaller error follows") {
+TEST_CASE("optimisation improves the picture and lowers the error") {
   const Gaussians group = small_wall(64);
   const Simplified closed = simplify(group, group.size() / 4, {0, 1, 2}),
                    fast = simplify(group, group.size() / 4, FitOptions{}),
@@ -76,7 +76,7 @@ TEST_CASE("optimisation improves the picture, and a smaller error follows") {
   CHECK(best.error < closed.error);
 }
 
-TEST_CASE("large Gaussians among small ones stay as they are") {
+TEST_CASE("large Gaussians among small ones stay unchanged") {
   Gaussians wall = small_wall(32);
   Gaussians group(wall.size() + 3, wall.sh_degree());
   for (std::size_t i = 0; i < wall.size(); ++i) group.copy(i, wall, i);
@@ -94,7 +94,7 @@ TEST_CASE("large Gaussians among small ones stay as they are") {
   CHECK(n_found == 3);
 }
 
-TEST_CASE("what does not show, or lies in one point, is simplified all the same") {
+TEST_CASE("invisible and coincident Gaussians are simplified too") {
   Gaussians group = small_wall(16);
   const auto check = [&](const Gaussians& g) {
     const Simplified simple = simplify(g, g.size() / 4, FitOptions{});

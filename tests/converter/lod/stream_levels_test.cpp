@@ -1,4 +1,4 @@
-// stream_levels_test.cpp - levels by way of scratch files: the bytes of those made in memory, whatever memory there is.
+// stream_levels_test.cpp - levels built through scratch files: the same bytes as in memory, for any memory limit.
 // SPDX-License-Identifier: Apache-2.0
 #include "stream_levels.hpp"
 
@@ -55,7 +55,7 @@ Result<std::vector<std::byte>> streamed(const SplatStream& stream, const EncodeO
   return bytes;
 }
 
-// A wall of 120 x 120 Gaussians, three of them damaged, or of another length.
+// A wall of 120 x 120 Gaussians, three of them damaged, or fewer or more of them.
 SplatCloud scene(std::uint64_t side = 120) {
   test::SplitMix random(5);
   SplatCloud cloud = test::wall(side, 2, random);
@@ -67,7 +67,7 @@ SplatCloud scene(std::uint64_t side = 120) {
 
 }  // namespace
 
-TEST_CASE("the bytes of a streamed file depend neither on memory nor on threads, and are those of levels in memory") {
+TEST_CASE("a streamed file's bytes depend on neither memory nor threads and equal those of levels in memory") {
   const SplatCloud cloud = scene();
   const test::TemporaryFolder folder;
   for (const auto& way : {std::pair(Order::morton, 1024U), {Order::input, 1024U}, {Order::morton, 7U}}) {
@@ -99,7 +99,7 @@ TEST_CASE("the bytes of a streamed file depend neither on memory nor on threads,
     }
     CHECK(std::filesystem::is_empty(folder.path()));
 
-    // Leaves are those of a file without levels, and levels those of build_levels().
+    // Leaves equal those of a file without levels, and levels those of build_levels().
     const auto plain = rgs::encode(cloud.view(), encode);
     REQUIRE(plain);
     const auto leaves = decode(*plain), back = decode(*whole);
@@ -134,7 +134,7 @@ TEST_CASE("the bytes of a streamed file depend neither on memory nor on threads,
   }
 }
 
-TEST_CASE("what cannot be sorted in so little memory is said, and what changes meanwhile") {
+TEST_CASE("too little memory to sort is an error, and so is a source that changes between passes") {
   SplatCloud cloud = scene();
   EncodeOptions encode;
   StreamOptions options;
@@ -150,13 +150,13 @@ TEST_CASE("what cannot be sorted in so little memory is said, and what changes m
   options.memory_bytes = 20'000'000;
   CHECK(streamed(stream_of(crowd), encode, options));
 
-  // From one pass to the next: shorter, longer, elsewhere.
+  // Between the passes: shorter, longer, moved.
   for (const std::uint64_t memory : {2'000'000U, 20'000'000U}) {
     options.memory_bytes = memory;
     for (const int change : {0, 1, 2}) {
       for (const int pass : {1, 2}) {
         if (memory > 10'000'000 && pass == 2) continue;    // there are two passes
-        if (memory > 10'000'000 && change == 2) continue;  // seen by writers only where it leaves the scene's box
+        if (memory > 10'000'000 && change == 2) continue;  // writers notice only if it leaves the scene's box
         CAPTURE(change);
         CAPTURE(pass);
         SplatCloud other = cloud;
@@ -169,7 +169,7 @@ TEST_CASE("what cannot be sorted in so little memory is said, and what changes m
           return stream_of(n_passes++ < pass ? cloud : other).read(visit);
         };
         const auto bytes = streamed(changing, encode, options);
-        if (change == 2 && bytes) continue;  // as many in each range: other Gaussians, whole all the same
+        if (change == 2 && bytes) continue;  // equal counts in each range: other Gaussians, still complete
         REQUIRE_FALSE(bytes);
         CHECK(bytes.error().code == Errc::read_failed);
       }
@@ -183,7 +183,7 @@ TEST_CASE("what cannot be sorted in so little memory is said, and what changes m
   CHECK(nowhere.error().code == Errc::open_failed);
 }
 
-TEST_CASE("scratch files give back what was written, and leave nothing behind") {
+TEST_CASE("scratch files return what was written and leave nothing behind") {
   const test::TemporaryFolder folder;
   std::vector<std::byte> bytes(1000, std::byte{7}), back(500);
   for (const bool on_disk : {false, true}) {
@@ -206,8 +206,8 @@ TEST_CASE("scratch files give back what was written, and leave nothing behind") 
   }
 }
 
-TEST_CASE("rows are sorted with themselves and their order in memory, not with their keys") {
-  if (!rgs::test::counts_memory()) return rgs::test::skip("a sanitizer has the allocator");
+TEST_CASE("sorting keeps rows and order in memory, but no keys") {
+  if (!rgs::test::counts_memory()) return rgs::test::skip("a sanitizer replaces the allocator");
   constexpr std::uint64_t kRowBytes = 200, kRows = 20'000;
   const auto before = rgs::test::live_bytes();
   std::vector<std::byte> rows(kRows * kRowBytes);

@@ -27,7 +27,7 @@ TEST_CASE("--keep takes a percentage or a count") {
   CHECK(parse_keep("0.5%")->of(1000) == 5);
   CHECK(parse_keep("100%")->of(1000) == 1000);
   CHECK(parse_keep("0%")->of(1000) == 0);
-  CHECK(parse_keep("20%")->of(3) == 1);  // 0.6, to the nearest
+  CHECK(parse_keep("20%")->of(3) == 1);  // 0.6, rounded
   CHECK(parse_keep("100k")->of(778812) == 100000);
   CHECK(parse_keep("300")->of(200) == 200);
   for (const char* wrong : {"", "%", "101%", "-1%", "nan%", "20 %", "x", "1.5", "20%%"}) {
@@ -38,7 +38,7 @@ TEST_CASE("--keep takes a percentage or a count") {
   }
 }
 
-TEST_CASE("the highest scores are kept, in the order of the scene, ties to the earlier") {
+TEST_CASE("the highest scores are kept in scene order, and earlier Gaussians win ties") {
   const auto c = sample();
   CHECK(highest(c, Score::sum, 1) == Indices{0});
   CHECK(highest(c, Score::sum, 2) == Indices{0, 2});
@@ -51,7 +51,7 @@ TEST_CASE("the highest scores are kept, in the order of the scene, ties to the e
   CHECK(highest({}, Score::sum, 3).empty());
 }
 
-TEST_CASE("a threshold keeps what reaches it") {
+TEST_CASE("a threshold keeps every score that reaches it") {
   const auto c = sample();
   CHECK(at_least(c, Score::sum, 3) == Indices{0, 2, 3});
   CHECK(at_least(c, Score::max, 0.5) == Indices{1, 2, 3});
@@ -59,7 +59,7 @@ TEST_CASE("a threshold keeps what reaches it") {
   CHECK(at_least(c, Score::sum, 6).empty());
 }
 
-TEST_CASE("the outcome says what share of the weight is kept") {
+TEST_CASE("the outcome states the share of weight kept") {
   const auto c = sample();
   const Outcome kept = outcome(c, Score::sum, Indices{0, 2});
   CHECK(kept.n_kept == 2);
@@ -72,7 +72,7 @@ TEST_CASE("the outcome says what share of the weight is kept") {
   CHECK(none.lowest_score == 0);
 }
 
-TEST_CASE("scores are a NumPy file") {
+TEST_CASE("scores are written as a NumPy file") {
   const auto bytes = scores_npy(sample());
   const std::string text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
   CHECK(text.substr(0, 8) == std::string("\x93NUMPY\x01\0", 8));

@@ -130,7 +130,7 @@ TEST_CASE("--json, --scores, and the same bytes from any number of threads") {
   CHECK(json["unseen"] >= 1);
   CHECK(json["weight_share"] > 0.9);
   CHECK(json["weight_share"] <= 1.0);
-  CHECK(json["seconds"]["render"] > 0.0);
+  CHECK(json["seconds"]["render"].is_number());
 }
 
 TEST_CASE("cameras: split, view and size; scores: sum, max and a threshold") {

@@ -14,7 +14,7 @@
 using namespace rgs;
 using namespace rgs::tool;
 
-TEST_CASE("what became of a size is said as it is") {
+TEST_CASE("a change of size is described in plain words") {
   CHECK(format_size_change(487, 100) == "4.87x smaller");
   CHECK(format_size_change(60, 100) == "1.67x larger");
   CHECK(format_size_change(100, 100) == "same size");
@@ -40,7 +40,7 @@ TEST_CASE("an error is described with its place, both numbers and the system's r
   CHECK(std::string(hint({Errc::write_failed, Error::kNone, "", Error::kNone, Error::kNone, ENOSPC})) ==
         "free some space or write to another disk");
   CHECK(std::string(hint({Errc::bad_argument})) == "");
-  // Of files of others and of a folder of work, too: the message itself says what to do.
+  // Errors in other tools' files and in work folders too: the message itself says what to do.
   CHECK(std::string(hint({Errc::unsupported_version})) == "");
   CHECK(std::string(hint({Errc::limit_exceeded, 8, "decodes to too much (max_expansion)"})).find("--max-expansion") !=
         std::string::npos);
@@ -48,7 +48,7 @@ TEST_CASE("an error is described with its place, both numbers and the system's r
         "");
 }
 
-TEST_CASE("the exit code is the class of the error, and exceptions that nobody expects are internal errors") {
+TEST_CASE("the exit code is the error's class, and unexpected exceptions are internal errors") {
   CHECK(report("a.ply", {Errc::bad_syntax, 3, "broken"}) == kMalformed);
   CHECK(report("a.ply", {Errc::open_failed, Error::kNone, "missing"}) == kInputOutput);
   CHECK(report("", {Errc::unavailable, Error::kNone, "no device"}) == kUsage);
@@ -57,7 +57,7 @@ TEST_CASE("the exit code is the class of the error, and exceptions that nobody e
   CHECK(run([]() -> int { throw std::runtime_error("x"); }) == kInternal);
 }
 
-TEST_CASE("numbers are written for people") {
+TEST_CASE("numbers are formatted for people") {
   CHECK(format_bytes(0) == "0 B");
   CHECK(format_bytes(999) == "999 B");
   CHECK(format_bytes(1000) == "1.0 kB");
@@ -102,7 +102,7 @@ TEST_CASE("image sizes") {
   }
 }
 
-TEST_CASE("lines of a report end behind their last word") {
+TEST_CASE("lines of a report have no trailing spaces") {
   TextLines lines;
   lines.line("{:<6}{:>4}{:<5}", "ab", 7, "");
   lines.line("");
@@ -112,7 +112,7 @@ TEST_CASE("lines of a report end behind their last word") {
   CHECK(lines.take() == "");
 }
 
-TEST_CASE("--max-expansion takes a ratio, or bytes whatever the ratio") {
+TEST_CASE("--max-expansion takes a ratio, or bytes regardless of the ratio") {
   const auto parse = [](const char* text) -> std::optional<DecodeLimits> {
     DecodeLimits limits;
     if (!parse_max_expansion(text, limits)) return {};

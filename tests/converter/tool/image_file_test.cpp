@@ -1,4 +1,4 @@
-// image_file_test.cpp - pictures survive a round trip through every format, with the stated rounding and metadata.
+// image_file_test.cpp - pictures survive a round trip through every format, with the documented rounding and metadata.
 // SPDX-License-Identifier: Apache-2.0
 #include "image_file.hpp"
 
@@ -76,7 +76,7 @@ TEST_CASE("8-bit rounding") {
   for (int i = 0; i < 256; ++i) CHECK(to_8bit(static_cast<float>(i) / 255.F) == i);
 }
 
-TEST_CASE("the extension decides the format") {
+TEST_CASE("the extension chooses the format") {
   CHECK(image_format("a/b.PNG").value() == ImageFormat::png);
   CHECK(image_format("b.jpg").value() == ImageFormat::jpeg);
   CHECK(image_format("b.jpeg").value() == ImageFormat::jpeg);
@@ -126,7 +126,7 @@ TEST_CASE("PNG holds colour divided by alpha, rounded once") {
   CHECK(back->pixels[0] == doctest::Approx(13.05 / 255).epsilon(0.04));
 }
 
-TEST_CASE("depth keeps its values in EXR and TIFF and is refused elsewhere") {
+TEST_CASE("EXR and TIFF keep depth; other formats refuse it") {
   const TemporaryFolder folder;
   Image depth = Image::make(9, 7, 1);
   std::mt19937 generator(5);
@@ -141,7 +141,7 @@ TEST_CASE("depth keeps its values in EXR and TIFF and is refused elsewhere") {
   CHECK(write_image(folder.file("e.exr"), picture(2, 2, 3), {.depth = true}).error().code == Errc::bad_argument);
 }
 
-TEST_CASE("pictures say that their values are sRGB, and are the same bytes every time") {
+TEST_CASE("pictures declare sRGB and have the same bytes every time") {
   const TemporaryFolder folder;
   const Image image = picture(64, 32, 3);
   for (const char* extension : {".png", ".jpg", ".tif", ".exr"}) {
@@ -157,7 +157,7 @@ TEST_CASE("pictures say that their values are sRGB, and are the same bytes every
   CHECK(contents(folder.file("a.png")).find("sRGB") < 100);  // the chunk, not the description
 }
 
-TEST_CASE("existing pictures stay unless overwriting is asked for; nothing is left behind on failure") {
+TEST_CASE("existing pictures stay unless overwriting is requested; failures leave nothing behind") {
   const TemporaryFolder folder;
   const std::string path = folder.file("a.png");
   REQUIRE(write_image(path, picture(2, 2, 3)));
@@ -172,7 +172,7 @@ TEST_CASE("existing pictures stay unless overwriting is asked for; nothing is le
   CHECK(std::distance(std::filesystem::directory_iterator(folder.path()), {}) == 1);
 }
 
-TEST_CASE("reading what is missing or no picture") {
+TEST_CASE("reading a missing file or no picture is an error") {
   const TemporaryFolder folder;
   CHECK(read_image(folder.file("none.png")).error().code == Errc::open_failed);
   std::ofstream(folder.file("text.png")) << "not a picture";
@@ -183,7 +183,7 @@ TEST_CASE("reading what is missing or no picture") {
   CHECK(read_image(folder.file("cut.exr")).error().code == Errc::bad_syntax);
 }
 
-TEST_CASE("a picture in memory is the file that would be written") {
+TEST_CASE("a picture in memory equals the written file") {
   const TemporaryFolder folder;
   const Image image = picture(61, 43, 3);
   const auto check = [&](ImageFormat format, const std::string& name) {
@@ -207,7 +207,7 @@ TEST_CASE("a picture in memory is the file that would be written") {
   CHECK(encode_image(Image::make(8, 8, 2), ImageFormat::png).error().code == Errc::bad_argument);
 }
 
-TEST_CASE("a picture's size is known without its pixels") {
+TEST_CASE("a picture's size can be read without its pixels") {
   const TemporaryFolder folder;
   REQUIRE(write_image(folder.file("a.jpg"), picture(61, 43, 3)));
   const auto extent = read_image_extent(folder.file("a.jpg"));

@@ -4,13 +4,12 @@
 
 #include <doctest/doctest.h>
 
-#include <chrono>
 #include <filesystem>
 #include <fstream>
 #include <string>
-#include <thread>
 #include <vector>
 
+#include "file_times.hpp"
 #include "temporary_folder.hpp"
 #include "text_file.hpp"
 
@@ -18,8 +17,6 @@ using namespace rgs::tool;
 using rgs::test::TemporaryFolder;
 using rgs::test::write_text;
 namespace fs = std::filesystem;
-
-namespace {}  // namespace
 
 TEST_CASE("names of one file clash, whether it exists or not, and others do not") {
   const TemporaryFolder folder;
@@ -37,7 +34,7 @@ TEST_CASE("names of one file clash, whether it exists or not, and others do not"
   CHECK(clash({folder.file("x/y/c"), folder.file("x//y/./c")}) != "");
   CHECK(clash({folder.file("x/y/c"), folder.file("x/z/c")}) == "");
   CHECK(clash({"-", b}) == "");
-  CHECK(clash({"-", b, "-"}) == "two outputs are standard output");
+  CHECK(clash({"-", b, "-"}) == "two outputs go to standard output");
   const fs::path before = fs::current_path();
   fs::current_path(folder.path());
   CHECK(clash({"a"}) != "");
@@ -65,7 +62,7 @@ TEST_CASE("a file that is rewritten, extended or replaced has changed; one that 
   const std::string path = folder.file("a"), other = folder.file("other");
   const auto changed_by = [&](const auto& change) {
     write_text(path, "0123456789");
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));  // beyond the tick of file times
+    rgs::test::wait_for_later_time(path);
     InputFiles inputs;
     inputs.add(path);
     CHECK_FALSE(inputs.changed());

@@ -1,4 +1,4 @@
-// archive_test.cpp - Profile::archive: decodes within the bounds that it states, in one way only, and refuses the rest.
+// archive_test.cpp - Profile::archive: decodes within its stated bounds, in one way only, and refuses everything else.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -62,7 +62,7 @@ double angle(const float a[4], const float b[4]) {
   return 2 * std::acos(std::min(1.0, std::abs(dot) / std::sqrt(aa * bb)));
 }
 
-// What the steps promise of any class: the stated bounds must not be worse than this.
+// What the steps guarantee for any class: the stated bounds must not be worse.
 void check_stated(const ArchiveParameters& p) {
   CHECK(p.bound_mean <= std::ldexp(0.5, -static_cast<int>(p.mean_cells)) * 1.01);
   CHECK(p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11);
@@ -99,7 +99,7 @@ TEST_CASE("archives decode to whole direct data within their bounds, on any numb
       const auto order = source_order(*view);
       CHECK(verify_archive(bytes, cloud.view(), order));
 
-      // Independently of the encoder's own check: every value against the worst class.
+      // Independent of the encoder's check: every value against the worst class.
       const ArchiveParameters& p = *view->archive();
       ArchiveClass worst;
       for (const ArchiveClass& c : p.classes) {
@@ -173,7 +173,7 @@ TEST_CASE("verification refuses a source beyond the bounds, and bounds below the
     turned.rotation[4 * 1234 + k] = k == 0 ? 1.f : 2.f * cloud.rotation[4 * 1234 + 3 - k];
   refused(turned);
 
-  // A stated bound that does not hold: that of means is the f32 at byte 96 of ARCH.
+  // A false stated bound: that of means is the f32 at byte 96 of ARCH.
   const std::uint64_t at = section_of(bytes, "ARCH") + 96;
   put(bytes, at, get<float>(bytes, at) * 0.99f);
   fix_hashes(bytes);
@@ -182,7 +182,7 @@ TEST_CASE("verification refuses a source beyond the bounds, and bounds below the
   CHECK(s.error().code == Errc::internal);
 }
 
-TEST_CASE("a range of chunks of an archive is what the whole file has there") {
+TEST_CASE("a range of chunks of an archive equals that part of the whole file") {
   SplitMix random{104};
   Bytes bytes = encode_archive_file(plausible_cloud(70000, 0, random), archive_options());
   const auto view = FileView::open(bytes);
@@ -198,7 +198,7 @@ TEST_CASE("a range of chunks of an archive is what the whole file has there") {
     CHECK(same(part->geometry(), whole->geometry().subspan(at * 16, part->size() * 16)));
     CHECK(same(part->sh(), whole->sh().subspan(at * 4, part->size() * 4)));
   }
-  // A damaged frame fails what it holds, at its own offset, and nothing else.
+  // A damaged frame breaks only its own rows, and the error has its offset.
   for (const SectionType type : {SectionType::means, SectionType::geometry, SectionType::sh}) {
     const CodedFrame frame = view->frames(type).frames[1];
     std::byte& byte = bytes[frame.offset + frame.stored_bytes / 2];
@@ -212,7 +212,7 @@ TEST_CASE("a range of chunks of an archive is what the whole file has there") {
   }
 }
 
-TEST_CASE("archives of extremes and of equals") {
+TEST_CASE("extreme and equal Gaussians can be archived") {
   SplitMix random{105};
   SplatCloud extremes = plausible_cloud(2000, 3, random);
   for (std::size_t i = 0; i < extremes.size(); i += 7) {
@@ -237,7 +237,7 @@ TEST_CASE("archives of extremes and of equals") {
   }
 }
 
-TEST_CASE("archives of points and of scenes that subnormal numbers measure") {
+TEST_CASE("points, and scenes of subnormal size, can be archived") {
   SplitMix random{114};
   const SplatCloud base = plausible_cloud(700, 1, random);
   const auto encoded = [](const SplatCloud& cloud, int mean_cells) {
@@ -250,7 +250,7 @@ TEST_CASE("archives of points and of scenes that subnormal numbers measure") {
     CHECK(verify_archive(bytes, cloud.view(), source_order(*view)));
     return bytes;
   };
-  // An axis on which all means are equal loses nothing.
+  // An axis with equal means is exact.
   for (const float place : {0.f, 0x1p-149f, -1e-39f, 7.3f, -1e30f}) {
     CAPTURE(place);
     SplatCloud cloud = base;
@@ -262,7 +262,7 @@ TEST_CASE("archives of points and of scenes that subnormal numbers measure") {
     const SplatCloud line = decode(encoded(cloud, 4)).value();
     for (std::size_t i = 0; i < line.size(); ++i) REQUIRE(line.mean[3 * i + 1] == place);
   }
-  // Rounding to numbers so small may add as much again as the cells do, and never more.
+  // Rounding to such small numbers may at most double the cells' error.
   for (const double extent : {1e-36, 1e-37, 1e-38, 1e-39, 1e-40, 1e-42, 1e-44}) {
     for (const int mean_cells : {4, 10, 15, 20}) {
       for (const std::size_t n_axes : {1u, 3u}) {
@@ -287,14 +287,14 @@ TEST_CASE("archives of points and of scenes that subnormal numbers measure") {
   }
 }
 
-TEST_CASE("a scene of nothing is not stored as an archive") {
+TEST_CASE("an empty scene is not stored as an archive") {
   const Bytes bytes = encode_archive_file(SplatCloud{}, archive_options());
   const auto view = FileView::open(bytes);
   REQUIRE(view);
   CHECK(view->archive() == nullptr);
 }
 
-TEST_CASE("what an archive cannot hold is refused with the Gaussian's index") {
+TEST_CASE("Gaussians that an archive cannot hold are refused with their index") {
   SplitMix random{106};
   SplatCloud cloud = plausible_cloud(100, 3, random);
   for (const float huge : {1e6f, 1e28f}) {
@@ -304,7 +304,7 @@ TEST_CASE("what an archive cannot hold is refused with the Gaussian's index") {
     CHECK(bytes.error().code == Errc::bad_value);
     CHECK(bytes.error().found == 37);
   }
-  // Whatever comes: a file that its encoder has verified, or that error.
+  // Any input: a file that its encoder has verified, or that error.
   for (int turn = 0; turn < 40; ++turn) {
     const auto any = encode(random_cloud(random.below(300) + 1, turn % 4, random).view(), archive_options());
     if (!any) CHECK(any.error().code == Errc::bad_value);
@@ -378,7 +378,7 @@ TEST_CASE("every prefix and every single-byte change of an archive is an error o
   CHECK(n_valid > 0);  // bounds, for example
 }
 
-TEST_CASE("archives whose sections do not fit together are refused") {
+TEST_CASE("archives with inconsistent sections are refused") {
   SplitMix random{110};
   const Bytes original = encode_archive_file(plausible_cloud(40, 1, random), archive_options());
   const auto error_of = [](Bytes bytes) {
@@ -399,7 +399,7 @@ TEST_CASE("archives whose sections do not fit together are refused") {
   put<std::uint16_t>(bytes, 10, 1);  // an older file has no such codec
   CHECK(error_of(bytes).code == Errc::unsupported_codec);
 
-  // Fields of ARCH, by their place.
+  // Fields of ARCH, by offset.
   struct Field {
     std::uint64_t at;
     std::uint32_t value;
@@ -452,7 +452,7 @@ struct Planes {
   std::vector<std::uint16_t> levels;
 };
 
-// Two contexts by turns.
+// Two contexts in turn.
 template <class Coder>
 void walk(Planes& p, Coder& coder) {
   coder.plane(p.codes.size(), p.codes.data(), 0, [](std::size_t i) { return i % 2; });
@@ -461,7 +461,7 @@ void walk(Planes& p, Coder& coder) {
 
 }  // namespace
 
-TEST_CASE("the entropy coder gives back what it was given, and notices every other stream") {
+TEST_CASE("the entropy coder restores its input and detects every other stream") {
   using namespace rgs::detail;
   SplitMix random{111};
   Planes planes;
@@ -507,7 +507,7 @@ TEST_CASE("the entropy coder gives back what it was given, and notices every oth
   CHECK_FALSE(tables.assign(frequencies));
 }
 
-TEST_CASE("tables of an archive are refused for what is in them") {
+TEST_CASE("invalid tables of an archive are refused") {
   using namespace rgs::detail;
   ArchiveTables good;
   good.n_sh = archive_sh_count(1);
@@ -567,7 +567,7 @@ TEST_CASE("tokens cover every number once") {
   CHECK(before == kRansTokens - 1);
 }
 
-TEST_CASE("sizes of codes are those of the specification") {
+TEST_CASE("sizes of codes match the specification") {
   using namespace rgs::detail;
   SplitMix random{113};
   constexpr std::size_t kN = 200;
@@ -592,7 +592,7 @@ TEST_CASE("sizes of codes are those of the specification") {
   }
 }
 
-TEST_CASE("what Draco writes is read to the same points, and damaged streams are refused") {
+TEST_CASE("Draco streams decode to the same points, and damaged ones are refused") {
   using namespace rgs::detail;
   SplitMix random{112};
   std::vector<GridPoint> points(500);
@@ -636,7 +636,7 @@ TEST_CASE("what Draco writes is read to the same points, and damaged streams are
   std::vector<std::byte> bytes = *stream;
   bytes.push_back({});
   CHECK(error_of(bytes) == Errc::corrupt_data);
-  for (std::size_t i = 0; i < 31; ++i) {  // the head; coordinates may also have fewer bits
+  for (std::size_t i = 0; i < 31; ++i) {  // the header; coordinates may also have fewer bits
     bytes = *stream;
     bytes[i] ^= std::byte{0x40};
     CHECK(error_of(bytes) == Errc::corrupt_data);

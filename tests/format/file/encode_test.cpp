@@ -33,7 +33,7 @@ SceneScan scan_of(const SplatCloud& cloud, const EncodeOptions& options, std::ui
   return scan;
 }
 
-// The robust box as FORMAT.md describes it, by sorting.
+// The robust box of FORMAT.md, by sorting.
 Box brute_robust_box(const SplatCloud& cloud) {
   Box box;
   const std::uint64_t n = cloud.size(), outside = n / 200;
@@ -92,7 +92,7 @@ TEST_CASE("encoding a decoded file gives the same bytes") {
   }
 }
 
-TEST_CASE("a scan does not depend on how it is split") {
+TEST_CASE("a scan does not depend on how its input is split") {
   CAPTURE(kSeed);
   SplitMix random(kSeed);
   for (int round = 0; round < 20; ++round) {
@@ -127,7 +127,7 @@ TEST_CASE("an empty scan reports zeros") {
   CHECK(scan.max_opacity_logit() == 0);
 }
 
-TEST_CASE("the robust box is that of the specification") {
+TEST_CASE("the robust box matches the specification") {
   CAPTURE(kSeed);
   SplitMix random(kSeed);
   for (const std::uint64_t n : {1u, 2u, 199u, 200u, 201u, 400u, 1999u, 5000u}) {
@@ -168,7 +168,7 @@ TEST_CASE("sorting by key is a stable sort") {
   }
 }
 
-TEST_CASE("Morton keys interleave cells and contract what lies outside") {
+TEST_CASE("Morton keys interleave cells, and positions outside contract") {
   Box box;
   box.min = {-1, -1, -1};
   box.max = {1, 1, 1};
@@ -196,7 +196,7 @@ TEST_CASE("Morton keys interleave cells and contract what lies outside") {
   CHECK(flat(origin) == std::uint64_t{7} << 60);
 }
 
-TEST_CASE("Gaussians are written in Morton order and equal keys keep theirs") {
+TEST_CASE("Gaussians are written in Morton order, and equal keys keep the source's order") {
   SplitMix random(kSeed);
   SplatCloud cloud = golden_cloud(600, 0, 3);
   for (std::uint64_t i = 0; i < 600; ++i) {
@@ -216,7 +216,7 @@ TEST_CASE("Gaussians are written in Morton order and equal keys keep theirs") {
   }
 }
 
-TEST_CASE("the low-pass is declared: what is asked for, else that of the anti-aliasing") {
+TEST_CASE("the low-pass is declared as requested, else from the anti-aliasing") {
   const SplatCloud cloud = golden_cloud(3, 0, 3);
   const auto declared = [&cloud](AaMode mode, std::optional<float> low_pass) {
     EncodeOptions options;
@@ -232,7 +232,7 @@ TEST_CASE("the low-pass is declared: what is asked for, else that of the anti-al
   CHECK(declared(AaMode::classic, 0.f) == 0.f);
 }
 
-TEST_CASE("a scene that was loaded and filtered keeps all that its file declared") {
+TEST_CASE("a scene that was loaded and filtered keeps its file's declarations") {
   EncodeOptions first;
   first.axes = {Axis::right, Axis::up, Axis::backward};
   first.colour_space = ColourSpace::linear_display;
@@ -298,7 +298,7 @@ TEST_CASE("a scene that was loaded and filtered keeps all that its file declared
       CHECK(std::abs(s.mean[0] - cloud.mean[3 * kept_view->source_index(i)]) <= tolerance);
     }
   }
-  // Positions that no file could have.
+  // Positions that no file can have.
   EncodeOptions wrong = keep_declarations({}, d);
   wrong.keep_permutation = true;
   const auto refused = [&](const std::vector<std::uint32_t>& positions) {
@@ -310,7 +310,7 @@ TEST_CASE("a scene that was loaded and filtered keeps all that its file declared
   CHECK(refused(twice) == Errc::bad_argument);
   CHECK(refused(beyond) == Errc::bad_argument);
   CHECK(refused(few) == Errc::bad_argument);
-  // More Gaussians than the source had: two scenes in one. They are their own source.
+  // More Gaussians than the source: two scenes in one. They are their own source.
   const auto more = encode(loaded.view(), [&] {
     EncodeOptions o = keep_declarations({}, d);
     o.n_source = 10;
@@ -320,7 +320,7 @@ TEST_CASE("a scene that was loaded and filtered keeps all that its file declared
   CHECK(FileView::open(*more)->declarations().n_source == loaded.size());
 }
 
-TEST_CASE("each kind of damage is found and refused or dropped or repaired") {
+TEST_CASE("each kind of damage is detected, then refused, dropped or repaired") {
   struct Damage {
     Defect kind;
     bool repairable;
@@ -373,7 +373,7 @@ TEST_CASE("each kind of damage is found and refused or dropped or repaired") {
   }
 }
 
-TEST_CASE("repairing gives what is documented") {
+TEST_CASE("repair does what is documented") {
   Splat s;
   s.rotation[2] = kNaN;
   s.sh[5] = -kInfinity;
@@ -414,7 +414,7 @@ TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is 
       const std::uint64_t source = view->source_index(i);
       const bool flat = source == kFlat || source == kPoint;
       if (source == kOpaque) CHECK(stored[i].opacity == 1);
-      // The archive has a quarter of a level for it, which is not drawn either.
+      // The archive stores it as a quarter of a level, which is not drawn either.
       if (source == kClear) CHECK(stored[i].opacity <= (profile == Profile::archive ? 1.f / 255 : 0.f));
       if (flat) CHECK(stored[i].scale[1] == 0);
       if (source == kPoint) CHECK((stored[i].scale[0] == 0 && stored[i].scale[2] == 0));
@@ -424,7 +424,7 @@ TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is 
     }
     if (profile == Profile::archive) continue;
     CHECK(view->declarations().n_scale_zero == 4);
-    // What was decoded gives the same codes again.
+    // Decoded values encode to the same codes.
     const auto again = decode(*bytes);
     REQUIRE(again);
     const auto second = encode(again->view(), options);
@@ -439,7 +439,7 @@ TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is 
   }
 }
 
-TEST_CASE("scales of 0 and next to 0 alone are stored as what they are") {
+TEST_CASE("scales of 0 and near 0 are stored exactly") {
   for (const float log_scale : {-kInfinity, -61.f, -80.f, -200.f}) {
     CAPTURE(log_scale);
     SplatCloud cloud = golden_cloud(70, 0, 9);
@@ -469,7 +469,7 @@ TEST_CASE("scales of 0 and next to 0 alone are stored as what they are") {
   }
 }
 
-TEST_CASE("coefficients above the degree that is kept are not looked at") {
+TEST_CASE("coefficients above the kept degree are ignored") {
   SplatCloud cloud = golden_cloud(10, 3, 5);
   for (std::uint64_t i = 0; i < 10; ++i) cloud.sh[48 * i + 40] = kNaN;
   EncodeOptions options;
@@ -481,7 +481,7 @@ TEST_CASE("coefficients above the degree that is kept are not looked at") {
   CHECK(FileView::open(*bytes)->header().sh_degree == 2);
 }
 
-TEST_CASE("more than one in a hundred damaged is an error unless a policy was chosen") {
+TEST_CASE("more than one damaged Gaussian in a hundred is an error unless a policy was chosen") {
   SplatCloud cloud = golden_cloud(200, 0, 6);
   cloud.mean[0] = cloud.mean[3] = kNaN;
   CHECK(encode(cloud.view()));  // 2 of 200
@@ -549,7 +549,7 @@ TEST_CASE("an origin is declared by version 1.3, and only where there is one") {
     CHECK(view->header().version_minor == 3);
     CHECK(view->declarations().origin == options.origin);
     CHECK_FALSE(std::signbit(view->declarations().origin[2]));
-    // Everything else is that of the scene itself: means are relative.
+    // Everything else equals the scene's own: means are relative.
     CHECK(view->declarations().full.min == FileView::open(plain)->declarations().full.min);
     CHECK(decode(far)->mean == decode(plain)->mean);
   }
@@ -562,7 +562,7 @@ TEST_CASE("an origin is declared by version 1.3, and only where there is one") {
   }
 }
 
-TEST_CASE("a scan goes through bytes as it is, and no other bytes become one") {
+TEST_CASE("a scan survives serialisation, and no other bytes are accepted") {
   SceneScan scan(2, BadPolicy::repair);
   for (int i = 0; i < 500; ++i) {
     Splat s;
@@ -584,7 +584,7 @@ TEST_CASE("a scan goes through bytes as it is, and no other bytes become one") {
   CHECK(back->robust().min == scan.robust().min);
   CHECK(back->full().max == scan.full().max);
   CHECK(back->min_log_scale() == scan.min_log_scale());
-  // Every prefix, and what lies behind; a count that would send the search for the robust box out of its bins.
+  // Every prefix, and trailing bytes; a count that would send the search for the robust box out of its bins.
   for (std::size_t n = 0; n < bytes.size(); n += n < 400 ? 1 : 101) {
     const std::vector<std::byte> prefix(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(n));
     REQUIRE_FALSE(SceneScan::from_bytes(prefix));

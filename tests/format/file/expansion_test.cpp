@@ -1,5 +1,5 @@
-// expansion_test.cpp - what is compressed stays within what readers allow a file of its size to decode to, however alike
-// its Gaussians are; and these limits are kept.
+// expansion_test.cpp - writers stay within the expansion that readers allow by default, however similar the Gaussians;
+// and callers' limits hold.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -17,7 +17,7 @@ using namespace rgs::test;
 
 namespace {
 
-// n times one Gaussian, or a grid of such.
+// n copies of one Gaussian, or a grid of them.
 SplatCloud alike(std::uint64_t n, int degree, bool colour, bool grid) {
   SplatCloud cloud;
   cloud.resize(n, degree);
@@ -38,7 +38,7 @@ std::uint64_t coded_bytes(const FileView& view) {
 
 }  // namespace
 
-TEST_CASE("files of Gaussians that are all alike are opened by the reader's defaults") {
+TEST_CASE("the reader's defaults accept files of equal Gaussians") {
   for (const int degree : {0, 1, 2, 3}) {
     const SplatCloud cloud = alike(200'000, degree, degree % 2 == 0, degree == 1);
     for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
@@ -67,7 +67,7 @@ TEST_CASE("files of Gaussians that are all alike are opened by the reader's defa
   }
 }
 
-TEST_CASE("what is small stays small: the bound costs a thousandth of what is decoded") {
+TEST_CASE("small files stay small: the bound costs a thousandth of the decoded size") {
   EncodeOptions options;
   options.profile = Profile::packed;
   const auto bytes = encode(alike(200'000, 3, true, false).view(), options);
@@ -75,7 +75,7 @@ TEST_CASE("what is small stays small: the bound costs a thousandth of what is de
   CHECK(bytes->size() < 200'000 * 76 / 400);
 }
 
-TEST_CASE("an archive whose chunks leave no frame small enough says what to do") {
+TEST_CASE("an archive whose chunks allow no frame small enough says what to do") {
   EncodeOptions options;
   options.profile = Profile::archive;
   options.chunk_size = 65536;
@@ -88,7 +88,7 @@ TEST_CASE("an archive whose chunks leave no frame small enough says what to do")
   }
 }
 
-TEST_CASE("the limits of what is decoded: a ratio, and bytes whatever the ratio") {
+TEST_CASE("limits on decoded size: a ratio, and bytes regardless of the ratio") {
   CHECK(DecodeLimits().decoded_bytes(0) == 1u << 20);
   CHECK(DecodeLimits().decoded_bytes(1000) == 1'032'000 + (1u << 20));
   CHECK(DecodeLimits().decoded_bytes(~std::uint64_t{0}) == std::uint64_t{1} << 40);

@@ -12,7 +12,6 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
-#include <chrono>
 #include <csignal>
 #include <cstdlib>
 #include <cstring>
@@ -24,6 +23,7 @@
 #include <utility>
 #include <vector>
 
+#include "file_times.hpp"
 #include "temporary_folder.hpp"
 
 namespace fs = std::filesystem;
@@ -215,7 +215,7 @@ TEST_CASE("a mapped file knows whether it was written to, and bears the loss of 
   const auto changed_by = [&](const auto& change) {
     fs::remove(path);
     std::ofstream(path) << "0123456789";
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));  // beyond the tick of file times
+    rgs::test::wait_for_later_time(path);
     const auto file = MappedFile::open(path);
     REQUIRE(file);
     CHECK(file->check_unchanged());

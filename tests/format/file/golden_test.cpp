@@ -28,7 +28,7 @@ namespace {
 
 const fs::path kGolden = fs::path(RGS_SOURCE_DIR) / "tests/golden";
 
-// What compresses to which bytes is the libraries' own affair: coded files were written with these versions.
+// Compressed bytes depend on the libraries: the coded files were written with these versions.
 const bool kGoldenZstd = ZSTD_versionNumber() == 10504;
 const bool kGoldenDraco = std::string_view(draco::kDracoVersion) == "1.5.5";
 
@@ -55,22 +55,22 @@ void check_bytes(Profile profile) {
 
 }  // namespace
 
-TEST_CASE("the encoder gives the bytes of every direct golden file") {
+TEST_CASE("the encoder writes the bytes of every direct golden file") {
   check_bytes(Profile::direct);
 }
 
-TEST_CASE("the encoder gives the bytes of every packed golden file") {
-  if (!same_libraries(Profile::packed)) return skip_without_tool("another version of Zstandard gives other bytes");
+TEST_CASE("the encoder writes the bytes of every packed golden file") {
+  if (!same_libraries(Profile::packed)) return skip_without_tool("another version of Zstandard writes other bytes");
   check_bytes(Profile::packed);
 }
 
-TEST_CASE("the encoder gives the bytes of every archived golden file") {
+TEST_CASE("the encoder writes the bytes of every archived golden file") {
   if (!same_libraries(Profile::archive))
-    return skip_without_tool("other versions of Zstandard or Draco give other bytes");
+    return skip_without_tool("other versions of Zstandard or Draco write other bytes");
   check_bytes(Profile::archive);
 }
 
-TEST_CASE("the writer gives the bytes of every golden file with levels") {
+TEST_CASE("the writer writes the bytes of every golden file with levels") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     if (!same_libraries(scene.options.profile)) continue;
     CAPTURE(scene.name);
@@ -153,7 +153,7 @@ TEST_CASE("the golden file of two Gaussians holds the values known by hand") {
 
 TEST_CASE("every golden file decodes to its scene within the stated bounds") {
   for (const GoldenScene& scene : golden_scenes()) {
-    if (scene.options.profile == Profile::archive) continue;  // they state their own bounds
+    if (scene.options.profile == Profile::archive) continue;  // which state their own bounds
     CAPTURE(scene.name);
     const Bytes bytes = golden(scene.name);
     const auto view = FileView::open(bytes);
@@ -173,7 +173,7 @@ TEST_CASE("every golden file decodes to its scene within the stated bounds") {
     CHECK(view->declarations().metres_per_unit == scene.options.metres_per_unit);
     CHECK(view->declarations().n_dropped == (edges ? 1 : 0));
 
-    std::map<std::array<float, 3>, std::uint64_t> by_mean;  // the source's index; means are all different
+    std::map<std::array<float, 3>, std::uint64_t> by_mean;  // the source's index: no two means are equal
     for (std::uint64_t i = 0; i < source.n; ++i) {
       by_mean[{source.mean[3 * i], source.mean[3 * i + 1], source.mean[3 * i + 2]}] = i;
     }
@@ -211,7 +211,7 @@ TEST_CASE("every golden file decodes to its scene within the stated bounds") {
   }
 }
 
-TEST_CASE("every golden archive decodes to its scene within the bounds that it states") {
+TEST_CASE("every golden archive decodes to its scene within its stated bounds") {
   for (const GoldenScene& scene : golden_scenes()) {
     if (scene.options.profile != Profile::archive) continue;
     CAPTURE(scene.name);
@@ -225,7 +225,7 @@ TEST_CASE("every golden archive decodes to its scene within the bounds that it s
     REQUIRE(view->read(0, splats));
 
     const std::uint64_t arch = section_of(bytes, "ARCH"), n_classes = get<std::uint32_t>(bytes, arch + 8);
-    float bound[4] = {0, 0, 0, 0};  // rotation, scale, SH of degree 0, others: the largest of any class
+    float bound[4] = {0, 0, 0, 0};  // rotation, scale, SH of degree 0, others: the maximum over all classes
     for (std::uint64_t c = 0; c < n_classes; ++c) {
       for (std::uint64_t k = 0; k < 4; ++k) {
         bound[k] = std::max(bound[k], get<float>(bytes, arch + 128 + 36 * c + 20 + 4 * k));
@@ -257,7 +257,7 @@ TEST_CASE("every golden archive decodes to its scene within the bounds that it s
   }
 }
 
-TEST_CASE("golden files have the scale sets and optional sections that they are for") {
+TEST_CASE("golden files have the scale sets and optional sections that they test") {
   const Bytes chunked_bytes = golden("degree3"), global_bytes = golden("global"), optional_bytes = golden("optional"),
               edges_bytes = golden("edges"), empty_bytes = golden("empty");
   const auto chunked = FileView::open(chunked_bytes);
@@ -318,7 +318,7 @@ TEST_CASE("the example of the specification is the golden file of two Gaussians"
   CHECK(bytes == golden("two"));
 }
 
-TEST_CASE("each file with one defect gives the listed error at the listed offset") {
+TEST_CASE("each file with one defect causes the listed error at the listed offset") {
   const fs::path folder = kGolden / "reject";
   std::ifstream list(folder / "reject.txt");
   REQUIRE(list);
@@ -387,14 +387,14 @@ TEST_CASE("validation in steps finds what validation at once finds") {
       ++n_refused;
       CHECK(steps.error().code == at_once.error().code);
       CHECK(steps.error().offset == at_once.error().offset);
-      // Values are looked at before the hash of their section.
+      // Values are checked before their section's hash.
       if (at_once.error().code != Errc::checksum_mismatch) CHECK(early.error().code == at_once.error().code);
     }
   }
   CHECK(n_refused > 40);
 }
 
-TEST_CASE("a file is decoded while its large sections are still coming") {
+TEST_CASE("a file is decoded while its large sections are still arriving") {
   for (const char* name : {"degree3.rgs", "packed_degree2.rgs", "archive_degree1.rgs"}) {
     CAPTURE(name);
     const Bytes whole = read_bytes(kGolden / name);
@@ -420,7 +420,7 @@ TEST_CASE("a file is decoded while its large sections are still coming") {
     CHECK(std::ranges::equal(data->means(), load_direct(*complete)->means()));
     CHECK(validation->check(*data));
     CHECK(validation->finish());
-    // What no frame and no value shows, the hash of its section does.
+    // The section's hash reveals what no frame and no value shows.
     coming.back() ^= std::byte{1};
     CHECK_FALSE(validation->finish());
   }

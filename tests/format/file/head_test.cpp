@@ -1,4 +1,4 @@
-// head_test.cpp - files without levels of which only the head is read.
+// head_test.cpp - reading only the head of files without levels.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -27,8 +27,8 @@ std::vector<fs::path> files_in(const fs::path& folder) {
   return files;
 }
 
-// As a reader does that begins with `first_bytes`. Each range is in memory of its own and of its exact size, which is gone once
-// the head is there.
+// Opens a head as a reader does that starts with `first_bytes`. Each range is in its own exact-size memory, which is
+// freed once the head is complete.
 Result<FileView> open_from(std::span<const std::byte> file, std::uint64_t first_bytes, std::uint64_t size,
                            std::uint64_t* n_read = nullptr) {
   std::vector<std::pair<std::uint64_t, Bytes>> pieces;
@@ -57,7 +57,7 @@ Result<FileView> open_from(std::span<const std::byte> file, std::uint64_t first_
 
 }  // namespace
 
-TEST_CASE("the head of a file says what the whole file says") {
+TEST_CASE("the head of a file equals the whole file's") {
   int n_provenances = 0;
   for (const fs::path& path : files_in(kGolden)) {
     const Bytes file = read_bytes(path);
@@ -82,14 +82,14 @@ TEST_CASE("the head of a file says what the whole file says") {
         CHECK(head->provenance()->source_name == whole->provenance()->source_name);
         CHECK(head->provenance()->source_xxh3 == whole->provenance()->source_xxh3);
       }
-      // The first bytes again where they were too few, the head, DECL, PROV.
+      // The first bytes again if there were too few, the head, DECL, PROV.
       if (first < 1000) CHECK(n_read <= 2 * (128 + 16 * 64 + 8) + 256 + 8300);
     }
   }
   CHECK(n_provenances > 0);
 }
 
-TEST_CASE("a damaged head gives the error of the whole file, and payload is not looked at") {
+TEST_CASE("a damaged head causes the whole file's error, and the payload is not read") {
   int n_heads = 0, n_payloads = 0;
   for (const fs::path& path : files_in(kGolden / "reject")) {
     const Bytes file = read_bytes(path);
@@ -112,7 +112,7 @@ TEST_CASE("a damaged head gives the error of the whole file, and payload is not 
   CHECK(n_payloads > 100);
 }
 
-TEST_CASE("the head of a file that is shorter or longer than it says is refused") {
+TEST_CASE("the head of a file that is shorter or longer than declared is refused") {
   const Bytes file = read_bytes(kGolden / "packed_degree3.rgs");
   const auto shorter = open_from(file, 4096, file.size() - 1);
   REQUIRE_FALSE(shorter);
@@ -144,7 +144,7 @@ TEST_CASE("open_head() without the provenance has none") {
   CHECK(FileView::head_needs(parts, full.size())->size() == 1);
 }
 
-TEST_CASE("open_head() without what head_needs() asks for is an error") {
+TEST_CASE("open_head() without the bytes that head_needs() requests is an error") {
   const Bytes file = read_bytes(kGolden / "degree3.rgs");
   for (std::uint64_t first = 0; first < 900; first += 7) {
     const Bytes beginning(file.begin(), file.begin() + static_cast<std::ptrdiff_t>(first));
@@ -152,7 +152,7 @@ TEST_CASE("open_head() without what head_needs() asks for is an error") {
     const auto needs = FileView::head_needs({&part, 1}, file.size());
     REQUIRE(needs);
     const auto head = FileView::open_head({&part, 1}, file.size());
-    // Provenance is not waited for.
+    // Provenance is not required.
     if (!head) {
       CHECK(head.error().code == Errc::truncated);
       CHECK_FALSE(needs->empty());

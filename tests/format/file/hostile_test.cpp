@@ -30,8 +30,8 @@ Bytes golden(const std::string& name) {
   return read_bytes(std::string(RGS_SOURCE_DIR) + "/tests/golden/" + name + ".rgs");
 }
 
-// Decodes from a heap block of the exact size, so that AddressSanitizer sees a read of one byte too many. What decodes
-// must be a scene that can be drawn.
+// Decodes from an exact-size heap block, so that AddressSanitizer detects any overread. A decoded scene must be
+// drawable.
 Status decode_exactly(std::span<const std::byte> bytes) {
   const auto exact = std::make_unique<std::byte[]>(bytes.size());
   std::ranges::copy(bytes, exact.get());
@@ -44,7 +44,7 @@ Status decode_exactly(std::span<const std::byte> bytes) {
   return {};
 }
 
-// The same sections, laid out in another order of the table.
+// The same sections in another order of the table.
 Bytes with_order(const Bytes& file, std::span<const std::uint64_t> order) {
   Bytes out(file.begin(), file.begin() + static_cast<std::ptrdiff_t>(entry_at(order.size()) + 8));
   for (std::size_t i = 0; i < order.size(); ++i) {
@@ -61,7 +61,7 @@ Bytes with_order(const Bytes& file, std::span<const std::uint64_t> order) {
 }
 
 #ifndef RGS_TEST_SANITIZED
-// Runs `body` in a child whose address space may grow by `bytes`; true if it returned true.
+// Runs `body` in a child process whose address space may grow by `bytes`; true if it returned true.
 bool within_memory(std::uint64_t bytes, const std::function<bool()>& body) {
   const pid_t child = ::fork();
   if (child == 0) {
@@ -104,7 +104,7 @@ TEST_CASE("every prefix of a golden file is an error") {
   }
 }
 
-TEST_CASE("every prefix whose head has been made to fit is an error") {
+TEST_CASE("every prefix with a corrected header is an error") {
   for (const char* name : {"optional", "packed_degree1", "packed_degree2"}) {
     CAPTURE(name);
     const Bytes bytes = golden(name);
@@ -118,18 +118,18 @@ TEST_CASE("every prefix whose head has been made to fit is an error") {
   }
 }
 
-TEST_CASE("every prefix of a frame is an error, and so is every frame with a byte more") {
+TEST_CASE("every prefix of a frame is an error, and so is a frame with an extra byte") {
   const Bytes bytes = golden("packed_degree1");
   for (const char* type : {"MEAN", "GEOM", "SHI8"}) {
     CAPTURE(type);
     const std::uint64_t section = section_of(bytes, type), entry = entry_of(bytes, type);
     const auto stored = get<std::uint32_t>(bytes, section + 16);
-    REQUIRE(get<std::uint32_t>(bytes, section + 4) == 1);  // the frame begins behind a table of one entry
+    REQUIRE(get<std::uint32_t>(bytes, section + 4) == 1);  // the frame starts after a table of one entry
     for (std::uint32_t size = 0; size <= stored + 1; ++size) {
       CAPTURE(size);
       Bytes changed(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(section + 32));
       for (std::uint32_t i = 0; i < size; ++i) changed.push_back(i < stored ? bytes[section + 32 + i] : std::byte{0});
-      // What follows is laid out again.
+      // The following sections are laid out again.
       put<std::uint32_t>(changed, section + 16, size);
       put<std::uint64_t>(changed, entry + 24, 32 + size);
       for (std::uint64_t next = entry + 64; next < entry_at(get<std::uint32_t>(bytes, 52)); next += 64) {
@@ -168,7 +168,7 @@ TEST_CASE("bytes after the end are an error") {
   }
 }
 
-TEST_CASE("every single-byte change is an error as long as its hash is wrong") {
+TEST_CASE("every single-byte change is an error while its hash is wrong") {
   for (const char* name : {"empty", "two", "optional", "degree3", "packed_degree1", "packed_global"}) {
     CAPTURE(name);
     Bytes bytes = golden(name);
@@ -191,7 +191,7 @@ TEST_CASE("every single-byte change is an error as long as its hash is wrong") {
   }
 }
 
-TEST_CASE("every single-byte change with hashes that fit is an error or a valid decode") {
+TEST_CASE("every single-byte change with corrected hashes is an error or a valid decode") {
   std::uint64_t errors = 0, decodes = 0;
   for (const char* name :
        {"empty", "two", "optional", "global", "degree3", "packed_degree0", "packed_degree1", "packed_global"}) {
@@ -246,7 +246,7 @@ TEST_CASE("counts near 2^32 and 2^64 are refused without arithmetic overflow") {
       }
     }
   }
-  // Here 12 * n wraps around to the 72 bytes that the section has.
+  // Here 12 * n wraps around to the section's 72 bytes.
   Bytes bytes = original;
   const std::uint64_t n = (std::uint64_t{1} << 62) + 6, chunks = n / 256 + 1;
   put(bytes, 24, n);
@@ -257,7 +257,7 @@ TEST_CASE("counts near 2^32 and 2^64 are refused without arithmetic overflow") {
   CHECK(view.error().code == Errc::size_mismatch);
 }
 
-TEST_CASE("limits of the caller are kept") {
+TEST_CASE("the caller's limits hold") {
   const Bytes bytes = golden("degree3");
   DecodeLimits limits;
   limits.max_gaussians = 40;
@@ -272,7 +272,7 @@ TEST_CASE("limits of the caller are kept") {
   CHECK(FileView::open(bytes, limits).error().offset == 16);
 }
 
-TEST_CASE("what coded sections decode to is limited by the size of the file") {
+TEST_CASE("the size of the file limits what coded sections decode to") {
   SplatCloud cloud;
   cloud.resize(50000, 3);
   for (std::size_t i = 0; i < cloud.size(); ++i) cloud.set(i, {});
@@ -290,7 +290,7 @@ TEST_CASE("what coded sections decode to is limited by the size of the file") {
   CHECK(view.error().offset == entry_of(*bytes, "GEOM") + 32);
 }
 
-TEST_CASE("sections may be in any order, which no error depends on") {
+TEST_CASE("sections may be in any order, and errors do not depend on it") {
   for (const char* name : {"optional", "packed_degree3", "archive_degree3"}) {
     CAPTURE(name);
     const Bytes original = golden(name);
@@ -308,7 +308,7 @@ TEST_CASE("sections may be in any order, which no error depends on") {
       CHECK(cloud->mean == expected->mean);
       CHECK(cloud->sh == expected->sh);
       if (get<std::uint16_t>(bytes, 10) < 2) continue;
-      // Frames of 320 rows are one here as well.
+      // Frames of 320 rows are one frame here as well.
       for (const char* type : {"GEOM", "SHI8"}) {
         Bytes changed = bytes;
         const std::uint64_t rows = section_of(changed, std::string_view(type) == "GEOM" ? "MEAN" : type);
@@ -323,14 +323,14 @@ TEST_CASE("sections may be in any order, which no error depends on") {
   }
 }
 
-TEST_CASE("sections of unknown types are passed over, whatever their codec and decoded size") {
+TEST_CASE("sections of unknown types are skipped, whatever their codec and decoded size") {
   for (const char* name : {"optional", "packed_edges", "archive_degree1"}) {
     const Bytes original = golden(name);
     const std::uint64_t perm = entry_of(original, "PERM"), section = section_of(original, "PERM");
     const bool archive = get<std::uint16_t>(original, 10) == 2;
     const auto expected = decode(original);
     REQUIRE(expected);
-    // ARCH is a type like any other before version 1.2, which golden "optional" and "packed_edges" precede.
+    // ARCH is an unknown type before version 1.2, that of golden "optional" and "packed_edges".
     for (const char* type : {"ZZZZ", "ARCH"}) {
       if (archive && std::string_view(type) == "ARCH") continue;
       for (const std::uint32_t codec : {0u, 1u, 2u, 3u, ~0u}) {
@@ -353,7 +353,7 @@ TEST_CASE("sections of unknown types are passed over, whatever their codec and d
         CHECK(cloud->rotation == expected->rotation);
         CHECK(cloud->opacity_logit == expected->opacity_logit);
         CHECK(cloud->sh == expected->sh);
-        bytes[section] ^= std::byte{1};  // its hash is checked all the same
+        bytes[section] ^= std::byte{1};  // its hash is checked nevertheless
         const Status status = validate(*FileView::open(bytes));
         REQUIRE_FALSE(status);
         CHECK(status.error().code == Errc::checksum_mismatch);
@@ -363,7 +363,7 @@ TEST_CASE("sections of unknown types are passed over, whatever their codec and d
   }
 }
 
-TEST_CASE("unknown types may appear twice, in files of later minor versions too") {
+TEST_CASE("unknown types may appear twice, also in files of later minor versions") {
   for (const unsigned minor : {0u, 1u, 2u, 3u, 65535u}) {
     CAPTURE(minor);
     Bytes bytes = golden("optional");
@@ -377,7 +377,7 @@ TEST_CASE("unknown types may appear twice, in files of later minor versions too"
   }
 }
 
-TEST_CASE("of the enumerators in DECL every value that the specification does not name is refused") {
+TEST_CASE("unspecified enumerators in DECL are refused") {
   struct Field {
     std::uint64_t at;
     unsigned low, high;
@@ -401,11 +401,11 @@ TEST_CASE("of the enumerators in DECL every value that the specification does no
   }
 }
 
-TEST_CASE("a small file makes no large allocation") {
+TEST_CASE("a small file causes no large allocation") {
 #ifdef RGS_TEST_SANITIZED
   skip("sanitizers reserve address space");
 #else
-  // Large counts, and the largest chunks over a handful of Gaussians.
+  // Large counts, and the largest chunks with a few Gaussians.
   Bytes large_chunks = golden("two");
   put<std::uint32_t>(large_chunks, 48, 65536);
   fix_hashes(large_chunks);

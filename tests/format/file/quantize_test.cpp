@@ -38,7 +38,7 @@ std::uint16_t compiler_half(float value) {
   return std::bit_cast<std::uint16_t>(static_cast<_Float16>(value));
 }
 
-// False, with a report, where the two conversions differ.
+// Reports and returns false where the two conversions differ.
 bool same_half(std::uint32_t bits) {
   const float value = std::bit_cast<float>(bits);
   const std::uint16_t ours = half_from_float(value), theirs = compiler_half(value);
@@ -49,7 +49,7 @@ bool same_half(std::uint32_t bits) {
 
 }  // namespace
 
-TEST_CASE("every FP16 becomes the float that the compiler makes of it") {
+TEST_CASE("every FP16 converts to the compiler's float") {
   bool same = true;
   for (std::uint32_t half = 0; half < 65536 && same; ++half) {
     const float theirs = static_cast<float>(std::bit_cast<_Float16>(static_cast<std::uint16_t>(half)));
@@ -60,7 +60,7 @@ TEST_CASE("every FP16 becomes the float that the compiler makes of it") {
   CHECK(same);
 }
 
-TEST_CASE("floats become the FP16 that the compiler makes of them") {
+TEST_CASE("floats convert to the compiler's FP16") {
   bool same = true;
   for (std::uint64_t bits = 0; bits < std::uint64_t{1} << 32 && same; bits += 97) {
     same = same_half(static_cast<std::uint32_t>(bits));
@@ -68,7 +68,7 @@ TEST_CASE("floats become the FP16 that the compiler makes of them") {
   CHECK(same);
 }
 
-TEST_CASE("floats around each FP16 and each halfway point become the FP16 that the compiler makes of them") {
+TEST_CASE("floats around each FP16 and each halfway point convert to the compiler's FP16") {
   bool same = true;
   for (std::uint32_t half = 0; half < 0x7C00 && same; ++half) {
     const float low = float_from_half(static_cast<std::uint16_t>(half));
@@ -204,7 +204,7 @@ TEST_CASE("every stored scale and opacity survives its logarithm or logit") {
       const auto code = static_cast<std::uint16_t>(half);
       const float log_scale = log_from_scale(dequantize_scale(code, e), e);
       REQUIRE(log_scale <= kMaxLogScale);
-      // Codes beyond e^60 are not written; the bound stands for them.
+      // Codes beyond e^60 are never written; the bound replaces them.
       if (log_scale < kMaxLogScale) REQUIRE(quantize_scale(scale_from_log(log_scale), e) == code);
     }
   }
@@ -216,7 +216,7 @@ TEST_CASE("every stored scale and opacity survives its logarithm or logit") {
   CHECK(half_from_float(opacity_from_logit(30.f)) == 0x3C00);
 }
 
-TEST_CASE("rotations become unit quaternions with w >= 0 and are stored once and for all") {
+TEST_CASE("rotations become unit quaternions with w >= 0, and storing them again changes nothing") {
   CAPTURE(kSeed);
   SplitMix random(kSeed);
   for (int i = 0; i < 200'000; ++i) {
@@ -224,7 +224,7 @@ TEST_CASE("rotations become unit quaternions with w >= 0 and are stored once and
     for (float& x : q) x = random.dyadic(-1, 1);
     for (const float x : q) norm += x * x;
     if (norm < 1e-3f) continue;
-    // A third of them nearly normalised already, on both sides of the tolerance; a third very large or small.
+    // A third nearly normalised, on both sides of the tolerance; a third very large or small.
     const float factor = i % 3 == 0   ? (1 + 0x1p-9f * random.dyadic(-2, 2)) / std::sqrt(norm)
                          : i % 3 == 1 ? random_magnitude(random, -50, 50)
                                       : 1.f;

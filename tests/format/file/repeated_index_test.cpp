@@ -1,4 +1,4 @@
-// repeated_index_test.cpp - positions that are there twice are found, whether the source is small or large.
+// repeated_index_test.cpp - repeated positions are found in small and in large sources.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/repeated_index.hpp"
 
@@ -21,12 +21,12 @@ bool is_repeated(const std::vector<std::uint64_t>& indices, std::uint64_t n_sour
 
 }  // namespace
 
-TEST_CASE("an index that is there twice is found, in small and in large sources") {
+TEST_CASE("a repeated index is found in small and in large sources") {
   std::mt19937_64 random(7);
   CHECK_FALSE(is_repeated({}, 0));
   CHECK_FALSE(is_repeated({0}, 1));
   CHECK(is_repeated({0, 0}, 1));
-  // About the size from which indices are sorted, 64 a Gaussian, and the largest that a file can declare.
+  // Near the size from which indices are sorted, 64 per Gaussian, and the largest that a file can declare.
   constexpr std::uint64_t kCount = 100;
   for (const std::uint64_t n_source : {kCount, 64 * kCount - 1, 64 * kCount + 63, 64 * kCount + 64, 6401 * kCount,
                                        std::numeric_limits<std::uint64_t>::max()}) {

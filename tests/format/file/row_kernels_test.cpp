@@ -1,4 +1,4 @@
-// row_kernels_test.cpp - rows looked at by vectors, beside rows looked at one by one.
+// row_kernels_test.cpp - vectorised row checks against a check row by row.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/row_kernels.hpp"
 
@@ -25,7 +25,7 @@ namespace {
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity(), kNan = std::numeric_limits<float>::quiet_NaN();
 
-/// At an odd address, and nothing after them, so that AddressSanitizer sees who reads beyond.
+/// At an odd address and without slack, so that AddressSanitizer detects any overread.
 template <class Row>
 class Misaligned {
  public:
@@ -43,7 +43,7 @@ struct Rows {
   std::vector<std::array<std::uint16_t, 8>> geometry;
 };
 
-/// Legal, and often at the ends of what is.
+/// Legal, often at the limits.
 Rows rows_of(std::size_t n, std::mt19937& random) {
   Rows rows;
   const auto one_of = [&random](const auto& values) { return values[random() % std::size(values)]; };
@@ -115,7 +115,7 @@ bool summarize(const Rows& rows, RowSummary& summary) {
 
 }  // namespace
 
-TEST_CASE("legal rows are found legal, and what they hold, by every instruction set") {
+TEST_CASE("every instruction set finds legal rows legal, and their contents") {
   int n_sets = 0;
   with_each_instruction_set([&n_sets] {
     ++n_sets;
@@ -135,7 +135,7 @@ TEST_CASE("legal rows are found legal, and what they hold, by every instruction 
 #endif
 }
 
-TEST_CASE("a rule that one row breaks is seen in each row, by every instruction set") {
+TEST_CASE("every instruction set finds a broken rule in each row") {
   with_each_instruction_set([] {
     std::mt19937 random{12};
     for (std::size_t n = 1; n <= 70; ++n) {
@@ -172,13 +172,13 @@ TEST_CASE("a rule that one row breaks is seen in each row, by every instruction 
   });
 }
 
-TEST_CASE("norms at the end of what is legal are never found legal where they are not, and found so but for a hair") {
+TEST_CASE("the quick check accepts no illegal norm, and every legal norm not within 2^-20 of a limit") {
   with_each_instruction_set([] {
     std::mt19937 random{13};
     int n_legal = 0, n_illegal = 0, n_open = 0;
     for (int turn = 0; turn < 200000; ++turn) {
       Rows rows = rows_of(1, random);
-      // Of a random direction, near one of the ends.
+      // Of a random direction, near one of the limits.
       double q[4], squared = 0;
       for (double& x : q) x = static_cast<double>(random()) / 4294967296.0, squared += x * x;
       const double norm = 1 + (turn % 2 == 0 ? 1 : -1) * kStoredNormTolerance;
@@ -206,7 +206,7 @@ TEST_CASE("norms at the end of what is legal are never found legal where they ar
   });
 }
 
-TEST_CASE("rows are summed up whatever GEOM holds, and not where a mean is not finite") {
+TEST_CASE("rows are summed up for any GEOM, unless a mean is not finite") {
   with_each_instruction_set([] {
     std::mt19937 random{14};
     for (std::size_t n = 1; n <= 70; ++n) {
@@ -246,7 +246,7 @@ TEST_CASE("counts of the largest chunk do not overflow") {
   });
 }
 
-TEST_CASE("a code of SH that is not legal is seen in each byte, by every instruction set") {
+TEST_CASE("every instruction set finds an illegal SH code in each byte") {
   with_each_instruction_set([] {
     std::mt19937 random{15};
     for (int degree = 0; degree <= 3; ++degree) {

@@ -1,4 +1,4 @@
-// scene_writer_test.cpp - one file whatever it is written to and on however many threads, and what happens if that fails.
+// scene_writer_test.cpp - the same file for every sink and number of threads, and errors of sinks and sources.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/scene_writer.hpp"
 
@@ -52,7 +52,7 @@ void fill(SceneWriter::Batch& batch, std::uint64_t index, const SplatCloud& clou
   }
 }
 
-/// All batches side by side, a thread each, begun with the last.
+/// All batches concurrently, one thread each, started from the last.
 Result<WrittenScene> write(Sink sink, const SplatCloud& cloud, const EncodeOptions& options) {
   const Scanned scanned = scan_of(cloud, options);
   auto created = SceneWriter::create(sink, scanned.scan, options, scanned.indices);
@@ -69,7 +69,7 @@ Result<WrittenScene> write(Sink sink, const SplatCloud& cloud, const EncodeOptio
   return writer.finish();
 }
 
-/// No file grows beyond `bytes` while this lives.
+/// Limits files to `bytes` during its lifetime.
 class FileSizeLimit {
  public:
   explicit FileSizeLimit(std::uint64_t bytes) : handler_(::signal(SIGXFSZ, SIG_IGN)) {
@@ -93,7 +93,7 @@ constexpr AtomicFile::Options kFast{.overwrite = true, .sync = false};
 
 }  // namespace
 
-TEST_CASE("a file on disk, one in memory and the one that encode gives have the same bytes") {
+TEST_CASE("a file on disk, one in memory and encode()'s have the same bytes") {
   struct Case {
     Profile profile;
     std::uint64_t n;
@@ -110,8 +110,8 @@ TEST_CASE("a file on disk, one in memory and the one that encode gives have the 
       {Profile::packed, 0, 3},
       {Profile::packed, 1, 0},
       {Profile::packed, 40000, 3, 32, true, true},
-      {Profile::packed, 40000, 1, 65536, false, false},  // tables that coding makes no smaller
-      {Profile::packed, 150000, 0},                      // sections that do not move in one piece
+      {Profile::packed, 40000, 1, 65536, false, false},  // tables that coding does not shrink
+      {Profile::packed, 150000, 0},                      // sections that are not moved in one piece
       {Profile::archive, 0, 2},
       {Profile::archive, 40000, 1, 256, true, true},
   };
@@ -138,8 +138,7 @@ TEST_CASE("a file on disk, one in memory and the one that encode gives have the 
     REQUIRE(view);
     CHECK(validate(*view));
 
-    std::vector<std::byte> memory(expected->size() + 5000,
-                                  std::byte{0xA5});  // what is there before does not shine through
+    std::vector<std::byte> memory(expected->size() + 5000, std::byte{0xA5});  // old contents do not shine through
     const auto in_memory = write(memory, cloud, options);
     REQUIRE(in_memory);
     CHECK((memory == *expected));
@@ -153,7 +152,7 @@ TEST_CASE("a file on disk, one in memory and the one that encode gives have the 
     REQUIRE(mapped);
     CHECK(std::ranges::equal(mapped->bytes(), *expected));
 
-    // What finish() returns is what a reader sees.
+    // finish() returns what a reader sees.
     CHECK(on_disk->header.file_bytes == expected->size());
     CHECK(on_disk->header.version_minor == view->header().version_minor);
     CHECK(on_disk->declarations.full.max == view->declarations().full.max);
@@ -166,7 +165,7 @@ TEST_CASE("a file on disk, one in memory and the one that encode gives have the 
   }
 }
 
-TEST_CASE("a source that changes between the passes is a reported error, whatever the change") {
+TEST_CASE("a source that changes between the passes causes an error, whatever the change") {
   SplitMix random{3};
   const SplatCloud cloud = plausible_cloud(5000, 2, random);
   constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -204,7 +203,7 @@ TEST_CASE("a source that changes between the passes is a reported error, whateve
   }
 }
 
-TEST_CASE("a sink that fails at any point is a reported error and leaves the old output") {
+TEST_CASE("a sink that fails at any point causes an error and keeps the old output") {
   SplitMix random{212};
   const SplatCloud cloud = plausible_cloud(60000, 1, random);  // direct: 60000 * 40 bytes
   const TemporaryFolder folder;
@@ -218,7 +217,7 @@ TEST_CASE("a sink that fails at any point is a reported error and leaves the old
   enum class Step { create, add, finish };
   struct Case {
     Profile profile;
-    Step step;  // in which it fails
+    Step step;  // that fails
     std::uint64_t limit;
   };
   const Case cases[] = {
@@ -258,7 +257,7 @@ TEST_CASE("a sink that fails at any point is a reported error and leaves the old
     }
     if (!added) {
       check(added.error(), Step::add);
-      if (c.profile == Profile::direct && c.limit == 2'000'000) CHECK(n_added > 1);  // in the middle indeed
+      if (c.profile == Profile::direct && c.limit == 2'000'000) CHECK(n_added > 1);  // not the first batch
       continue;
     }
     limit.emplace(c.limit);

@@ -1,4 +1,4 @@
-// beginning_test.cpp - files with levels that are opened before their table of pages is there as a whole.
+// beginning_test.cpp - opening files with levels before their whole table of pages has arrived.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -20,8 +20,7 @@ using namespace rgs::test;
 
 namespace {
 
-// What was read of a file: each range in memory of its own and of its exact size, so that ASan sees what reads beyond it, and
-// what uses it once it is gone.
+// The parts read of a file, each in its own exact-size memory, so that ASan detects overreads and use after free.
 class Fetched {
  public:
   explicit Fetched(std::span<const std::byte> file) : file_(file) {}
@@ -41,7 +40,7 @@ class Fetched {
   std::vector<std::pair<std::uint64_t, Bytes>> pieces_;
 };
 
-// As a streaming reader opens a file of which it has read the first bytes.
+// Opens a file as a streaming reader does that has read the first bytes.
 Result<PagedFile> open_from(std::span<const std::byte> file, std::uint64_t first_bytes, std::size_t* n_more = nullptr) {
   Fetched fetched(file);
   fetched.read({0, first_bytes});
@@ -93,7 +92,7 @@ void check_same_page(const PagedFile& a, const PagedFile& b, std::uint32_t i) {
   CHECK(s.corner == t.corner);
 }
 
-// What is known of a beginning is what the whole says, and can be drawn.
+// A prefix declares what the whole file does, and can be drawn.
 void check_prefix(const PagedFile& beginning, const PagedFile& whole) {
   const std::uint32_t n = beginning.n_pages();
   REQUIRE(n >= 1);
@@ -129,7 +128,7 @@ void fix_head_hash(Bytes& bytes) {
   put(std::span(bytes), end, xxh3(std::span<const std::byte>(bytes).first(end)));
 }
 
-// Pages of one chunk of 32, many of them.
+// Many pages of one chunk of 32.
 Bytes many_pages(std::uint64_t n) {
   SplitMix random(71);
   const SplatCloud cloud = random_cloud(n, 0, random);
@@ -144,9 +143,7 @@ Bytes many_pages(std::uint64_t n) {
 
 }  // namespace
 
-TEST_CASE(
-    "from its first bytes on, however many, a file opens to the pages whose records are there, and extends to the "
-    "whole") {
+TEST_CASE("a file opens from any prefix to the pages whose records are complete, and extends to the whole") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     CAPTURE(scene.name);
     const Bytes bytes = encode_levels(scene);
@@ -170,7 +167,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("a table that comes in pieces of any size is that of the whole") {
+TEST_CASE("a table that arrives in pieces of any size equals the whole one") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     CAPTURE(scene.name);
     const Bytes bytes = encode_levels(scene);
@@ -198,12 +195,12 @@ TEST_CASE("a table that comes in pieces of any size is that of the whole") {
       CHECK(file->n_within(bytes.size()) == file->n_pages());
       CHECK(file->n_within(file->stored(0).offset + file->stored(0).stored_bytes) == 1);
       CHECK(file->n_within(file->stored(0).offset) == 0);
-      CHECK(extend(*file, bytes, 0, bytes.size()));  // nothing more is asked of it
+      CHECK(extend(*file, bytes, 0, bytes.size()));  // it requests nothing more
     }
   }
 }
 
-TEST_CASE("pages of a beginning decode from ranges of the file alone") {
+TEST_CASE("pages of a prefix decode from ranges of the file alone") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     CAPTURE(scene.name);
     const Bytes bytes = encode_levels(scene);
@@ -233,7 +230,7 @@ TEST_CASE("pages of a beginning decode from ranges of the file alone") {
       CHECK(read_page(*file, i, *rows, 0, splats));
       CHECK(file->rows(i, out).means.size() == rows->means.size());
     }
-    // Of what is not in memory nothing is present.
+    // Nothing is present that is not in memory.
     CHECK(validate(*file));
     const std::uint32_t root = 0;
     CHECK(read_pages(*file, {&root, 1}).error().code == Errc::pages_missing);
@@ -272,7 +269,7 @@ TEST_CASE("sections before the pages may be in any order") {
   }
 }
 
-TEST_CASE("a changed byte of the table is found at the latest when all of it is there") {
+TEST_CASE("a changed byte of the table is found at the latest when the table is complete") {
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
     const GoldenLevels scene = golden_levels("", profile, 300, 0, 73);
     const Bytes sound = encode_levels(scene);
@@ -303,7 +300,7 @@ TEST_CASE("a changed byte of the table is found at the latest when all of it is 
       REQUIRE(error);
       CHECK_FALSE(file->is_verified());
       CHECK(error->offset <= sound.size());
-      // For good: not even the right bytes make it sound again.
+      // Forever: even the right bytes do not repair it.
       const Status again = extend(*file, sound, 0, end);
       REQUIRE_FALSE(again);
       CHECK(again.error().code == error->code);
@@ -312,7 +309,7 @@ TEST_CASE("a changed byte of the table is found at the latest when all of it is 
     CHECK(n_at_once > 100);
     CHECK(n_early > 100);
     CHECK(n_late > 100);
-    // The hash alone.
+    // Only the hash.
     Bytes bytes = sound;
     const std::uint64_t hash = entry_of(bytes, "LODS") + 40;
     put(std::span(bytes), hash, get<std::uint64_t>(bytes, hash) ^ 1);
@@ -328,7 +325,7 @@ TEST_CASE("a changed byte of the table is found at the latest when all of it is 
   }
 }
 
-TEST_CASE("what a table says wrongly is found whichever way it is read, though its hash is right") {
+TEST_CASE("errors in a table with a valid hash are found however it is read") {
   const GoldenLevels scene = golden_levels("", Profile::packed, 700, 0, 74);
   const Bytes sound = encode_levels(scene);
   const std::uint64_t levels = section_of(sound, "LODS"), end = table_end(sound);
@@ -360,8 +357,8 @@ TEST_CASE("what a table says wrongly is found whichever way it is read, though i
   CHECK(n_right > 100);
 }
 
-TEST_CASE("children that are not known yet are claimed by one page only") {
-  // The first of two inner pages claims what is beyond the cut and belongs to the other.
+TEST_CASE("one page only may claim children that are not known yet") {
+  // The first of two inner pages claims children beyond the prefix that belong to the other.
   const GoldenLevels scene = golden_levels("", Profile::direct, 1200, 0, 75, 1);
   const Bytes sound = encode_levels(scene);
   const auto whole = PagedFile::open(sound);
@@ -378,7 +375,7 @@ TEST_CASE("children that are not known yet are claimed by one page only") {
   CHECK(file.error().offset == record + 28);
 }
 
-TEST_CASE("a beginning that is none says so") {
+TEST_CASE("an invalid prefix is refused") {
   const GoldenLevels scene = golden_levels("", Profile::archive, 300, 1, 76);
   const Bytes bytes = encode_levels(scene);
   const std::uint64_t levels = section_of(bytes, "LODS");
@@ -403,7 +400,7 @@ TEST_CASE("a beginning that is none says so") {
   REQUIRE_FALSE(gap);
   CHECK(gap.error().code == Errc::bad_argument);
   CHECK(gap.error().offset == next);
-  CHECK(extend(*file, bytes, next, table_end(bytes)));  // that was the caller's mistake, not the file's
+  CHECK(extend(*file, bytes, next, table_end(bytes)));  // the caller's mistake, not the file's
 
   const Bytes plain = encode(scene.leaves.view(), scene.options).value();
   for (const std::uint64_t n : {std::uint64_t{1000}, std::uint64_t{plain.size()}}) {
@@ -423,10 +420,10 @@ TEST_CASE("a beginning that is none says so") {
   CHECK(open_from(damaged, 600).error().code == Errc::checksum_mismatch);
 }
 
-TEST_CASE("a file that claims much takes memory only for what has come") {
+TEST_CASE("a file that declares much takes memory only for what has arrived") {
   const GoldenLevels scene = golden_levels("", Profile::packed, 300, 1, 77);
   Bytes bytes = encode_levels(scene);
-  // 2^32 - 2 pages in a table of 480 GB; what is behind it moves along.
+  // 2^32 - 2 pages in a table of 480 GB; the sections behind it move along.
   const std::uint64_t n_pages = 0xFFFFFFFE, levels = entry_of(bytes, "LODS"), at = section_of(bytes, "LODS");
   const std::uint64_t table_bytes = 64 + 112 * n_pages;
   const auto old_first = section_of(bytes, "PAGE");
@@ -453,7 +450,7 @@ TEST_CASE("a file that claims much takes memory only for what has come") {
   CHECK(file->memory_bytes() < 10'000);
   CHECK(file->whole_memory_bytes() > 120 * (n_pages - 2));
 
-  // An ARCH that nobody would want to fetch.
+  // An ARCH too large to fetch.
   const GoldenLevels archive = golden_levels("", Profile::archive, 300, 1, 78);
   bytes = encode_levels(archive);
   const std::uint64_t entry = entry_of(bytes, "ARCH");
@@ -470,7 +467,7 @@ TEST_CASE("a file that claims much takes memory only for what has come") {
   CHECK(refused.error().code == Errc::limit_exceeded);
 }
 
-TEST_CASE("limits hold for a beginning") {
+TEST_CASE("limits hold for a prefix") {
   const GoldenLevels scene = golden_levels("", Profile::packed, 300, 1, 79);
   const Bytes bytes = encode_levels(scene);
   const FilePart part{0, std::span(bytes).first(section_of(bytes, "LODS") + 64 + 112)};
@@ -490,7 +487,7 @@ TEST_CASE("limits hold for a beginning") {
   CHECK(PagedFile::needs({&part, 1}, limits).error().code == Errc::limit_exceeded);
 }
 
-TEST_CASE("a page takes 120 bytes of memory, and never more than twice that while pages come") {
+TEST_CASE("a page takes 120 bytes of memory, and never more than twice that while pages arrive") {
   CHECK(sizeof(lod::Page) + sizeof(StoredPage) == 120);
   const Bytes bytes = many_pages(20'000);
   const std::uint64_t end = table_end(bytes);
@@ -527,7 +524,7 @@ TEST_CASE("growth: reading a table in pieces is linear in its size") {
   CHECK(growth(300, prepare, work) < kLinearGrowth);
 }
 
-TEST_CASE("seeds of fuzzing are sound files: what does not open leads nowhere") {
+TEST_CASE("fuzzing seeds are valid files: others would stop at the first check") {
   std::size_t n_levels = 0;
   for (const auto& entry : std::filesystem::directory_iterator(RGS_SOURCE_DIR "/tests/fuzz/corpus/reader")) {
     CAPTURE(entry.path().string());

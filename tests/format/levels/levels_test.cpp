@@ -1,4 +1,4 @@
-// levels_test.cpp - files with levels of detail: written, read a page at a time, cut, incomplete and damaged.
+// levels_test.cpp - files with levels of detail: written, read page by page, cut, incomplete and damaged.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -45,7 +45,7 @@ SplatView part(const SplatView& all, std::uint64_t first, std::uint64_t n) {
           all.sh.subspan(values * first, values * n)};
 }
 
-// Every leaf has exactly one page of the cut on its way to the root.
+// Every leaf has exactly one page of the cut among itself and its ancestors.
 void check_replaces_leaves(const std::vector<lod::Page>& pages, const std::vector<std::uint32_t>& cut) {
   const std::set<std::uint32_t> drawn(cut.begin(), cut.end());
   REQUIRE(drawn.size() == cut.size());
@@ -65,7 +65,7 @@ std::uint64_t count_of(const std::vector<lod::Page>& pages, const std::vector<st
 
 }  // namespace
 
-TEST_CASE("leaves of a file with levels are the file without, byte for byte") {
+TEST_CASE("leaves of a file with levels equal the file without, byte for byte") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     if (scene.options.profile == Profile::archive || !scene.options.chunk_step_sets) continue;
     CAPTURE(scene.name);
@@ -99,7 +99,7 @@ TEST_CASE("leaves that share one set of steps decode to the values of the file w
   CHECK(levels->log_scale == plain->log_scale);
 }
 
-TEST_CASE("every page holds the Gaussians that it was written from, as finely as they are stored") {
+TEST_CASE("every page holds the Gaussians that it was written from, to the format's precision") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     if (scene.options.profile == Profile::archive) continue;
     CAPTURE(scene.name);
@@ -125,7 +125,7 @@ TEST_CASE("every page holds the Gaussians that it was written from, as finely as
           CHECK(std::abs(splats[k].mean[j] - source.mean[j]) <= page.error / 512);
           CHECK(std::abs(splats[k].log_scale[j] - source.log_scale[j]) <= 0x1p-10);
         }
-        // Golden values are at most 2, so that a step is at most 2 / 127.
+        // Golden values are at most 2, so a step is at most 2 / 127.
         for (int j = 0; j < 3 * sh_coefficients(scene.leaves.sh_degree); ++j) {
           CHECK(std::abs(splats[k].sh[j] - source.sh[j]) <= 1.0001f / 127);
         }
@@ -134,7 +134,7 @@ TEST_CASE("every page holds the Gaussians that it was written from, as finely as
   }
 }
 
-TEST_CASE("pages of an archive keep the bounds that it states, on all levels") {
+TEST_CASE("pages of an archive keep its stated bounds on all levels") {
   const GoldenLevels scene = golden_levels("", Profile::archive, 700, 3, 41, 3);
   const Bytes bytes = encode_levels(scene);
   const auto file = PagedFile::open(bytes);
@@ -146,7 +146,7 @@ TEST_CASE("pages of an archive keep the bounds that it states, on all levels") {
   for (std::uint32_t i = 0; i < file->n_pages(); ++i) {
     const lod::Page& page = file->pages()[i];
     const std::vector<Splat> splats = splats_of(*file, i);
-    // Draco orders within a page: each decoded mean is found among the sources by the grid.
+    // Draco reorders a page: each decoded mean is found among the sources by the grid.
     std::multiset<std::array<float, 3>> expected, found;
     for (std::uint64_t k = page.first; k < page.first + page.count; ++k) {
       expected.insert(archive_mean(p, scene.levels.splats.view().splat(k).mean));
@@ -154,7 +154,7 @@ TEST_CASE("pages of an archive keep the bounds that it states, on all levels") {
     for (const Splat& s : splats) found.insert({s.mean[0], s.mean[1], s.mean[2]});
     CHECK(found == expected);
   }
-  // Positions are those of the leaves.
+  // Positions refer to the leaves.
   const SplatView leaves = scene.leaves.view();
   const std::vector<std::uint32_t> pages = lod::pages_of_level(file->pages(), 0);
   const auto cloud = read_pages(*file, pages);
@@ -166,7 +166,7 @@ TEST_CASE("pages of an archive keep the bounds that it states, on all levels") {
   }
 }
 
-TEST_CASE("the bytes do not depend on threads") {
+TEST_CASE("the bytes do not depend on the number of threads") {
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
     GoldenLevels scene = golden_levels("", profile, 3000, 2, 42);
     Bytes one, two;
@@ -178,7 +178,7 @@ TEST_CASE("the bytes do not depend on threads") {
   }
 }
 
-TEST_CASE("pages that were encoded elsewhere, in any order, make the same file, and damaged ones none") {
+TEST_CASE("pages encoded elsewhere, in any order, make the same file, and damaged ones make none") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     CAPTURE(scene.name);
     SceneScan scan(scene.leaves.sh_degree, BadPolicy::refuse);
@@ -214,7 +214,7 @@ TEST_CASE("pages that were encoded elsewhere, in any order, make the same file, 
     REQUIRE(again->finish());
     CHECK(bytes == encode_levels(scene));
 
-    // Each byte of a record is looked at, and each beginning.
+    // Every byte of a record is checked, and every prefix.
     const auto added = [&](const Bytes& record) {
       Bytes nothing;
       auto other = LevelsWriter::create(nothing, scan, scene.options, pages, scene.levels.quality_db);
@@ -231,11 +231,11 @@ TEST_CASE("pages that were encoded elsewhere, in any order, make the same file, 
           added(Bytes(records[0].begin(), records[0].begin() + static_cast<std::ptrdiff_t>(n))).error().code;
       REQUIRE((code == Errc::truncated || code == Errc::checksum_mismatch));
     }
-    if (pages.size() > 1) CHECK(added(records.back()).error().code == Errc::bad_argument);  // another page
+    if (pages.size() > 1) CHECK(added(records.back()).error().code == Errc::bad_argument);  // the wrong page
   }
 }
 
-TEST_CASE("whatever is sound can be written with levels, and is valid") {
+TEST_CASE("every valid scene can be written with levels, and the file is valid") {
   for (std::uint64_t seed = 0; seed < 60; ++seed) {
     CAPTURE(seed);
     SplitMix random(seed);
@@ -249,7 +249,7 @@ TEST_CASE("whatever is sound can be written with levels, and is valid") {
       options.chunk_step_sets = profile == Profile::archive || seed % 2 == 0;
       Bytes bytes;
       const auto written = write_levels(levels, options, bytes);
-      if (!written) {  // values that archive has no codes for
+      if (!written) {  // values without archive codes
         CHECK(profile == Profile::archive);
         CHECK(written.error().code == Errc::bad_value);
         continue;
@@ -263,7 +263,7 @@ TEST_CASE("whatever is sound can be written with levels, and is valid") {
 }
 
 TEST_CASE("pages cost little more than a file of the same Gaussians") {
-  // Noise compresses to nothing that pages could lose: what is left is what a page costs by itself.
+  // Noise does not compress, so paging loses no compression: the rest is the cost of pages.
   const SplatCloud cloud = golden_cloud(40000, 3, 5);
   const lod::Levels tree = trivial_levels(cloud, {.page_chunks = 12});
   const double share = static_cast<double>(tree.splats.size()) / static_cast<double>(cloud.size());
@@ -281,7 +281,7 @@ TEST_CASE("pages cost little more than a file of the same Gaussians") {
   }
 }
 
-TEST_CASE("every beginning of a file that holds its root is a scene, and says what is missing") {
+TEST_CASE("every prefix that holds the root is a scene and says what is missing") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     CAPTURE(scene.name);
     const Bytes whole = encode_levels(scene);
@@ -322,7 +322,7 @@ TEST_CASE("every beginning of a file that holds its root is a scene, and says wh
       }
       const auto leaves = leaves_as_file(*file);
       if (n == file->n_pages()) {
-        // What is behind the pages counts as absent.
+        // Sections behind the pages count as absent.
         REQUIRE(leaves);
         CHECK(FileView::open(*leaves)->find(SectionType::permutation) == nullptr);
         CHECK(decode(*leaves)->size() == scene.leaves.size());
@@ -345,7 +345,7 @@ TEST_CASE("every single-byte change of a file with levels is an error or a valid
     std::size_t n_errors = 0, n_valid = 0;
     for (std::size_t i = 0; i < sound.size(); ++i) {
       for (const unsigned flip : {1u, 0x80u}) {
-        // Of a page's bytes the highest bit changes and the lowest, in turn; of all others both do.
+        // A page's bytes change in the highest and lowest bit in turn; all others change in both.
         if (i >= pages && i < pages_end && (i % 2 == 0) == (flip == 1)) continue;
         Bytes bytes = sound;
         bytes[i] ^= static_cast<std::byte>(flip);
@@ -366,10 +366,10 @@ TEST_CASE("every single-byte change of a file with levels is an error or a valid
   }
 }
 
-TEST_CASE("a page is decoded from bytes that come from anywhere, and from no others") {
+TEST_CASE("a page decodes from its bytes, wherever they come from, and from no others") {
   const GoldenLevels scene = golden_levels("", Profile::packed, 300, 1, 44);
   const Bytes bytes = encode_levels(scene);
-  // A client that has fetched the head alone.
+  // A client that has fetched the head only.
   const Bytes head(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(section_of(bytes, "PAGE")));
   const auto file = PagedFile::open(head);
   REQUIRE(file);
@@ -396,10 +396,10 @@ TEST_CASE("a page is decoded from bytes that come from anywhere, and from no oth
   CHECK(refused.error().offset == file->stored(1).offset);
 }
 
-TEST_CASE("boxes of pages hold what is stored below them, whatever the tree said") {
+TEST_CASE("boxes of pages hold everything stored below, whatever the tree says") {
   for (const Profile profile : {Profile::direct, Profile::archive}) {
     GoldenLevels scene = golden_levels("", profile, 300, 1, 45);
-    const Bytes bytes = encode_levels(scene);  // whose boxes hold means alone
+    const Bytes bytes = encode_levels(scene);  // with boxes of means only
     const auto file = PagedFile::open(bytes);
     REQUIRE(file);
     REQUIRE(validate(*file));
@@ -421,10 +421,10 @@ TEST_CASE("boxes of pages hold what is stored below them, whatever the tree said
   }
 }
 
-TEST_CASE("cuts replace every leaf once, and the finest is the finest") {
+TEST_CASE("cuts replace every leaf once, and the finest affordable one is chosen") {
   const SplatCloud cloud = golden_cloud(5000, 0, 6);
   lod::Levels levels = trivial_levels(cloud, {.chunk_size = 32, .page_chunks = 2});
-  // Errors that differ from page to page, so that cuts run through the levels.
+  // Errors differ from page to page, so that cuts run through the levels.
   SplitMix random(7);
   for (std::size_t i = levels.pages.size(); i-- > 1;) {
     lod::Page& parent = levels.pages[levels.pages[i].parent];
@@ -441,7 +441,7 @@ TEST_CASE("cuts replace every leaf once, and the finest is the finest") {
     const std::vector<std::uint32_t> cut = lod::finest_cut(levels.pages, max);
     check_replaces_leaves(levels.pages, cut);
     CHECK(count_of(levels.pages, cut) <= max);
-    // Of all thresholds of error: none below gives a cut that fits.
+    // No lower error threshold gives a cut that fits.
     float largest = 0;
     for (const std::uint32_t i : cut) largest = std::max(largest, levels.pages[i].error);
     for (const lod::Page& p : levels.pages) {
@@ -454,7 +454,7 @@ TEST_CASE("cuts replace every leaf once, and the finest is the finest") {
       }
       CHECK(count_of(levels.pages, finer) > max);
     }
-    // In the order of the leaves.
+    // In leaf order.
     std::uint64_t leaf = 0;
     for (const std::uint32_t i : cut) {
       std::uint32_t first = i;
@@ -469,10 +469,10 @@ TEST_CASE("cuts replace every leaf once, and the finest is the finest") {
   CHECK(first_two.size() == levels.pages[0].n_children);
 }
 
-TEST_CASE("a view's cut is measured to the cores, and replaces every leaf once from wherever it is seen") {
+TEST_CASE("a view's cut is measured to the cores and replaces every leaf once from every camera") {
   lod::Levels levels = trivial_levels(golden_cloud(5000, 0, 8), {.chunk_size = 32, .page_chunks = 2});
   SplitMix random(9);
-  // Boxes that one Gaussian each makes larger than the scene say nothing of where pages are.
+  // Boxes that a single Gaussian makes larger than the scene do not locate pages.
   for (lod::Page& page : levels.pages) {
     for (std::size_t k = 0; k < 3; ++k) page.bounds.min[k] -= 1000, page.bounds.max[k] += 1000;
   }
@@ -498,7 +498,7 @@ TEST_CASE("a view's cut is measured to the cores, and replaces every leaf once f
   CHECK(sizes.size() > 5);
 }
 
-TEST_CASE("the writer refuses what is no tree, and pages that are not the next") {
+TEST_CASE("the writer refuses an invalid tree and pages out of order") {
   const GoldenLevels scene = golden_levels("", Profile::direct, 300, 1, 46);
   const auto refused = [&](auto change, const EncodeOptions& options) {
     lod::Levels levels = scene.levels;
@@ -568,11 +568,11 @@ TEST_CASE("the writer refuses what is no tree, and pages that are not the next")
       REQUIRE(encoder.encode(i, part(moved.view(), scene.levels.pages[i].first, scene.levels.pages[i].count)));
       REQUIRE(writer->add(encoder));
     }
-    CHECK(writer->finish().error().code == Errc::read_failed);  // not the leaves that were scanned
+    CHECK(writer->finish().error().code == Errc::read_failed);  // not the scanned leaves
   }
 }
 
-TEST_CASE("limits count the Gaussians of all levels, and what pages decode to") {
+TEST_CASE("limits count the Gaussians of all levels and the decoded bytes of pages") {
   const GoldenLevels scene = golden_levels("", Profile::packed, 300, 1, 47);
   const Bytes bytes = encode_levels(scene);
   DecodeLimits limits;
@@ -588,7 +588,7 @@ TEST_CASE("limits count the Gaussians of all levels, and what pages decode to") 
   CHECK(refused.error().offset == entry_of(bytes, "PAGE") + 32);
 }
 
-TEST_CASE("readers of one kind of file say what the other is") {
+TEST_CASE("readers of one kind of file name the other") {
   const GoldenLevels scene = golden_levels("", Profile::direct, 100, 1, 48);
   const Bytes levels = encode_levels(scene), plain = encode(scene.leaves.view(), scene.options).value();
   CHECK(has_levels(levels));
@@ -604,7 +604,7 @@ TEST_CASE("readers of one kind of file say what the other is") {
   CHECK(file.error().code == Errc::missing_section);
 }
 
-TEST_CASE("of a beginning limits count the bytes that are there, not those that its head states") {
+TEST_CASE("limits count the bytes present of a prefix, not those that its head declares") {
   SplatCloud equal;
   equal.resize(30'000, 3);
   SplitMix random(61);
@@ -630,7 +630,7 @@ TEST_CASE("of a beginning limits count the bytes that are there, not those that 
   CHECK(refused.error().offset == entry_of(bytes, "PAGE") + 32);
 }
 
-TEST_CASE("positions and pages are held to the hashes of their sections by whoever reads the leaves") {
+TEST_CASE("every reader of the leaves checks the hashes of their sections") {
   GoldenLevels scene = golden_levels("", Profile::packed, 300, 1, 62);
   scene.options.keep_permutation = true;
   scene.options.source_index = {};
@@ -648,7 +648,7 @@ TEST_CASE("positions and pages are held to the hashes of their sections by whoev
     REQUIRE_FALSE(status);
     CHECK(status.error().code == Errc::checksum_mismatch);
     CHECK(status.error().offset == section_of(bytes, type));
-    if (type == std::string_view("PAGE")) continue;  // each page has been held to its own
+    if (type == std::string_view("PAGE")) continue;  // each page was checked against its own
     const auto leaves = leaves_as_file(*file);
     REQUIRE_FALSE(leaves);
     CHECK(leaves.error().code == Errc::checksum_mismatch);

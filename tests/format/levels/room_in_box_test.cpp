@@ -1,4 +1,4 @@
-// room_in_box_test.cpp - the quick answer to whether a page's box holds a Gaussian, beside the extent that it stands for.
+// room_in_box_test.cpp - the quick test of whether a page's box holds a Gaussian, against the exact extent.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -31,7 +31,7 @@ struct Row {
 
 class Rows {
  public:
-  /// Turned at random, or about one axis; with scales alike, or as far apart as FP16 has them.
+  /// Rotated at random or about one axis; scales alike, or as far apart as FP16 allows.
   Row next() {
     Row row;
     for (float& x : row.mean) x = static_cast<float>(uniform(-100, 100));
@@ -60,7 +60,7 @@ bool holds(const Box& box, const Extent& e) {
   return true;
 }
 
-/// What is said of up to 64 Gaussians side by side: bit i. Their rows lie at odd addresses, and nothing after them.
+/// The answers for up to 64 Gaussians together: bit i. Their rows lie at odd addresses without slack behind them.
 std::uint64_t enough_together(const RoomInBox& room, std::span<const Row> rows) {
   std::vector<std::byte> means(1), geometry(1);
   for (const Row& row : rows) {
@@ -73,7 +73,7 @@ std::uint64_t enough_together(const RoomInBox& room, std::span<const Row> rows) 
   return ~left & ~std::uint64_t{0} >> (64 - rows.size());
 }
 
-/// Of `share` of the extent, each side moved at random by up to `jitter` of it.
+/// `share` times the extent, each side moved at random by up to `jitter` of it.
 Box box_of(const Extent& e, double share, double jitter, Rows& rows) {
   Box box;
   for (std::size_t k = 0; k < 3; ++k) {
@@ -85,7 +85,7 @@ Box box_of(const Extent& e, double share, double jitter, Rows& rows) {
 
 }  // namespace
 
-TEST_CASE("a Gaussian that a box is quickly said to hold is held by its extent's measure, also at the edge") {
+TEST_CASE("a Gaussian that passes the quick test is inside by its exact extent, also at the edge") {
   Rows rows;
   int n_yes = 0, n_no = 0, n_left = 0;
   for (int i = 0; i < 400000; ++i) {
@@ -106,9 +106,7 @@ TEST_CASE("a Gaussian that a box is quickly said to hold is held by its extent's
   CHECK(n_left > 10000);
 }
 
-TEST_CASE(
-    "Gaussians that a box is said to hold, many at a time, are held by their extents' measure, by every instruction "
-    "set") {
+TEST_CASE("Gaussians that pass the quick test together are inside by their exact extents, for every instruction set") {
   bool has_vectors = false;
   with_each_instruction_set([&has_vectors] {
     Rows rows;
@@ -117,7 +115,7 @@ TEST_CASE(
       const int exponent = turn % 7 * 4 - 12;
       std::vector<Row> group(1 + static_cast<std::size_t>(turn) % 64);
       for (Row& row : group) row = rows.next();
-      // Means alike, so that many are at the edge of a box that is made for one.
+      // Equal means, so that many are at the edge of a box made for one.
       for (Row& row : group) row.mean = group.front().mean;
       for (std::size_t own = 0; own < group.size(); own += 3) {
         const Extent e = extent_of(group[own].mean_bytes(), group[own].geometry_bytes(), exponent);
@@ -140,7 +138,7 @@ TEST_CASE(
     }
     CHECK(n_no > 100000);
     CHECK(n_single > 100000);
-    if (n_yes == 0) return;  // no vectors: each is left to the other measure
+    if (n_yes == 0) return;  // no vectors: the exact test decides each
     CHECK(n_yes > 0.9 * n_single);
     CHECK(n_left > 1000);
     has_vectors = true;
@@ -150,7 +148,7 @@ TEST_CASE(
 #endif
 }
 
-TEST_CASE("boxes that are as large as the extent, and rounded outwards, are said to hold it without it") {
+TEST_CASE("boxes as large as the extent, rounded outwards, pass without the exact test") {
   Rows rows;
   int n_left = 0;
   for (int i = 0; i < 20000; ++i) {
@@ -166,7 +164,7 @@ TEST_CASE("boxes that are as large as the extent, and rounded outwards, are said
   CHECK(n_left == 0);
 }
 
-TEST_CASE("such boxes are said to hold it by vectors, too, where its scales are alike") {
+TEST_CASE("such boxes pass by vectors, too, where the scales are alike") {
   bool has_vectors = false;
   with_each_instruction_set([&has_vectors] {
     Rows rows;
@@ -193,13 +191,12 @@ TEST_CASE("such boxes are said to hold it by vectors, too, where its scales are 
 #endif
 }
 
-TEST_CASE(
-    "a Gaussian so thin from one side that rounding is much of its extent there is not said to be held too early") {
+TEST_CASE("a Gaussian seen so edge-on that rounding dominates its extent does not pass too early") {
   with_each_instruction_set([] {
     Rows rows;
     int n_no = 0, n_yes = 0, n_single = 0;
     for (int i = 0; i < 20000; ++i) {
-      // Along x, turned by 90 degrees and a little: what it reaches in x is a difference of numbers that are nearly alike.
+      // Along x, rotated by slightly more than 90 degrees: its extent in x is a difference of nearly equal numbers.
       std::vector<Row> group(16, rows.next());
       const double half = std::sqrt(0.5), turn = rows.uniform(-0.02, 0.02), tilt = rows.uniform(-0.02, 0.02);
       const double q[4] = {half, turn, tilt, half};
@@ -224,7 +221,7 @@ TEST_CASE(
   });
 }
 
-TEST_CASE("a Gaussian turned by 90 degrees, whose extent is nothing but rounding, is not said to be in a flat box") {
+TEST_CASE("a Gaussian rotated by 90 degrees, whose extent is rounding alone, does not pass for a flat box") {
   with_each_instruction_set([] {
     Rows rows;
     int n_no = 0;
@@ -252,7 +249,7 @@ TEST_CASE("a Gaussian turned by 90 degrees, whose extent is nothing but rounding
   });
 }
 
-TEST_CASE("numbers that leave the range of binary32 are not said to be held unless they are") {
+TEST_CASE("numbers beyond binary32 pass only if they are inside") {
   with_each_instruction_set([] {
     constexpr float kTiny = 0x1p-149F, kHuge = 3.4e38F;
     for (const int exponent : {-110, -40, 0, 40, 110}) {
@@ -275,7 +272,7 @@ TEST_CASE("numbers that leave the range of binary32 are not said to be held unle
   });
 }
 
-TEST_CASE("a Gaussian beside the box is not said to be held, whatever its size") {
+TEST_CASE("a Gaussian beside the box never passes, whatever its size") {
   const Box box{{-1, -1, -1}, {1, 1, 1}};
   for (const std::uint16_t scale : {std::uint16_t{0}, std::uint16_t{1}, std::uint16_t{0x3400}}) {
     for (std::size_t k = 0; k < 3; ++k) {

@@ -1,4 +1,4 @@
-// frame_content_test.cpp - what a device does to a frame's content, done on the host: the bytes of the decoder.
+// frame_content_test.cpp - the device's decoding of a frame's content, run on the host, gives the decoder's bytes.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/frame_content.hpp"
 
@@ -81,7 +81,7 @@ void undo_sh(int degree, std::span<const std::byte> content, std::uint32_t n, st
   }
 }
 
-// All frames of a packed file through the functions that the device calls.
+// All frames of a packed file through the device's functions.
 void check_undone(std::span<const std::byte> file) {
   const auto view = FileView::open(file);
   REQUIRE(view);
@@ -121,7 +121,7 @@ std::vector<std::byte> packed(const SplatCloud& cloud, EncodeOptions options) {
 
 }  // namespace
 
-TEST_CASE("contents of frames become rows by the functions that the device calls") {
+TEST_CASE("the device's functions decode contents of frames to rows") {
   for (const std::uint64_t n : {1u, 63u, 64u, 65u, 255u, 256u, 257u, 1000u, 16384u, 40001u}) {
     for (const int degree : {0, 1, 2, 3}) {
       if (n > 2000 && degree < 3) continue;
@@ -143,7 +143,7 @@ TEST_CASE("contents of frames become rows by the functions that the device calls
   }
 }
 
-TEST_CASE("any content, also one that no writer makes, becomes the same SH on host and device") {
+TEST_CASE("any content, even one that no writer makes, becomes the same SH on host and device") {
   SplitMix random{17};
   detail::ShLanes lanes;
   for (int degree = 0; degree <= kMaxShDegree; ++degree) {
@@ -170,7 +170,7 @@ TEST_CASE("any content, also one that no writer makes, becomes the same SH on ho
   }
 }
 
-TEST_CASE("the w of every kind of quaternion is that of the decoder's vectors") {
+TEST_CASE("w of every kind of quaternion equals that of the decoder's vectors") {
   SplitMix random{23};
   constexpr std::size_t kCount = 1024;
   std::vector<std::uint8_t> planes(6 * kCount);
@@ -193,7 +193,7 @@ TEST_CASE("the w of every kind of quaternion is that of the decoder's vectors") 
   }
 }
 
-TEST_CASE("a frame that is damaged has no content") {
+TEST_CASE("a damaged frame has no content") {
   SplitMix random{29};
   auto file = packed(random_cloud(1000, 2, random), {});
   const auto view = FileView::open(file);
@@ -245,7 +245,7 @@ TEST_CASE("what validate() checks besides the Gaussians is checked without them"
   CHECK(tables.error().code == Errc::checksum_mismatch);
 }
 
-TEST_CASE("words of four SH codes are judged like their codes") {
+TEST_CASE("words of four SH codes are checked like their codes") {
   for (std::uint32_t value = 0; value < 256; ++value) {
     for (int byte = 0; byte < 4; ++byte) {
       const std::uint32_t others = ~(0xFFu << (8 * byte)), word = value << (8 * byte) | (0x01010101u & others);

@@ -1,4 +1,4 @@
-// packed_test.cpp - Profile::packed decodes to the bytes of Profile::direct, as a whole and by chunk.
+// packed_test.cpp - Profile::packed decodes to the bytes of Profile::direct, whole and by chunk.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -38,7 +38,7 @@ void check_same(std::span<const std::byte> a, std::span<const std::byte> b) {
   CHECK(std::ranges::equal(a, b));
 }
 
-// Everything that decoding gives, from both files.
+// All decoded data, from both files.
 void check_equal(const Pair& pair, const LoadOptions& options = {}) {
   const auto a = FileView::open(pair.direct), b = FileView::open(pair.packed);
   REQUIRE(a);
@@ -72,7 +72,7 @@ TEST_CASE("packed files decode to the bytes of direct files") {
   }
 }
 
-TEST_CASE("scenes of equal Gaussians, for which no prediction can be fitted, decode exactly") {
+TEST_CASE("scenes of equal Gaussians, for which no predictor can be fitted, decode exactly") {
   SplitMix random{61};
   for (const int degree : {0, 1, 2, 3}) {
     for (const std::uint64_t n : {64u, 256u, 20000u}) {
@@ -107,7 +107,7 @@ TEST_CASE("packed sections of every size around lanes, chunks and frames decode 
   }
 }
 
-TEST_CASE("a range of chunks is what the whole file has there, and needs its own frames alone") {
+TEST_CASE("a range of chunks equals that part of the whole file and needs only its own frames") {
   SplitMix random{11};
   EncodeOptions options;
   options.chunk_size = 512;
@@ -141,7 +141,7 @@ TEST_CASE("a range of chunks is what the whole file has there, and needs its own
   }
   REQUIRE(n_chunks == 98);
 
-  // A damaged frame fails what it holds, at its own offset, and nothing else.
+  // A damaged frame breaks only its own rows, and the error has its offset.
   const CodedFrame frame = view->frames(SectionType::sh).frames[2];
   pair.packed[frame.offset + frame.stored_bytes / 2] ^= std::byte{1};
   CHECK(read_chunks(*view, 0, 64));
@@ -156,7 +156,7 @@ TEST_CASE("a range of chunks is what the whole file has there, and needs its own
   CHECK(validate(*view).error().offset == view->find(SectionType::sh)->offset);
 }
 
-TEST_CASE("Gaussians read from a coded file are those of the direct one, across frames") {
+TEST_CASE("Gaussians read from a coded file equal those of the direct one, across frames") {
   SplitMix random{12};
   EncodeOptions options;
   options.chunk_size = 4096;
@@ -180,7 +180,7 @@ TEST_CASE("Gaussians read from a coded file are those of the direct one, across 
   }
 }
 
-TEST_CASE("levels decode alike, and none is larger than the first") {
+TEST_CASE("compression levels decode alike, and none is larger than the first") {
   SplitMix random{13};
   const SplatCloud cloud = random_cloud(5000, 3, random);
   EncodeOptions options;
@@ -202,8 +202,8 @@ TEST_CASE("levels decode alike, and none is larger than the first") {
   }
 }
 
-TEST_CASE("prediction makes neighbouring Gaussians small") {
-  // Colours that follow one another and each other: what remains is little more than the noise, 8 levels of 254.
+TEST_CASE("prediction shrinks similar neighbours") {
+  // Colours that follow one another and each other: the residual is little more than the noise, 8 levels of 254.
   SplitMix random{14};
   SplatCloud cloud = random_cloud(16384, 3, random);
   float walk[16] = {};
@@ -223,7 +223,7 @@ TEST_CASE("prediction makes neighbouring Gaussians small") {
         0.8 * static_cast<double>(FileView::open(pair.direct)->stored(SectionType::sh).size()));
 }
 
-TEST_CASE("every instruction set gives the same bits") {
+TEST_CASE("every instruction set writes the same bits") {
   using namespace rgs::detail;
   std::vector<const CodecKernels*> all;
   with_each_instruction_set([&all] {
@@ -281,7 +281,7 @@ TEST_CASE("every instruction set gives the same bits") {
     kernels->store(*o.lanes, 48, 64, o.rows.data(), 48);
     o.few.resize(12 * 7);
     kernels->store(*o.lanes, 12, 7, o.few.data(), 12);
-    // Encoding what the third turn decoded gives its residual back.
+    // Encoding the third turn's output restores its residual.
     auto again = std::make_unique<ShLanes>(*start);
     for (int turn = 0; turn < 2; ++turn) kernels->decode(*again, weights, residual.data(), kShLanes);
     std::memcpy(again->codes, o.lanes->codes, sizeof again->codes);
@@ -306,7 +306,7 @@ TEST_CASE("every instruction set gives the same bits") {
     CHECK(o.same == base.same);
     CHECK(o.lagged == base.lagged);
   }
-  for (std::size_t out = 0; out < 5; ++out) {  // as FORMAT says: sums of products mod 2^32
+  for (std::size_t out = 0; out < 5; ++out) {  // by FORMAT: sums of products mod 2^32
     std::uint32_t sum = 0;
     for (std::size_t k = 0; k < 6; ++k) {
       sum += static_cast<std::uint32_t>(matrix[6 * out + k] * pairs[(k / 2 * kShLanes + 9) * 2 + k % 2]);

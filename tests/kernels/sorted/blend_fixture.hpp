@@ -1,4 +1,4 @@
-// blend_fixture.hpp - the blending kernels on lists given by a test.
+// blend_fixture.hpp - runs the blending kernels on given lists.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -25,11 +25,11 @@ struct DeviceFrame {
   cuda::Counters counters{};
 };
 
-/// Which outputs a launch is given.
+/// Outputs to pass to a launch.
 inline constexpr int kColorAndAlpha = 1 | 2, kAllOutputs = 31;
 
-/// With `details` all outputs and the counters, else those of `wanted`: bit 0 rgb, 1 alpha, 2 depth, 3 evaluated, 4
-/// blended.
+/// With `details` all outputs and the counters, otherwise those of `wanted`: bit 0 rgb, 1 alpha, 2 depth, 3 evaluated,
+/// 4 blended.
 inline DeviceFrame blend_on_device(const BlendInput& input, math::Exponent exponent, math::Exp exp,
                                    int pixels_per_thread, bool details, int wanted = kColorAndAlpha) {
   if (details) wanted = kAllOutputs;
@@ -51,21 +51,21 @@ inline DeviceFrame blend_on_device(const BlendInput& input, math::Exponent expon
           evaluated.download(), blended.download(), counters.download()[0]};
 }
 
-/// A Gaussian on the image as the front ends write it.
+/// A Gaussian on the image in the front ends' form.
 inline cuda::ScreenSplat screen_splat(math::PixelPoint<float> mean, math::Conic<float> conic, float opacity,
                                       math::Vec3<float> color = {1, 1, 1}, float z = 1) {
   const float cutoff = math::power_cutoff(opacity);
   return {mean, conic, opacity, math::kLog2AlphaMin - math::kLog2E * cutoff, z, color, cutoff};
 }
 
-/// Conic of a Gaussian with these standard deviations (px), its major axis turned by `angle` from u to v.
+/// Conic of a Gaussian with these standard deviations (px), its major axis rotated by `angle` from u to v.
 inline math::Conic<float> conic_of(double major, double minor, double angle) {
   const double c = std::cos(angle), s = std::sin(angle), a = 1 / (major * major), b = 1 / (minor * minor);
   return {static_cast<float>(a * c * c + b * s * s), static_cast<float>((a - b) * c * s),
           static_cast<float>(a * s * s + b * c * c)};
 }
 
-/// Splats that every tile of an image lists in the order given.
+/// Splats that every tile of an image lists in the given order.
 class HandMade {
  public:
   HandMade(std::span<const cuda::ScreenSplat> splats, int width, int height)

@@ -1,7 +1,6 @@
 // front_end_test.cpp - attributes to splats and (tile, Gaussian) pairs on the device, against rgs::math on the host.
 // SPDX-License-Identifier: Apache-2.0
-//
-// The front ends are compiled without contraction to FMA, as the host is: all but logarithms must agree to the bit.
+// The front ends are compiled without FMA contraction, like the host: everything except logarithms must match exactly.
 #include "sorted/front_end.hpp"
 
 #include <doctest/doctest.h>
@@ -35,7 +34,7 @@ struct Pair {
   auto operator<=>(const Pair&) const = default;
 };
 
-/// What a front end wrote.
+/// A front end's output.
 struct Output {
   std::vector<ScreenSplat> splats;
   std::vector<Pair> pairs;
@@ -54,8 +53,8 @@ class Stage {
         splats_(n),
         counters_(1) {}
 
-  /// Pairs of a run with room for none of them are counted, then with room for all but one, then for all. Nothing may
-  /// be written beyond the room.
+  /// Counts a run's pairs with room for none, then writes with room for all but one, then for all. Nothing may be
+  /// written beyond the room.
   Output run(FrontEnd how) {
     const std::uint64_t n = launch(how, 0);
     CHECK_MESSAGE(pairs_written(0) == 0, name_of(how));
@@ -112,7 +111,7 @@ class Stage {
   }
   static cuda::Counters download(const DeviceArray<cuda::Counters>& counters) { return counters.download()[0]; }
 
-  // Pairs in the arrays of the last run, whose untouched bytes are all ones; checks the guards too.
+  // Pairs of the last run, whose unwritten bytes are all ones; checks the guards too.
   std::uint64_t pairs_written(std::uint64_t capacity) {
     host_wide_ = wide_.download(), host_thin_ = thin_.download();
     const auto gaussians = gaussians_.download();
@@ -152,14 +151,14 @@ std::vector<std::uint32_t> tiles_of(const math::Projected<float>& p, float cutof
   return tiles;
 }
 
-/// Depth's part of the key; `slack` is what the device's logarithm may change it by.
+/// The key's depth; `slack` bounds the change by the device's logarithm.
 std::uint32_t depth_key(const cuda::ViewParameters& v, float z, std::uint32_t& slack) {
   slack = 0;
   if (!v.key.quantized) return math::depth_bits(z);
   const std::uint32_t bin = math::quantize_depth(v.quantizer, z);
   if (v.quantizer.mapping == DepthMapping::logarithmic) {
     const float log_z = std::log(z);
-    // Two ulp of the logarithm, and the rounding of the difference and of the product, which is FP32 too.
+    // Two ulp of the logarithm, and FP32 rounding of the difference and the product.
     slack =
         1 + (bin >> 22) +
         static_cast<std::uint32_t>(2 * v.quantizer.scale * (std::nextafter(std::abs(log_z), 1e9F) - std::abs(log_z)));
@@ -167,7 +166,7 @@ std::uint32_t depth_key(const cuda::ViewParameters& v, float z, std::uint32_t& s
   return bin;
 }
 
-/// Checks everything that a front end wrote against the host.
+/// Compares a front end's whole output with the host's.
 void check(const Output& out, const SceneView& scene, const cuda::ViewParameters& v, Extent extent, FrontEnd how) {
   std::vector<std::uint8_t> listed(scene.n, 0);
   bool in_range = true;
@@ -185,7 +184,7 @@ void check(const Output& out, const SceneView& scene, const cuda::ViewParameters
   for (std::uint64_t i = 0; i < scene.n; ++i) {
     const ScreenSplat& s = out.splats[i];
     if (listed[i] == 0) {
-      // A cutoff one rounding larger may leave no tile; the host must agree that it is that close.
+      // A cutoff one rounding larger may leave no tile; the host must confirm that it is so close.
       const auto p = project(scene, i, v);
       if (!untouched(s)) ++n_touched;
       if (!p.footprint.valid) continue;
@@ -207,7 +206,7 @@ void check(const Output& out, const SceneView& scene, const cuda::ViewParameters
   CHECK_MESSAGE(n_missing == 0, n_missing, " Gaussians that the host lists have no pair, the first is ", first_missing);
   CHECK_MESSAGE(n_touched == 0, n_touched, " splats of Gaussians without a pair were written");
 
-  // The host's pairs are in the order of the Gaussians and their tiles, as a deterministic front end's are.
+  // The host's pairs are ordered by Gaussian and tile, like a deterministic front end's.
   std::vector<Pair> pairs = out.pairs;
   const bool logarithmic = v.key.quantized && v.quantizer.mapping == DepthMapping::logarithmic;
   if (how == FrontEnd::atomic) {
@@ -233,7 +232,7 @@ void check(const Output& out, const SceneView& scene, const cuda::ViewParameters
   }
 }
 
-/// All front ends on one set of attributes.
+/// Runs all front ends on one set of attributes.
 void check_all(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera,
                const Arithmetic& options) {
   const auto v = view_parameters(camera, options, scene.sh_degree);
@@ -251,7 +250,7 @@ void check_all(const cuda::Attributes& attributes, const SceneView& scene, const
   }
 }
 
-/// Keys of 32 bits, of 64, and with one tile's worth of 32-bit depth, in turn.
+/// Keys of 32 bits, of 64, and of 32 bits of depth for one tile, in turn.
 Arithmetic with_key(int i, Extent extent) {
   Arithmetic o{.extent = extent};
   if (i % 2 == 0) o.depth_order = DepthOrder::quantized;
@@ -298,7 +297,7 @@ TEST_CASE("front ends agree with the host on 300,000 Gaussians of a scene") {
 }
 
 TEST_CASE(
-    "colours agree to the rounding of their sums in every degree and limit, FP32 and with steps per chunk and per "
+    "colours match to the rounding of their sums in every degree and limit, FP32 and with steps per chunk and per "
     "file") {
   if (!device_answers()) return;
   const int n = small_sizes() ? 300 : 5000;
@@ -314,7 +313,7 @@ TEST_CASE(
     }
     for (const std::uint32_t chunk_size : {32u, 256u, 4096u}) {
       for (const bool chunk_step_sets : {true, false}) {
-        if (race_sizes() && (chunk_size > 32 || !chunk_step_sets)) continue;  // the same kernels
+        if (race_sizes() && (chunk_size > 32 || !chunk_step_sets)) continue;  // with the same kernels
         CAPTURE(chunk_size);
         CAPTURE(chunk_step_sets);
         EncodeOptions options;
@@ -352,7 +351,7 @@ TEST_CASE("front ends follow every option of the projection and the key") {
     check_all(fp32.get(), scene.view().value(), camera, options);
     check_all(packed.get(), compact.scene.view().value(), camera, options);
   }
-  // One tile has no tile bits: 32 of depth in a narrow key, quantised or not.
+  // One tile needs no tile bits: a narrow key holds 32 of depth, quantised or not.
   for (const auto order : {DepthOrder::exact, DepthOrder::quantized}) {
     for (const int side : {1, 16}) {
       if (race_sizes() && side > 1) continue;
@@ -380,7 +379,7 @@ TEST_CASE("front ends agree on Gaussians over the whole range of numbers") {
   }
 }
 
-TEST_CASE("sums of tile counts go beyond 32 bits") {
+TEST_CASE("sums of tile counts exceed 32 bits") {
   if (!device_answers()) return;
   for (const std::uint32_t n : {1u, 255u, 257u, 5000u, 300000u}) {
     if (small_sizes() && n > 5000) continue;

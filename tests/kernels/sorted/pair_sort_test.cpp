@@ -19,7 +19,7 @@ void check_sort(std::uint64_t n, int bits, std::uint64_t n_distinct) {
   SplitMix random(n * 67 + static_cast<std::uint64_t>(bits));
   const std::uint64_t mask = bits == 0 ? 0 : ~std::uint64_t{0} >> (64 - bits);
   std::vector<Key> keys(n);
-  // Bits above those that are sorted are noise, so that a sort that looks at them shows.
+  // Bits above the sorted ones are noise, so that a sort that reads them fails.
   for (Key& k : keys) {
     k = static_cast<Key>((random.bits() & ~mask) | (random.below(n_distinct) * 0x9E3779B97F4A7C15u & mask));
   }
@@ -92,7 +92,7 @@ void check_ranges(std::uint64_t n, std::uint32_t n_tiles, int depth_bits) {
 
 }  // namespace
 
-TEST_CASE("sorting is stable and looks at the lowest bits alone") {
+TEST_CASE("sorting is stable and reads the lowest bits only") {
   if (!device_answers()) return;
   std::vector<std::uint64_t> sizes{0, 1, 2, 255, 256, 257, 5000, 300001, 2000003};
   if (small_sizes()) sizes.resize(7);

@@ -16,7 +16,7 @@ using math::Exponent;
 
 namespace {
 
-/// A frame up to its sorted pairs, made by the deterministic front end.
+/// A frame up to its sorted pairs, by the deterministic front end.
 struct SortedFrame {
   DeviceArray<cuda::ScreenSplat> splats;
   DeviceArray<std::uint32_t> gaussians, spare_gaussians;
@@ -65,7 +65,7 @@ double share(std::uint64_t part, std::uint64_t whole) {
   return static_cast<double>(part) / static_cast<double>(std::max<std::uint64_t>(whole, 1));
 }
 
-/// Counts per pixel: pairs near a threshold may fall to either side, few of them and not all to the same.
+/// Counts per pixel: a few pairs near a threshold may fall to either side, but not all to the same.
 void check_counts(const std::string& what, const std::vector<std::uint32_t>& device,
                   const std::vector<std::uint32_t>& host) {
   std::uint64_t n_different = 0, sum_device = 0, sum_host = 0, n_unwritten = 0;
@@ -81,7 +81,7 @@ void check_counts(const std::string& what, const std::vector<std::uint32_t>& dev
   CHECK_MESSAGE(share(bias, sum_host) <= 1e-4, what, ": ", sum_device, " on the device, ", sum_host, " on the host");
 }
 
-/// Depths where both blended the same Gaussians; elsewhere a Gaussian more may be a depth that was none.
+/// Depths where both blended the same Gaussians; elsewhere one more Gaussian may give a depth where there was none.
 void check_depths(const DeviceFrame& device, const Frame& host) {
   double worst = 0;
   std::uint64_t n_nan = 0;
@@ -133,7 +133,7 @@ void check_variant(const BlendInput& input, const Variant& variant, const Frame&
 
 }  // namespace
 
-TEST_CASE("the order of the pairs is that of the host: tile, depth, index") {
+TEST_CASE("pairs have the host's order: tile, depth, index") {
   if (!device_answers()) return;
   const Scene scene = scene_of(cloud_of(random_splats(401, small_sizes() ? 300 : 5000)));
   const Camera camera = front_camera(320, 180);
@@ -154,7 +154,7 @@ TEST_CASE("the order of the pairs is that of the host: tile, depth, index") {
   CHECK(n_wrong == 0);
 }
 
-TEST_CASE("every arithmetic, thread layout and set of outputs gives the scalar renderer's pixels") {
+TEST_CASE("every arithmetic, thread layout and set of outputs draws the scalar renderer's pixels") {
   if (!device_answers()) return;
   struct Size {
     int width, height, n;
@@ -194,13 +194,13 @@ TEST_CASE("every arithmetic, thread layout and set of outputs gives the scalar r
   }
 }
 
-TEST_CASE("packed pixels are the float ones, converted as on the host, beside them and alone") {
+TEST_CASE("packed pixels are the float ones, converted as on the host, with them and alone") {
   if (!device_answers()) return;
   const int width = 83, height = 41;
   const auto n = static_cast<std::size_t>(width * height);
   Random random(403);
   std::vector<cuda::ScreenSplat> splats;
-  for (int i = 0; i < sized(300, 300, 40); ++i) {  // colours from 0 to beyond what FP16 holds
+  for (int i = 0; i < sized(300, 300, 40); ++i) {  // colours from 0 to beyond FP16's range
     const auto conic = conic_of(random.log_uniform(0.7, 40), random.log_uniform(0.7, 40), random.uniform(0, 3));
     splats.push_back(
         screen_splat({static_cast<float>(random.uniform(0, width)), static_cast<float>(random.uniform(0, height))},
@@ -261,7 +261,7 @@ TEST_CASE("packed pixels are the float ones, converted as on the host, beside th
   CHECK(n_variants == 48);
 }
 
-TEST_CASE("outputs that are not wanted are not written, and empty tiles show the background") {
+TEST_CASE("outputs that are not requested are not written, and empty tiles show the background") {
   if (!device_answers()) return;
   const DeviceArray<cuda::TileRange> ranges(6);
   require_cuda(cudaMemset(ranges.data(), 0, 6 * sizeof(cuda::TileRange)));

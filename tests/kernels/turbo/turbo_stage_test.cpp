@@ -1,4 +1,4 @@
-// turbo_stage_test.cpp - the turbo pipeline's lists on the device, against rgs::math on the host; and long lists.
+// turbo_stage_test.cpp - the turbo pipeline's lists on the device, against rgs::math on the host, and long lists.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -23,7 +23,7 @@ using cuda::TurboState;
 
 namespace {
 
-/// Page-locked memory for the numbers that come back.
+/// Page-locked memory for the returned numbers.
 class Seen {
  public:
   Seen() { require_cuda(cudaMallocHost(reinterpret_cast<void**>(&state_), sizeof(TurboState))); }
@@ -40,7 +40,7 @@ struct Lists {
   std::vector<ScreenSplat> splats;
   std::vector<std::vector<TurboEntry>> tiles;  // in order
   TurboState state;
-  std::uint32_t n_units = 0, n_shares = 0;  // of long lists; units that have a share of a bin
+  std::uint32_t n_units = 0, n_shares = 0;  // of long lists; units with a share of a bin
 };
 
 struct Room {
@@ -56,8 +56,8 @@ std::vector<T> downloaded(const T* from, std::size_t n) {
   return values;
 }
 
-/// Units of a long list follow each other in depth, hold together what the list holds, and none has more to order than it
-/// can but for chance. `entries` are the list's in order. Returns how many there are.
+/// Units of a long list ascend in depth, together hold the whole list, and exceed the round's size only by chance.
+/// `entries` are the list's in order. Returns the number of units.
 std::uint32_t check_units(const cuda::TurboLongList& list, std::uint32_t own, const std::vector<cuda::TurboUnit>& units,
                           const std::vector<TurboEntry>& scratch, const std::vector<TurboEntry>& entries) {
   std::array<std::uint32_t, cuda::kTurboCells> in_cells{};
@@ -84,7 +84,7 @@ std::uint32_t check_units(const cuda::TurboLongList& list, std::uint32_t own, co
     std::vector<TurboEntry> part(scratch.begin() + list.scratch + begin, scratch.begin() + list.scratch + end);
     std::sort(part.begin(), part.end());
     CHECK_MESSAGE(std::equal(part.begin(), part.end(), entries.begin() + begin), "entries ", begin, " to ", end);
-    // It is too long for the sake of its last bin alone: of a very long list that holds one depth, or few others.
+    // The list is too long because of its last bin alone: of a very long list that holds one depth, or few others.
     if (n >= cuda::kTurboRankedList) {
       std::size_t most = 0, run = 0;
       for (std::size_t k = 0; k < part.size(); ++k) {
@@ -102,8 +102,8 @@ std::uint32_t check_units(const cuda::TurboLongList& list, std::uint32_t own, co
   return unit - list.first_unit;
 }
 
-/// Cells lie at the rank of their tile and show, in order, the entries of its list that touch them; or nothing, if there is
-/// no room. Returns how many entries they have in all, and how many cells were left empty.
+/// Cells lie at their tile's rank and hold, in order, the list's entries that touch them, or nothing if there is no
+/// room. Returns the number of their entries, and of cells left empty.
 struct CellCount {
   std::uint64_t total = 0, refused = 0;
 };
@@ -137,7 +137,8 @@ CellCount check_cells(const std::vector<cuda::TurboCell>& cells, const std::vect
   return count;
 }
 
-/// Emits, lists and orders with the given room; nothing may be written beyond it, and what does not fit leaves lists empty.
+/// Emits, lists and orders within the given room. Nothing may be written beyond it, and lists that do not fit stay
+/// empty.
 Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewParameters& v, const Room& room) {
   const auto n_tiles = static_cast<std::uint32_t>(v.grid.columns * v.grid.rows);
   DeviceArray<std::byte> state(TurboState::bytes(n_tiles));
@@ -241,7 +242,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   out.n_shares = static_cast<std::uint32_t>(
       std::count_if(host_units.begin(), host_units.end(), [](const auto& unit) { return unit.share > 0; }));
 
-  // Every tile has one rank, and those of longer lists come first, class by class.
+  // Every tile has one rank, and longer lists come first, class by class.
   std::vector<int> seen_tiles(n_tiles, 0);
   std::uint32_t falling = 0;
   for (std::uint32_t r = 0; r < n_tiles; ++r) {
@@ -253,8 +254,8 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   return out;
 }
 
-/// The region without what math::ellipse() adds for rounding, which chunk culling need not respect: it lists needles in
-/// tiles where no pixel of theirs reaches 1/255.
+/// The region without math::ellipse()'s slack for rounding, which chunk culling may ignore: it lists needles in tiles
+/// where none of their pixels reaches 1/255.
 math::Ellipse<float> without_slack(math::Ellipse<float> e, float cutoff) {
   const float level = std::min(e.level, -2 * cutoff), shrink = std::sqrt(level / e.level);
   e.level = level;
@@ -262,7 +263,7 @@ math::Ellipse<float> without_slack(math::Ellipse<float> e, float cutoff) {
   return e;
 }
 
-/// Entries of one Gaussian, by tile.
+/// A Gaussian's entries, by tile.
 template <class F>
 void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>& ellipse, std::uint64_t i,
                     math::TileGrid grid, const F& f) {
@@ -279,7 +280,7 @@ void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>&
   }
 }
 
-/// An image of so many pixels where tiles are 32 wide; of as many tiles in a build with others.
+/// An image of this many pixels for tiles 32 wide; of as many tiles in builds with other tiles.
 Camera front_camera_of_tiles(int width, int height) {
   return front_camera(width * cuda::kTurboTile / 32, height * cuda::kTurboTile / 32);
 }
@@ -294,14 +295,14 @@ Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Ca
   CAPTURE(n);
   CAPTURE(camera.width);
   CAPTURE(std::holds_alternative<cuda::CompactAttributes>(attributes));
-  // As the renderer finds its room: first the large Gaussians are counted, then all entries.
+  // The renderer's way to size its room: first it counts the large Gaussians, then all entries.
   Room room;
   room.large = run(attributes, n, v, room).state.n_large_gaussians;
   const TurboState counted = run(attributes, n, v, room).state;
   room.entries = counted.counters.instances, room.runs = counted.runs;
   if (room.entries > 0) (void)run(attributes, n, v, {room.entries - 1, room.runs, room.large});
   if (room.runs > 0) (void)run(attributes, n, v, {room.entries, room.runs - 1, room.large});
-  // How large Gaussians share runs depends on their order, which atomic additions make.
+  // Atomic additions order the large Gaussians, and so decide how they share runs.
   room.runs *= 2;
   Lists lists = run(attributes, n, v, room);
   CHECK(lists.state.counters.instances == room.entries);
@@ -321,7 +322,7 @@ Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Ca
       const float cutoff = tighter(math::power_cutoff(p.footprint.opacity));
       if (cutoff >= 0) continue;
       const auto region = without_slack(math::ellipse(p.mean, p.footprint, cutoff), cutoff);
-      // The last tiles reach beyond the image; what touches them there alone may be passed over too.
+      // The last tiles reach beyond the image; Gaussians that touch them only there may be culled too.
       if (region.mean.u - region.half_width > static_cast<float>(camera.width - 1) ||
           region.mean.v - region.half_height > static_cast<float>(camera.height - 1)) {
         continue;
@@ -355,7 +356,7 @@ Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Ca
   return lists;
 }
 
-/// The front end's entries alone, by tile, against the host's: nothing is ordered, so that images of many tiles cost little.
+/// The front end's entries by tile, against the host's. Nothing is ordered, so that images of many tiles stay cheap.
 void check_emitted(const Scene& scene, const Camera& camera) {
   const SceneView view = scene.view().value();
   auto v = view_parameters(camera, {}, view.sh_degree);
@@ -419,7 +420,7 @@ void check_emitted(const Scene& scene, const Camera& camera) {
 
 }  // namespace
 
-TEST_CASE("turbo lists hold what the host lists, FP32 and compact, whatever the room") {
+TEST_CASE("turbo's lists match the host's, FP32 and compact, whatever the room") {
   if (!device_answers()) return;
   Random random(801);
   for (const int n : {0, 1, 255, 256, 257, 3000, 30000}) {
@@ -438,7 +439,7 @@ TEST_CASE("turbo lists hold what the host lists, FP32 and compact, whatever the 
   }
 }
 
-TEST_CASE("chunks that are passed over hold nothing that the host lists") {
+TEST_CASE("culled chunks hold nothing that the host lists") {
   if (!device_answers()) return;
   Random random(802);
   const auto cloud = cloud_of(random_splats(803, small_sizes() ? 600 : 20000));
@@ -448,7 +449,7 @@ TEST_CASE("chunks that are passed over hold nothing that the host lists") {
     const auto compact = CompactScene::of(cloud, options);
     const DeviceAttributes attributes(compact.file);
     for (int turn = 0; turn < sized(16, 3, 1); ++turn) {
-      // From within, in every direction and with narrow views, so that chunks lie across each edge of the image.
+      // From inside, in every direction and with narrow views, so that chunks cross each edge of the image.
       Camera camera = front_camera(160, 130);
       camera.fx = camera.fy = random.log_uniform(60, 800);
       camera.world_to_camera = from_row_major(rigid(random.rotation(), random.vector(-4, 4)));
@@ -464,7 +465,7 @@ TEST_CASE("chunks that are passed over hold nothing that the host lists") {
 
 namespace {
 
-// Gaussians of every shape, in front of front_camera(), that reach from a few tiles to all of the image.
+// Gaussians of every shape before front_camera() that cover a few tiles up to the whole image.
 std::vector<Splat> large_splats(int n, Random& random) {
   std::vector<Splat> splats;
   for (int i = 0; i < n; ++i) {
@@ -496,11 +497,11 @@ TEST_CASE("Gaussians of many tiles are listed part by part, up to all tiles at 4
   }
 }
 
-TEST_CASE("blocks leave to the tiles what they have no room for, or what lies too far apart") {
+TEST_CASE("blocks pass on to the tiles what exceeds their room") {
   if (!device_answers()) return;
   Random random(808);
   std::vector<Splat> splats;
-  for (int i = 0; i < sized(700, 700, 260); ++i) {  // about 30 tiles each at 1080p, for which a block has no room
+  for (int i = 0; i < sized(700, 700, 260); ++i) {  // about 30 tiles each at 1080p, more than a block's room
     const double z = random.uniform(2, 9);
     splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.04 * z, 0.02));
   }
@@ -508,7 +509,7 @@ TEST_CASE("blocks leave to the tiles what they have no room for, or what lies to
   check(DeviceAttributes(wide.view().value()).get(), wide.view().value(), front_camera_of_tiles(1920, 1080));
 }
 
-TEST_CASE("blocks leave to the tiles what lies too far apart") {
+TEST_CASE("blocks pass on to the tiles what lies too far apart") {
   if (!device_answers()) return;
   Random random(813);
   std::vector<Splat> splats;
@@ -516,7 +517,7 @@ TEST_CASE("blocks leave to the tiles what lies too far apart") {
     const double z = random.uniform(2, 9);
     splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 3e-4 * z, 0.02));
   }
-  const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's candidates tell apart
+  const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's candidates can address
   const Camera camera = front_camera_of_tiles(9000, 9000);
   check_emitted(sparse, camera);
   if (!small_sizes()) check(DeviceAttributes(sparse.view().value()).get(), sparse.view().value(), camera);
@@ -524,7 +525,8 @@ TEST_CASE("blocks leave to the tiles what lies too far apart") {
 
 TEST_CASE("large Gaussians are listed by regions of every size") {
   if (!device_answers()) return;
-  // launch_turbo_large_gaussians() has larger regions where an image has more tiles than this, and than four times as many.
+  // launch_turbo_large_gaussians() enlarges its regions where an image has more tiles than this, and than four times as
+  // many.
   int device = 0, n_multiprocessors = 0;
   require_cuda(cudaGetDevice(&device));
   require_cuda(cudaDeviceGetAttribute(&n_multiprocessors, cudaDevAttrMultiProcessorCount, device));
@@ -546,7 +548,7 @@ TEST_CASE("large Gaussians are listed by regions of every size") {
   }
 }
 
-TEST_CASE("a frame of more entries than there is room for is made again, with room for large Gaussians' entries") {
+TEST_CASE("a frame with more entries than room is drawn again, with room for large Gaussians' entries") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   Random random(807);
@@ -559,14 +561,15 @@ TEST_CASE("a frame of more entries than there is room for is made again, with ro
     return render(scene, camera, options, {.backend = Backend::cuda});
   };
   const Frame turbo = draw(turbo_options());
-  CHECK(turbo.stats.instances > 1u << 20);  // which the renderer has room for at first
+  CHECK(turbo.stats.instances > 1u << 20);  // the renderer's initial room
   CHECK(psnr(turbo.rgb, draw(Arithmetic{.exponent = math::Exponent::folded}).rgb) >= 60);
 }
 
 namespace {
 
-// Before front_camera() of any size, faint, so that no pixel stops early: half of them at one depth, the others at seven
-// more and anywhere; or, with `far`, close behind it, but for some so far away that one bin of depth has all the others.
+// Faint Gaussians before front_camera() of any size, so that no pixel stops early: half of them at one depth, the
+// others at seven more and anywhere. With `far`: close behind it, except a few so distant that one bin of depth holds
+// all the others.
 std::vector<Splat> crowd(int n, bool far) {
   std::vector<Splat> splats;
   Random random(805);
@@ -583,7 +586,7 @@ std::vector<Splat> crowd(int n, bool far) {
 
 }  // namespace
 
-TEST_CASE("long lists are moved to scratch memory and ordered in units that follow each other in depth") {
+TEST_CASE("long lists are moved to scratch memory and ordered in units of ascending depth") {
   if (!device_answers()) return;
   std::vector<int> sizes{2047, 2048, 2049, 5000, small_sizes() ? 12000 : 200000};
   if (race_sizes()) sizes = {2048, 5000};
@@ -601,7 +604,7 @@ TEST_CASE("long lists are moved to scratch memory and ordered in units that foll
   }
 }
 
-TEST_CASE("a few distant Gaussians do not leave a very long list's others a few bins") {
+TEST_CASE("a few distant Gaussians do not crowd the rest of a very long list into a few bins") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   Random random(813);
@@ -613,12 +616,12 @@ TEST_CASE("a few distant Gaussians do not leave a very long list's others a few 
   const Scene scene = scene_of(cloud_of(splats));
   const Lists lists = check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), one_tile());
   REQUIRE(lists.tiles[0].size() >= cuda::kTurboRankedList);
-  // Bins of equal width would make 69 of them. The sample follows the order of runs, which atomic additions make: seldom it
-  // leaves a bin too many.
+  // Bins of equal width would make 69. The sample follows the order of runs, which atomic additions decide: rarely, a
+  // bin more is left too large.
   CHECK(lists.n_shares <= 8);
 }
 
-TEST_CASE("a list of more entries of one depth than a sample can tell apart is ordered in rounds") {
+TEST_CASE("a list with more entries of one depth than a sample distinguishes is ordered in rounds") {
   if (!device_answers()) return;
   if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   Random random(811);
@@ -630,10 +633,10 @@ TEST_CASE("a list of more entries of one depth than a sample can tell apart is o
   CHECK(check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), one_tile()).n_units > 1000);
 }
 
-TEST_CASE("a share that the sample has made too large is ordered in rounds") {
+TEST_CASE("a share that the sample makes too large is ordered in rounds") {
   if (!device_answers()) return;
-  // Of this part the sample is every second entry. These are its first half in order, so that the last of four shares has
-  // all of the second half, too.
+  // The sample takes every second entry of this part. These are its first half in order, so that the last of four
+  // shares gets the whole second half, too.
   constexpr std::uint32_t kRound = cuda::kTurboRound, kEntries = 2 * kRound, kUnits = 4;
   static_assert(cuda::turbo_shares(kEntries) == kUnits);
   for (const bool one_depth : {true, false}) {
@@ -678,23 +681,22 @@ TEST_CASE("a share that the sample has made too large is ordered in rounds") {
   }
 }
 
-TEST_CASE(
-    "units order equal depths by values where no ranks are, and say where more are equal than they order at a time") {
+TEST_CASE("units without ranks order equal depths by values, and report when more are equal than fit a round") {
   if (!device_answers()) return;
   constexpr std::uint32_t kEntries = 3 * cuda::kTurboRound - 5, kShares = cuda::turbo_shares(kEntries);
-  // Row i of the scene is drawn row n - 1 - i, and its mean as far along x as it is drawn early: values and indices disagree.
+  // Row i of the scene is drawn as row n - 1 - i, and earlier rows have larger x: values and indices disagree.
   constexpr std::uint32_t kChunk = 32, kChunks = (kEntries + kChunk - 1) / kChunk;
   std::vector<float> means(3 * std::size_t{kChunks} * kChunk);
   std::vector<std::uint32_t> chunks;
   for (std::uint32_t k = 0; k < kChunks; ++k) chunks.push_back(kChunks - 1 - k);
   const auto x_of = [&](std::uint32_t index) {
-    return static_cast<float>(index * 7919 % 4096);  // of several the same: then by y
+    return static_cast<float>(index * 7919 % 4096);  // for equal x: by y
   };
   for (std::uint32_t i = 0; i < kEntries; ++i) {
     const std::size_t row = std::size_t{chunks[i / kChunk]} * kChunk + i % kChunk;
     means[3 * row] = x_of(i), means[3 * row + 1] = -static_cast<float>(i);
   }
-  // Depths of one, of a few, of a thousand Gaussians, and one of them all.
+  // Depths of one, of a few, of a thousand Gaussians, and one depth of all.
   for (const std::uint32_t each : {1u, 5u, 1000u, kEntries}) {
     CAPTURE(each);
     SplitMix random(813);
@@ -749,7 +751,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths in tie order") {
+TEST_CASE("lists longer than a round are still ordered, equal depths in tie order") {
   if (!device_answers()) return;
   for (const bool far : {false, true}) {
     CAPTURE(far);
@@ -772,7 +774,7 @@ TEST_CASE("lists longer than what is ordered at a time are ordered all the same,
   }
 }
 
-TEST_CASE("a depth that FP32 does not hold is that of no pixel which its Gaussian does not touch") {
+TEST_CASE("a depth beyond FP32 does not spread to pixels that its Gaussian does not touch") {
   if (!device_answers()) return;
   Random random(809);
   auto splats = random_splats(810, 300);
@@ -797,7 +799,7 @@ TEST_CASE("a depth that FP32 does not hold is that of no pixel which its Gaussia
 
 namespace {
 
-/// Blocks of the largest launch that launch(stream) enqueues; nothing runs.
+/// Blocks of the largest launch that launch(stream) enqueues, without running it.
 template <class Launch>
 unsigned largest_grid(const Launch& launch) {
   cudaStream_t stream = nullptr;
@@ -823,7 +825,7 @@ unsigned largest_grid(const Launch& launch) {
 
 }  // namespace
 
-TEST_CASE("kernels that learn on the device how much there is to do have as many blocks as it holds") {
+TEST_CASE("kernels that learn their amount of work on the device fill it with blocks") {
   if (!device_answers()) return;
   int device = 0, n_multiprocessors = 0;
   require_cuda(cudaGetDevice(&device));
@@ -831,7 +833,7 @@ TEST_CASE("kernels that learn on the device how much there is to do have as many
   const auto wanted = static_cast<unsigned>(n_multiprocessors);
   cuda::TurboArrays arrays{};
   arrays.n_tiles = 1;
-  for (int turn = 0; turn < 2; ++turn) {  // asked, then kept
+  for (int turn = 0; turn < 2; ++turn) {  // queried, then kept
     const unsigned runs = largest_grid([&](auto on) { return cuda::launch_turbo_lists(arrays, {1, 1}, nullptr, on); });
     const unsigned slices = largest_grid([&](auto on) {
       return cuda::launch_turbo_long_lists(arrays, {1, 1}, nullptr, on);

@@ -13,6 +13,7 @@
 #include <thread>
 #include <vector>
 
+#include "file_times.hpp"
 #include "made_bytes.hpp"
 #include "rgs/byte_source.hpp"
 #include "temporary_folder.hpp"
@@ -20,15 +21,6 @@
 using namespace rgs;
 using test::are_bytes_from;
 using test::write_bytes;
-
-namespace {
-
-// Times of change have the granularity of the kernel's clock tick.
-void wait_for_the_clock() {
-  std::this_thread::sleep_for(std::chrono::milliseconds(20));
-}
-
-}  // namespace
 
 TEST_CASE("a file is read by ranges, and not beyond its end") {
   const test::TemporaryFolder folder;
@@ -103,7 +95,7 @@ TEST_CASE("a file that shrinks, grows or is written to is an error of the next r
     write_bytes(path, 100000);
     const auto source = open_file_source(path).value();
     REQUIRE(source->read(50000, bytes));
-    wait_for_the_clock();
+    test::wait_for_later_time(path);
     change();
     return source->read(50000, bytes);
   };

@@ -207,7 +207,9 @@ TEST_CASE("one scene serves several renderers at once on a device") {
           auto renderer = Renderer::create({.backend = Backend::cuda});
           for (const Camera& camera : town_cameras(20 + t, 30)) {
             Frame frame = Frame::of(camera);
-            if (!renderer || !renderer->render(copy, camera, frame.target(), at_detail(0.1F))) ++n_failed;
+            if (!renderer || !renderer->refine(copy, camera, kLong, at_detail(0.1F)) ||
+                !renderer->render(copy, camera, frame.target(), at_detail(0.1F)))
+              ++n_failed;
           }
         });
       }
@@ -339,7 +341,7 @@ TEST_CASE("what has no room but for a frame at work waits for it, on the host an
       }
       auto complete = std::async(std::launch::async, [&] { return opened.refine(near, detail, 2); });
       const auto is_over = [&] { return complete.wait_for(std::chrono::seconds(0)) == std::future_status::ready; };
-      CHECK(opened.comes([&] { return pool.waits_for_pins || is_over(); }));
+      opened.await([&] { return pool.waits_for_pins || is_over(); });
       {
         const std::scoped_lock lock(pool.mutex);
         StreamedState::Run run;
@@ -462,11 +464,11 @@ TEST_CASE("a writer keeps what is on its way, waits where it has no room, and ev
               REQUIRE(ticket);
               CHECK(*ticket > last);
               last = *ticket;
-              if (pace == FakeCuda::Pace::late) CHECK(writer->is_there(last) == false);
+              if (pace == FakeCuda::Pace::late) CHECK(writer->is_done(last) == false);
             }
             REQUIRE(writer->finish());
             CHECK(cuda.n_pending() == 0);
-            CHECK(writer->is_there(last) == true);
+            CHECK(writer->is_done(last) == true);
             CHECK(cuda.n_batches < static_cast<int>(n) + 1);
             if (n_together == 1) CHECK(cuda.n_batches == static_cast<int>(n));
             for (std::uint32_t page = 0; page < n; ++page) {
@@ -537,8 +539,8 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     REQUIRE(ticket);
     CHECK(cuda.n_pending() == 5);
     CHECK(cuda.n_batches == 1);
-    CHECK(writer->is_there(*ticket) == false);
-    CHECK(writer->is_there(*ticket) == false);
+    CHECK(writer->is_done(*ticket) == false);
+    CHECK(writer->is_done(*ticket) == false);
     CHECK(cuda.n_pending() == 5);
     const auto again = writer->send();  // nothing more
     REQUIRE(again);
@@ -546,7 +548,7 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     CHECK(cuda.n_batches == 1);
     REQUIRE(writer->finish());
     CHECK(cuda.n_pending() == 0);
-    CHECK(writer->is_there(*ticket) == true);
+    CHECK(writer->is_done(*ticket) == true);
     // A copy that is refused is of this send() alone.
     REQUIRE(writer->write(page.rows, 2));
     cuda.passes_next = 2;
@@ -582,14 +584,14 @@ TEST_CASE("so many sends are on their way at most: one more waits for the first"
     std::vector<detail::SlotWriter::Ticket> tickets;
     for (std::uint32_t slot = 0; slot <= kMostSent; ++slot) {
       REQUIRE(writer->write(page.rows, slot));
-      if (slot == kMostSent) CHECK(writer->is_there(tickets[0]) == false);
+      if (slot == kMostSent) CHECK(writer->is_done(tickets[0]) == false);
       const auto ticket = writer->send();
       REQUIRE(ticket);
       tickets.push_back(*ticket);
     }
     CHECK(cuda.n_pending() == kMostSent * 5);
-    CHECK(writer->is_there(tickets[0]) == true);
-    CHECK(writer->is_there(tickets[1]) == false);
+    CHECK(writer->is_done(tickets[0]) == true);
+    CHECK(writer->is_done(tickets[1]) == false);
     REQUIRE(writer->finish());
     for (std::uint32_t slot = 0; slot <= kMostSent; ++slot)
       CHECK(std::equal(page.rows.means.begin(), page.rows.means.end(), (*slots)->at(0, slot)));
@@ -616,15 +618,15 @@ TEST_CASE("groups of a run that have arrived are drawn while the last one is sti
     Renderer renderer = device_renderer();
     auto complete = std::async(std::launch::async, [&] { return renderer.refine(scene, over(), kLong, at_detail(0)); });
     const auto waits_at = [&](int n_flipped) {
-      return comes([&] {
+      test::await([&] {
         const std::scoped_lock lock(script->mutex);
         return script->n_held == 1 && script->n_allowed == 0 && script->n_flipped == n_flipped;
       });
     };
-    CHECK(waits_at(0));
+    waits_at(0);
     const std::uint64_t before = scene.stats().bytes_uploaded;
     script->let_one_go();
-    CHECK(waits_at(1));
+    waits_at(1);
     CHECK(scene.stats().bytes_uploaded > before);
     script->open_gate();
     CHECK(complete.get() == true);

@@ -14,7 +14,7 @@
 #include <thread>
 #include <vector>
 
-#include "common/bring.hpp"
+#include "common/copy_pieces.hpp"
 #include "common/device_code.hpp"
 
 struct CUstream_st {
@@ -302,7 +302,7 @@ rgs::Status rgs::cuda::check_device_code() {
 }
 
 // In any order among themselves: the last comes first here.
-rgs::Status rgs::cuda::launch_bring(const Pieces& pieces, Stream stream) {
+rgs::Status rgs::cuda::launch_copy_pieces(const Pieces& pieces, Stream stream) {
   FakeCuda& cuda = *FakeCuda::current();
   ++cuda.n_batches;
   if (pieces.n == 0 || pieces.n > Pieces::kMost || stream->device != rgs::test::the_current) ++cuda.n_faults;
@@ -315,7 +315,7 @@ rgs::Status rgs::cuda::launch_bring(const Pieces& pieces, Stream stream) {
     const cudaError_t error =
         cudaMemcpyAsync(pieces.to[i], pieces.from[i], pieces.bytes[i], cudaMemcpyHostToDevice, stream);
     if (error != cudaSuccess) {
-      return make_error(Errc::device_failed, Error::kNone, "pages could not be brought to the device", Error::kNone,
+      return make_error(Errc::device_failed, Error::kNone, "pages could not be copied to the device", Error::kNone,
                         static_cast<std::uint64_t>(error));
     }
   }

@@ -4,6 +4,7 @@
 
 #include <doctest/doctest.h>
 
+#include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <memory>
@@ -17,6 +18,9 @@
 namespace rgs::test {
 
 struct Opened {
+  /// A time at which the pool's clock stands; 0: it goes.
+  std::shared_ptr<std::atomic<detail::StreamClock::rep>> stopped =
+      std::make_shared<std::atomic<detail::StreamClock::rep>>(0);
   std::shared_ptr<detail::StreamPoolState> pool;
   std::shared_ptr<Script> script = std::make_shared<Script>();
   std::shared_ptr<detail::StreamedState> state;
@@ -25,6 +29,13 @@ struct Opened {
                   std::uint64_t device_memory = 0, std::shared_ptr<detail::StreamPoolState> shared = nullptr)
       : pool(shared ? std::move(shared)
                     : std::make_shared<detail::StreamPoolState>(std::uint64_t{1} << 30, device_memory)) {
+    if (pool->scenes.empty()) {
+      pool->now = [at = stopped] {
+        using Clock = detail::StreamClock;
+        const Clock::rep standing = *at;
+        return standing == 0 ? Clock::now() : Clock::time_point(Clock::duration(standing));
+      };
+    }
     StreamOptions options;
     options.prefetch = prefetch;
     const ByteSource::Traits traits{.reads_at_once = reads_at_once, .most_bytes = most_bytes, .gap_bytes = 4096};
@@ -48,25 +59,21 @@ struct Opened {
     return *std::move(frame);
   }
   template <class Condition>
-  bool comes(const Condition& condition) {
-    return test::comes([&] {
+  void await(const Condition& condition) {
+    test::await([&] {
       const std::scoped_lock lock(pool->mutex);
       return condition();
     });
   }
-  /// The camera was at one place so long ago, and is at another: where it is about to be follows. Only where the machine takes a
-  /// quarter of a second for two lines it does not, and is done again.
+  /// The clock stands, as long ago as said.
+  void stop(detail::StreamClock::duration ago = {}) { *stopped = (pool->now() - ago).time_since_epoch().count(); }
+  /// The camera is at one place, and at another a quarter of a second later, when the clock stands.
   void move(const Camera& from, const Camera& to, float detail_px) {
-    REQUIRE(test::comes([&] {
-      frame(from, detail_px);
-      {
-        const std::scoped_lock lock(pool->mutex);
-        state->views.front()->came = detail::StreamClock::now() - std::chrono::milliseconds(250);
-      }
-      frame(to, detail_px);
-      const std::scoped_lock lock(pool->mutex);
-      return state->views.front()->soon.has_value();
-    }));
+    using namespace std::chrono_literals;
+    stop();
+    frame(from, detail_px);
+    stop(-250ms);
+    frame(to, detail_px);
   }
 };
 

@@ -66,7 +66,7 @@ TEST_CASE("a ring gives places that nobody has, in one piece, and refuses only w
         }
         REQUIRE((largest < n || n > bytes - (ring.taken() - given)));
         given = held.front().taken;
-        ring.give_up_to(given);
+        ring.release_up_to(given);
         held.pop_front();
         continue;
       }
@@ -76,7 +76,7 @@ TEST_CASE("a ring gives places that nobody has, in one piece, and refuses only w
       held.push_back({*at, n, ring.taken()});
       if (random() % 64 == 0) {  // all of it, as after finish()
         given = ring.taken();
-        ring.give_up_to(given);
+        ring.release_up_to(given);
         held.clear();
       }
     }

@@ -1,4 +1,4 @@
-// interchange.hpp - splat files of any known format as one value in memory, told apart by their content.
+// interchange.hpp - reads and writes splat files of any known format; detects the format from the content.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -19,7 +19,7 @@
 
 namespace RGS_API rgs {
 
-/// docs/user/INTERCHANGE.md says what each format keeps and what it loses.
+/// docs/user/INTERCHANGE.md says what each format keeps and loses.
 enum class SplatFormat : std::uint8_t {
   unknown,
   rgs,
@@ -32,71 +32,72 @@ enum class SplatFormat : std::uint8_t {
   glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
 };
 
-/// "ply", "compressed.ply", "spz", ...; also what --from and --to of rgs-convert take.
+/// "ply", "compressed.ply", "spz", ...; the names that rgs-convert's --from and --to take.
 const char* format_name(SplatFormat format);
-/// What a file holds, by its first bytes and, for the two formats without a signature (.ksplat, .splat), by whether
-/// its size and records make sense as such.
+/// Detects a file's format from its first bytes; .ksplat and .splat, which have no signature, from plausible sizes and
+/// records.
 SplatFormat detect_format(std::span<const std::byte> bytes);
-/// What a file of that name should hold, by its ending (and meta.json).
+/// The format that a file name's ending (or meta.json) implies.
 SplatFormat format_of_name(const std::string& path);
 
-/// Where +x, +y and +z of a scene point.
+/// The world directions of a scene's +x, +y and +z.
 using Axes = std::array<Axis, 3>;
 inline constexpr Axes kAxes3dgs{Axis::right, Axis::down, Axis::forward};
 inline constexpr Axes kAxesOpenGl{Axis::right, Axis::up, Axis::backward};
 inline constexpr Axes kAxesGltf{Axis::left, Axis::up, Axis::forward};
-/// The frame that a format prescribes: SPZ's is OpenGL's, glTF has its own; everything else is in that of 3DGS.
+/// The frame that a format prescribes: OpenGL's for SPZ, glTF's own for glb, that of 3DGS for all others.
 Axes format_axes(SplatFormat format);
 
 struct SplatFile {
   SplatFormat format = SplatFormat::unknown;
-  std::uint64_t bytes = 0;  ///< size of the file; of a SOG folder, of all its files
+  std::uint64_t bytes = 0;  ///< size of the file; for a SOG folder, of all its files
   Axes axes = kAxes3dgs;    ///< of `cloud`
   ColourSpace colour_space = ColourSpace::srgb_display;
   AaMode aa_mode = AaMode::classic;
   std::optional<float> low_pass_px2 = std::nullopt;  ///< absent: default_low_pass_px2(aa_mode)
   float metres_per_unit = 0;                         ///< 0: unknown
-  /// Of an .rgs: all that it declares (the axes too are those of `cloud`), where it comes from, and the positions of its
-  /// Gaussians in that source, [n], if it keeps them.
+  /// From an .rgs: all its declarations (axes are again those of `cloud`), its provenance, and, if it keeps them, the
+  /// Gaussians' positions in its source, [n].
   std::optional<Declarations> declarations = std::nullopt;
   std::optional<Provenance> provenance = std::nullopt;
   std::vector<std::uint32_t> source_index = {};
-  /// Of an .rgs with levels of detail: how many it has, and whether `cloud` is the finest, the scene's own Gaussians.
+  /// From an .rgs with levels of detail: the number of levels, and whether `cloud` is level 0.
   std::uint32_t n_levels = 0;
   bool finest = true;
-  /// What the file holds besides, one phrase each, and SplatCloud has no place for: extensions of SPZ that do not
-  /// change its Gaussians.
+  /// What the file also holds and SplatCloud has no field for, one phrase each: extensions of SPZ that do not change
+  /// its Gaussians.
   std::vector<std::string> unused = {};
   SplatCloud cloud;
-  Origin origin = kNoOrigin;  ///< of `cloud`, in `axes`: of an .rgs, a PLY of doubles (ply.hpp), a far node of a glb
+  Origin origin = kNoOrigin;  ///< of `cloud`, in `axes`; from an .rgs, a PLY of doubles (ply.hpp) or a far node of a
+                              ///< glb
 };
 
-/// `options` with what a file states of its scene: of an .rgs all declarations and its provenance, of others axes,
-/// colours, anti-aliasing, low-pass and units. For encode() of Gaussians that were read, and perhaps filtered, from it.
+/// `options` with the file's declarations: all, and the provenance, of an .rgs; axes, colours, anti-aliasing, low-pass
+/// and units of others. For encode() of Gaussians that were read from it, and perhaps filtered.
 EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file);
 
 struct ReadOptions {
   DecodeLimits limits;
-  SplatFormat format = SplatFormat::unknown;  ///< read as this; unknown: as the content says
-  bool keep_axes = false;  ///< leave Gaussians in the file's frame; otherwise declared axes are turned into kAxes3dgs
-  /// SPZ: read past extensions of unknown type, which are unsupported_feature otherwise. They may change what the
-  /// Gaussians mean; SplatFile::unused names them.
+  SplatFormat format = SplatFormat::unknown;  ///< read as this format; unknown: detect it
+  bool keep_axes = false;  ///< leave Gaussians in the file's frame; otherwise declared axes are converted to kAxes3dgs
+  /// SPZ: skip extensions of unknown type, which otherwise are unsupported_feature. They may change what the Gaussians
+  /// mean; SplatFile::unused names them.
   bool skip_unknown_extensions = false;
-  /// Of an .rgs with levels of detail: this level (0: the finest); or the finest cut through the levels of at most so many
-  /// Gaussians, see lod::finest_cut(). Neither: the finest level. A level of a file without levels is bad_argument; files
-  /// without levels are read as a whole whatever max_count is.
+  /// For an .rgs with levels: read this level (0: the finest), or the finest cut of at most max_count Gaussians
+  /// (lod::finest_cut()). Neither: level 0. A level of a file without levels is bad_argument; files without levels are
+  /// read whole whatever max_count is.
   std::optional<std::uint32_t> level_of_detail = std::nullopt;
   std::optional<std::uint64_t> max_count = std::nullopt;
-  /// [pages] how many Gaussians of each page count towards max_count, for who keeps only some of them; empty: all. Pages of which
-  /// none counts are not read, but of a file that has places in its source where it fits as a whole.
+  /// [pages] how many Gaussians of each page count towards max_count, for callers that keep only some; empty: all.
+  /// Pages that count 0 are not read, except from a file with positions in its source that fits whole.
   std::vector<std::uint32_t> page_counts = {};
 };
 
-/// Reads a whole file of any format. Memory: a constant times the size of the file (decompressed sizes are checked
-/// against it before they are allocated, see docs/user/INTERCHANGE.md). Values are passed on as they are stored, NaN too.
-/// Errors: read_failed (also if the file is written to meanwhile); bad_argument (no such level, none of so few Gaussians, or
-/// page_counts of another file); pages_missing (the
-/// end of an .rgs with levels is missing, and with it some of what is asked for); those of PlyFile::open, FileView::open() and PagedFile::open(); for the other formats bad_magic, unsupported_version,
+/// Reads a whole file of any format. Memory: a constant times the file's size (decompressed sizes are checked against
+/// it before allocation, see docs/user/INTERCHANGE.md). Values are passed on as stored, NaN too.
+/// Errors: read_failed (also if the file changes meanwhile); bad_argument (no such level, no cut of so few Gaussians,
+/// or page_counts of another file); pages_missing (an .rgs with levels is cut off, and requested pages with it); those
+/// of PlyFile::open, FileView::open() and PagedFile::open(); for other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
 /// or in meta.json).
@@ -105,55 +106,55 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options = {});
 
 struct WriteOptions {
-  ColourSpace colour_space = ColourSpace::srgb_display;  ///< stated by ply, compressed_ply and glb
-  AaMode aa_mode = AaMode::classic;                      ///< stated by these and spz
-  std::optional<float> low_pass_px2 = std::nullopt;  ///< stated by ply, compressed_ply and glb if it is not the mode's
-  float metres_per_unit = 0;                         ///< stated by these if it is not 0
-  Axes axes = kAxes3dgs;                             ///< of the Gaussians; stated by ply and compressed_ply
+  ColourSpace colour_space = ColourSpace::srgb_display;  ///< stated in ply, compressed_ply and glb
+  AaMode aa_mode = AaMode::classic;                      ///< stated in these and spz
+  std::optional<float> low_pass_px2 = std::nullopt;  ///< stated in ply, compressed_ply and glb if it differs from the
+                                                     ///< mode's default
+  float metres_per_unit = 0;                         ///< stated in these if it is not 0
+  Axes axes = kAxes3dgs;                             ///< of the Gaussians; stated in ply and compressed_ply
   /// Of the Gaussians; ply and glb keep it, others hold FP32 positions: position_rounding().
   Origin origin = kNoOrigin;
-  bool keep_order = false;  ///< compressed.ply: do not gather near Gaussians in its chunks of 256
+  bool keep_order = false;  ///< compressed.ply: do not group close Gaussians into chunks
   int spz_version = 3;      ///< 2, 3 or 4; docs/user/INTERCHANGE.md says which viewer reads which
-  /// Refuse to clamp: bad_value if WriteReport::any(), or if an origin has no place.
+  /// Refuse to clamp: bad_value if WriteReport::any(), or if the format has no field for an origin.
   bool strict = false;
 };
 
-/// Gaussians with a value that a format cannot hold, and how far the farthest is beyond the format's range.
+/// How many Gaussians have a value beyond the format's range, and by how much at most.
 struct Clamped {
   std::uint64_t n = 0;
   double largest = 0;
 };
 
-/// What a format's ranges did to a scene, by attribute. Rounding to the nearest code is not clamping: it is in
-/// docs/user/INTERCHANGE.md and for all Gaussians alike.
+/// What a format's ranges changed in a scene, by attribute. Rounding to the nearest code is not clamping:
+/// docs/user/INTERCHANGE.md gives it.
 struct WriteReport {
-  Clamped mean;           ///< spz: moved farther than usual, since some means are far out; world units
+  Clamped mean;           ///< spz: means with coarser steps than usual, because some are far out; world units
   Clamped log_scale;      ///< spz, compressed.ply
   Clamped opacity_logit;  ///< glb: the opacity is 0 or 1 as a 32-bit float
   Clamped sh_dc;          ///< spz, splat; of f_dc
-  Clamped sh;             ///< spz, compressed.ply; splat, which has none: those that are not 0
+  Clamped sh;             ///< spz, compressed.ply; splat, which has none: those not 0
 
   bool any() const { return mean.n + log_scale.n + opacity_logit.n + sh_dc.n + sh.n != 0; }
 };
 
-/// True for what encode_splats() writes: ply, compressed_ply, spz, splat and glb.
+/// True for the formats of encode_splats(): ply, compressed_ply, spz, splat and glb.
 bool is_writable(SplatFormat format);
-/// Whether files of that format have a place for an origin: rgs, ply (as double coordinates) and glb. What is written as any
-/// other has FP32 positions.
+/// Whether files of that format hold an origin: rgs, ply (as double coordinates) and glb. All others hold FP32
+/// positions.
 bool keeps_origin(SplatFormat format);
 
-/// A file of that format. `splats` must be in format_axes(format) or of undeclared axes, for ply and compressed_ply in
-/// options.axes; values that the format cannot hold are clamped to its range, which `report` counts. Deterministic.
-/// Errors: bad_argument (not writable, inconsistent view, no such version of SPZ), limit_exceeded (more Gaussians than
-/// the format counts),
-/// bad_value (damaged, see find_defects(), in formats other than ply; or a mean beyond SPZ's range), whose offset is
-/// the Gaussian's index; bad_value without an offset for what WriteOptions::strict refuses, which is in `report`.
+/// Encodes a file of that format. `splats` must be in format_axes(format) or of undeclared axes, for ply and
+/// compressed_ply in options.axes. Values beyond the format's range are clamped and counted in `report`. Deterministic.
+/// Errors: bad_argument (not writable, inconsistent view, no such version of SPZ); limit_exceeded (more Gaussians than
+/// the format counts); bad_value with a Gaussian's index as offset (damaged, see find_defects(), in formats other than
+/// ply; or a mean beyond SPZ's range); bad_value without an offset (WriteOptions::strict refuses what `report` counts).
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
                                              const WriteOptions& options = {}, WriteReport* report = nullptr);
 
-/// How far a coordinate in such a file may be from origin + mean, world units: what FP32 takes from the positions where the
-/// format has no place for an origin, and SPZ's fixed point. 0 where positions are kept. What the blocks of a
-/// compressed.ply lose on top, in proportion to their size, is not in it. Errors: those of encode_splats() for SPZ.
+/// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
+/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the quantisation of a compressed.ply's
+/// chunks, which is proportional to their size. Errors: those of encode_splats() for SPZ.
 Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin);
 
 }  // namespace rgs

@@ -12,8 +12,8 @@
 
 namespace rgs::detail {
 
-/// Append, finish(), then read bytes() for the rest of its life. Holds at most 1 MiB in memory; more goes to $TMPDIR
-/// (/tmp if unset), to a file without a name that vanishes with the process, however that ends. Not copyable.
+/// Append, finish(), then read bytes(). Holds at most 1 MiB in memory; more goes to an unnamed file in $TMPDIR (/tmp if
+/// unset), which vanishes with the process. Not copyable.
 class RGS_API SpoolFile {
  public:
   SpoolFile() = default;
@@ -26,7 +26,7 @@ class RGS_API SpoolFile {
   /// Errors: as append(), read_failed.
   Status finish();
   std::span<const std::byte> bytes() const { return spilled_ ? file_.bytes() : std::span<const std::byte>(buffer_); }
-  /// What bytes() lies in; empty while it is in memory.
+  /// The mapping behind bytes(); empty while they are in memory.
   const MappedFile& file() const { return file_; }
 
  private:

@@ -1,4 +1,4 @@
-// camera.hpp - a pinhole view in the form the projection needs, and points through it.
+// camera.hpp - a pinhole view as the projection needs it, and points through it.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -11,23 +11,23 @@
 
 namespace rgs::math {
 
-/// A view. Camera axes are OpenCV's: x right, y down, z forward. Pixel coordinates here have pixel *centres* at the
-/// integers, as the original rasteriser does: half a pixel less than image coordinates measured from the left edge.
+/// A view. Camera axes are OpenCV's: x right, y down, z forward. Pixel coordinates have pixel *centres* at the
+/// integers, as in the original rasteriser: half a pixel less than image coordinates from the left edge.
 template <class T>
 struct View {
   T rotation[9];                ///< world to camera, row-major
   Vec3<T> position;             ///< of the camera, relative to the scene's origin
-  Vec3<T> position_low;         ///< what rounding took from it: position + position_low has twice the digits
+  Vec3<T> position_low;         ///< rounding error of position: position + position_low has twice the digits
   T fx, fy;                     ///< focal lengths, px
   T cx, cy;                     ///< principal point, px from the left and upper edge of the image
   T slope_low_x, slope_high_x;  ///< range of x/z in which the projection is linearised
-  T slope_low_y, slope_high_y;  ///< the same of y/z
-  T near_plane, far_plane;      ///< drawn are near_plane < z <= far_plane
+  T slope_low_y, slope_high_y;  ///< the same for y/z
+  T near_plane, far_plane;      ///< draws near_plane < z <= far_plane
   int width, height;            ///< px
 };
 
-/// Where R p + t is 0, for a row-major 4x4 matrix [R t]: -R^-1 t. Not -R^T t: a rotation with few digits is no rotation, and
-/// far from the world's origin that shows.
+/// Where R p + t is 0, for a row-major 4x4 matrix [R t]: -R^-1 t. Not -R^T t, since a rotation with few digits is not
+/// orthonormal, which matters far from the world's origin.
 RGS_HD inline Vec3<double> camera_position(const double (&world_to_camera)[16]) {
   const double* m = world_to_camera;
   const Vec3<double> a{m[0], m[1], m[2]}, b{m[4], m[5], m[6]}, c{m[8], m[9], m[10]};
@@ -37,8 +37,8 @@ RGS_HD inline Vec3<double> camera_position(const double (&world_to_camera)[16]) 
           scale * (bc.z * m[3] + ca.z * m[7] + ab.z * m[11])};
 }
 
-/// Builds a view from a row-major rigid 4x4 matrix, for Gaussians whose means are relative to `origin` (double: large
-/// world coordinates cancel here and not per Gaussian). far_plane = 0 means none.
+/// Builds a view from a row-major rigid 4x4 matrix, for means relative to `origin` (double: large world coordinates
+/// cancel here instead of per Gaussian). far_plane = 0 means none.
 template <class T>
 RGS_HD inline View<T> make_view(const double (&world_to_camera)[16], int width, int height, double fx, double fy,
                                 double cx, double cy, T near_plane, T far_plane,
@@ -55,8 +55,8 @@ RGS_HD inline View<T> make_view(const double (&world_to_camera)[16], int width, 
                     static_cast<T>(p.z - static_cast<double>(v.position.z))};
   v.fx = static_cast<T>(fx), v.fy = static_cast<T>(fy);
   v.cx = static_cast<T>(cx), v.cy = static_cast<T>(cy);
-  // The original clamps to +-1.3 tan(fov/2), which is the image's edge plus 0.3 half images. Written that way it also
-  // holds for a principal point beside the centre.
+  // The original clamps to +-1.3 tan(fov/2), which is the image's edge plus 0.3 half images. In this form it also holds
+  // for a principal point off the centre.
   const double margin_x = (kFovClamp - 1.0) * 0.5 * width / fx, margin_y = (kFovClamp - 1.0) * 0.5 * height / fy;
   v.slope_low_x = static_cast<T>(-cx / fx - margin_x), v.slope_high_x = static_cast<T>((width - cx) / fx + margin_x);
   v.slope_low_y = static_cast<T>(-cy / fy - margin_y), v.slope_high_y = static_cast<T>((height - cy) / fy + margin_y);
@@ -66,15 +66,15 @@ RGS_HD inline View<T> make_view(const double (&world_to_camera)[16], int width, 
   return v;
 }
 
-/// From the camera to a point of the scene, in the world's axes. Where both are far from the origin and near each other the
-/// first difference is exact (Sterbenz), so the error is that of the result and not of the coordinates.
+/// From the camera to a point of the scene, in the world's axes. If both are far from the origin and near each other
+/// the first difference is exact (Sterbenz), so the error is relative to the result, not to the coordinates.
 template <class T>
 RGS_HD inline Vec3<T> from_camera(const View<T>& view, const Vec3<T>& p) {
   const Vec3<T>&high = view.position, &low = view.position_low;
   return {p.x - high.x - low.x, p.y - high.y - low.y, p.z - high.z - low.z};
 }
 
-/// Point of the scene in camera coordinates.
+/// Camera coordinates of a point of the scene.
 template <class T>
 RGS_HD inline Vec3<T> to_camera(const View<T>& view, const Vec3<T>& p) {
   const T* r = view.rotation;
@@ -94,14 +94,15 @@ struct PixelPoint {
   T u, v;  ///< px, pixel centres at the integers
 };
 
-/// Camera point on the image. The original writes ((ndc + 1) * size - 1) / 2, which for a centred principal point is
-/// f * x / z + size / 2 - 1/2.
+/// Projects a camera point. The original's ((ndc + 1) * size - 1) / 2 equals f * x / z + size / 2 - 1/2 for a centred
+/// principal point.
 template <class T>
 RGS_HD inline PixelPoint<T> to_pixel(const View<T>& view, const Vec3<T>& p) {
   return {view.fx * p.x / p.z + view.cx - T(0.5), view.fy * p.y / p.z + view.cy - T(0.5)};
 }
 
-/// Unit vector from the camera to a point of the scene, the argument of the harmonics; the device's root may be 2 ulp off.
+/// Unit vector from the camera to a point of the scene, the argument of the harmonics; the device's root may be 2 ulp
+/// off.
 template <class T>
 RGS_HD inline Vec3<T> view_direction(const View<T>& view, const Vec3<T>& p) {
   const Vec3<T> d = from_camera(view, p);

@@ -48,8 +48,7 @@ RGS_HD inline void rotation_matrix(const Quaternion<T>& q, T (&r)[9]) {
 /// standard deviations s in world units.
 ///
 /// Zwicker et al. 2001 (EWA), eq. 31: J W Sigma W^T J^T with Sigma = R S S R^T (Kerbl et al. 2023, eqs. 5 and 6).
-/// Formed as M M^T with M = J W R S, 2x3: the result is positive semi-definite also after rounding, and Sigma is
-/// never needed.
+/// Formed as M M^T with M = J W R S, 2x3, which stays positive semi-definite under rounding and does not need Sigma.
 template <class T>
 RGS_HD inline Cov2<T> project_covariance(const View<T>& view, const Vec3<T>& p, const Quaternion<T>& rotation,
                                          const Vec3<T>& s) {
@@ -69,7 +68,7 @@ RGS_HD inline Cov2<T> project_covariance(const View<T>& view, const Vec3<T>& p, 
   return {dot(mu, mu), dot(mu, mv), dot(mv, mv)};
 }
 
-/// A Gaussian on the image.
+/// A projected Gaussian.
 template <class T>
 struct Footprint {
   Cov2<T> cov;     ///< low-pass included
@@ -78,8 +77,8 @@ struct Footprint {
   bool valid;      ///< false: cov has no finite inverse and the Gaussian is not drawn
 };
 
-/// Adds the low-pass (px^2) and inverts. With the Mip filter the opacity falls by sqrt(det before / det after), which
-/// keeps the integral of what the low-pass has widened (Yu et al. 2024, eq. 10).
+/// Adds the low-pass (px^2) and inverts. The Mip filter multiplies the opacity by sqrt(det before / det after), which
+/// preserves the integral of the widened Gaussian (Yu et al. 2024, eq. 10).
 template <class T>
 RGS_HD inline Footprint<T> footprint(const Cov2<T>& projected, T opacity, T low_pass, AntiAliasing anti_aliasing) {
   const Cov2<T> cov{projected.xx + low_pass, projected.xy, projected.yy + low_pass};
@@ -89,7 +88,7 @@ RGS_HD inline Footprint<T> footprint(const Cov2<T>& projected, T opacity, T low_
   }
   const T inverse_det = T(1) / det;
   const Conic<T> conic{cov.yy * inverse_det, -cov.xy * inverse_det, cov.xx * inverse_det};
-  // Products of huge variances overflow, of needles cancel to zero or below; neither has a usable inverse.
+  // Products overflow for huge variances and cancel to zero or below for needles; neither has a usable inverse.
   const bool valid = det > T(0) && std::isfinite(det) && std::isfinite(conic.a) && std::isfinite(conic.c);
   return {cov, conic, opacity, valid};
 }

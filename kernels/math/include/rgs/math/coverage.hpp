@@ -15,7 +15,7 @@
 
 namespace rgs::math {
 
-/// Tiles of an image. Functions below take the side of their square tiles as `Size`; the definition's are kTileSize.
+/// Tiles of an image. `Size` below is the side of a square tile; the definition's is kTileSize.
 struct TileGrid {
   int columns, rows;
 };
@@ -38,15 +38,14 @@ struct TileSpan {
 
 namespace detail {
 
-// Truncates a tile coordinate to 0..limit; the clamp comes first because converting a huge or NaN float is undefined.
+// Truncates a tile coordinate to 0..limit. Clamps first, because converting a huge or NaN float is undefined.
 template <class T>
 RGS_HD inline int tile_index(T t, int limit) {
   return static_cast<int>(clamp(t, T(0), static_cast<T>(limit)));
 }
 
-// Square root of a finite x, which is taken to be 2^-100 at least. So limited, the device needs no branch for the rest of
-// the numbers, and the estimate with one step of Newton's method is rounded correctly: what the compiler makes of sqrt()
-// within them.
+// Square root of max(x, 2^-100) for finite x. With that limit the device needs no branch for other numbers, and the
+// estimate with one Newton step rounds correctly, as the compiler's sqrt() does.
 template <class T>
 RGS_HD inline T root(T x) {
   x = max(x, T(0x1p-100));
@@ -61,8 +60,8 @@ RGS_HD inline T root(T x) {
   return std::sqrt(x);
 }
 
-// Floor and ceiling of 0 <= x < 2^22. The sum's last bit is 1, and its rounding is chosen: on the device one addition in
-// place of a conversion, at a quarter of its rate, and corrections.
+// Floor and ceiling of 0 <= x < 2^22. The sum's last bit is 1, and its rounding mode is chosen: on the device one
+// addition instead of a conversion, at a quarter of its rate, and corrections.
 template <class T>
 RGS_HD inline int floor_index(T x) {
 #if defined(__CUDA_ARCH__)
@@ -79,7 +78,7 @@ RGS_HD inline int ceil_index(T x) {
   return floor + (x > static_cast<T>(floor) ? 1 : 0);
 }
 
-// Tiles with a pixel centre in [low, high] along one axis: tile t has the centres Size t .. Size t + Size - 1.
+// Tiles with a pixel centre in [low, high] along one axis; tile t has the centres Size t .. Size t + Size - 1.
 template <int Size, class T>
 RGS_HD inline TileSpan tiles_between(T low, T high, int limit) {
   const T inverse_tile = T(1) / T(Size), end = static_cast<T>(limit);
@@ -91,7 +90,7 @@ RGS_HD inline TileSpan tiles_between(T low, T high, int limit) {
 }  // namespace detail
 
 /// The original extent: tiles touched by the square of half side ceil(3 sigma_max) around the mean. Rounded exactly as
-/// in the original, whose square reaches a pixel further to the right and downwards.
+/// in the original, whose square reaches a pixel further right and down.
 template <class T>
 RGS_HD inline TileRect square_extent(const PixelPoint<T>& mean, const Cov2<T>& cov, TileGrid grid) {
   const T mid = T(0.5) * (cov.xx + cov.yy);
@@ -104,7 +103,7 @@ RGS_HD inline TileRect square_extent(const PixelPoint<T>& mean, const Cov2<T>& c
           detail::tile_index((mean.v + radius + tile - T(1)) / tile, grid.rows)};
 }
 
-/// Smallest exponent that is not skipped: -ln(255 opacity).
+/// Smallest exponent that counts: -ln(255 opacity).
 template <class T>
 RGS_HD inline T power_cutoff(T opacity) {
   return -std::log(opacity / T(kAlphaMin));
@@ -123,10 +122,10 @@ struct Ellipse {
   T inverse_yy;    ///< 1 / cov.yy
 };
 
-/// o exp(-q/2) >= 1/255 where q <= 2 ln(255 o). (Hanson et al. 2025, "Speedy-Splat", eq. 12; Gaussians with opacity
-/// under 1/255 vanish.) `cutoff` is power_cutoff(f.opacity), -ln(255 o). The level is raised by what rounding can take
-/// from q in a pixel: its terms a dx^2 and c dy^2 reach level / (1 - rho^2) and cancel, so that tiles are never missed,
-/// at the price of rare superfluous ones.
+/// o exp(-q/2) >= 1/255 where q <= 2 ln(255 o) (Hanson et al. 2025, "Speedy-Splat", eq. 12); Gaussians with opacity
+/// under 1/255 vanish. `cutoff` is power_cutoff(f.opacity), -ln(255 o). The level is raised by the largest rounding
+/// error of q in a pixel: its terms a dx^2 and c dy^2 reach level / (1 - rho^2) and cancel. So tiles are never missed,
+/// and rarely listed needlessly.
 template <class T>
 RGS_HD inline Ellipse<T> ellipse(const PixelPoint<T>& mean, const Footprint<T>& f, T cutoff) {
   Ellipse<T> e{mean, T(-1), 0, 0, 0, 0, 0, 0};
@@ -151,8 +150,8 @@ RGS_HD inline TileRect bounding_tiles(const Ellipse<T>& e, TileGrid grid) {
   return {x.first, y.first, x.last, y.last};
 }
 
-/// Range of x that the ellipse covers at y_low <= y <= y_high (px relative to the mean), relative to the mean.
-/// The range must touch the ellipse; what lies above or below it is cut off.
+/// Range of x of the ellipse within y_low <= y <= y_high (px), all relative to the mean. The range must touch the
+/// ellipse.
 template <class T>
 struct Chord {
   T low, high;
@@ -168,14 +167,14 @@ RGS_HD inline Chord<T> chord(const Ellipse<T>& e, T y_low, T y_high) {
 }
 
 /// Tiles of row `row` (one of bounding_tiles()) with a point of the ellipse between their outermost pixel centres.
-/// Exact, not a bound: ellipse and row are convex, so their intersection's x range is met by every tile in it
-/// (AccuTile, Hanson et al. 2025, in one chord a row).
+/// Exact: ellipse and row are convex, so every tile in their intersection's x range meets it (AccuTile, Hanson et al.
+/// 2025, in one chord a row).
 template <int Size = kTileSize, class T>
 RGS_HD inline TileSpan tiles_in_row(const Ellipse<T>& e, int row, TileGrid grid) {
   const T y = static_cast<T>(row * Size) - e.mean.v;
   const T y_low = max(y, -e.half_height), y_high = min(y + T(Size - 1), e.half_height);
   const Chord<T> c = chord(e, y_low, y_high);
-  const T slack = T(1e-3) + T(1e-6) * e.half_width;  // rounding of the chord's ends, px
+  const T slack = T(1e-3) + T(1e-6) * e.half_width;  // for rounding of the chord's ends, px
   return detail::tiles_between<Size>(e.mean.u + c.low - slack, e.mean.u + c.high + slack, grid.columns);
 }
 

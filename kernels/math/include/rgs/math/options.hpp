@@ -1,4 +1,4 @@
-// options.hpp - the choices in the image's definition, each a step of the method that can be switched alone.
+// options.hpp - choices in the image's definition, each a step of the method that can be switched on its own.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,14 +9,14 @@
 
 namespace rgs::math {
 
-/// Which tiles list a Gaussian, and so which pixels see it.
+/// Which tiles list a Gaussian, hence which pixels see it.
 enum class Extent : std::uint8_t {
   square,   ///< tiles touched by the square of half side ceil(3 sigma_max) around the mean: the original 3DGS
   ellipse,  ///< tiles with a pixel that reaches alpha >= 1/255: Speedy-Splat (Hanson et al. 2025), exact per tile row
 };
 
 enum class AntiAliasing : std::uint8_t {
-  classic,        ///< low-pass added, opacity kept: small Gaussians grow brighter
+  classic,        ///< low-pass added, opacity kept: small Gaussians get brighter
   mip_splatting,  ///< opacity times sqrt(det before / det after): the 2D Mip filter (Yu et al. 2024)
 };
 
@@ -25,7 +25,7 @@ enum class DepthOrder : std::uint8_t {
   quantized,  ///< b_d bits of camera z; Gaussians of one bin in tie order
 };
 
-/// Bins of equal depth (linear, the paper) or of equal depth ratio (logarithmic); what an .rgs file states.
+/// Bins of equal depth (linear, the paper) or of equal depth ratio (logarithmic); declared in .rgs files.
 using rgs::DepthMapping;
 
 /// How the exponent of a pair is evaluated.

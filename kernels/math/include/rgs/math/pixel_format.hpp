@@ -11,12 +11,12 @@
 
 namespace rgs::math {
 
-/// A packed pixel: red, green, blue and alpha in the order of their addresses. The colour is the one over the
-/// background (so it is premultiplied by alpha where that is black), display-referred as 3DGS trains it: its sRGB
-/// encoding is in the values already and no transfer curve is applied. alpha = 1 - T.
+/// A packed pixel: red, green, blue, alpha in the order of addresses. The colour is blended over the background
+/// (premultiplied if that is black) and display-referred as 3DGS trains it: the values are sRGB-encoded already, and no
+/// transfer curve is applied. alpha = 1 - T.
 enum class PixelFormat : std::uint8_t {
   rgba8,    ///< 4 bytes, round(255 clamp(v, 0, 1)) each; NaN becomes 0
-  rgba16f,  ///< 4 FP16 numbers, 8 bytes, rounded to nearest; not clamped, too large ones become infinite
+  rgba16f,  ///< 4 FP16 numbers, 8 bytes, rounded to nearest, not clamped; overflow becomes infinite
 };
 
 RGS_HD constexpr std::uint64_t pixel_bytes(PixelFormat format) {
@@ -25,8 +25,8 @@ RGS_HD constexpr std::uint64_t pixel_bytes(PixelFormat format) {
 
 /// round(255 clamp(v, 0, 1)), ties to even; 0 for NaN.
 RGS_HD inline std::uint32_t unorm8(float v) {
-  // 1.5 * 2^23 leaves no bits for a fraction: one fused step multiplies, rounds once, and has the integer in its last
-  // byte, the same on every machine.
+  // 1.5 * 2^23 leaves no bits for a fraction: one fused step multiplies, rounds once, and leaves the integer in the
+  // last byte, the same on every machine.
   return rgs::detail::bits_of(std::fma(clamp(v, 0.0F, 1.0F), 255.0F, 12582912.0F)) & 0xFFu;
 }
 

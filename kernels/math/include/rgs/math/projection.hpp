@@ -1,4 +1,4 @@
-// projection.hpp - one Gaussian from the world onto the image.
+// projection.hpp - projects one Gaussian from the world onto the image.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,12 +13,12 @@ namespace rgs::math {
 template <class T>
 struct Projected {
   PixelPoint<T> mean;
-  T z;  ///< camera depth of the mean, the sort metric
+  T z;  ///< camera depth of the mean, the sort key
   Footprint<T> footprint;
 };
 
-/// Projects a Gaussian with a mean in the world, unit rotation and standard deviations in world units. It is not drawn
-/// unless footprint.valid: outside the depth range (then the rest is 0), or without a usable conic.
+/// Projects a Gaussian with a mean in the world, unit rotation and standard deviations in world units. Draw it only if
+/// footprint.valid: false outside the depth range (the rest is then 0) or without a usable conic.
 template <class T>
 RGS_HD inline Projected<T> project(const View<T>& view, const Vec3<T>& mean, const Quaternion<T>& rotation,
                                    const Vec3<T>& scale, T opacity, T low_pass, AntiAliasing anti_aliasing) {

@@ -7,7 +7,7 @@
 
 namespace rgs::math {
 
-/// Values of the basis functions, ordered by degree l and then by m = -l .. l; those above the degree are 0.
+/// Values of the basis functions, ordered by degree l, then m = -l .. l; 0 above the degree.
 template <class T>
 struct ShBasis {
   T y[16];
@@ -65,8 +65,8 @@ RGS_HD inline Vec3<T> displayed(const Vec3<T>& c) {
 
 }  // namespace detail
 
-/// Colour of a Gaussian: max(0, 1/2 + sum_k y_k sh(k)). `sh(k)` returns coefficient k as Vec3 R G B, so that callers
-/// decode where they store; it is called for k < (degree + 1)^2.
+/// Colour of a Gaussian: max(0, 1/2 + sum_k y_k sh(k)). `sh(k)` returns coefficient k as Vec3 R G B, decoded from the
+/// caller's storage; it is called for k < (degree + 1)^2.
 template <class T, class Coefficients>
 RGS_HD inline Vec3<T> sh_color(int degree, const ShBasis<T>& basis, const Coefficients& sh) {
   Vec3<T> c{0, 0, 0};
@@ -74,8 +74,8 @@ RGS_HD inline Vec3<T> sh_color(int degree, const ShBasis<T>& basis, const Coeffi
   return detail::displayed(c);
 }
 
-/// The same of coefficients that are codes(k) times the step of their degree l, steps(l), channel by channel: the codes
-/// of a degree are summed before they are scaled.
+/// The same from coefficients codes(k) times the step of their degree l, steps(l), channel by channel: a degree's codes
+/// are summed before they are scaled.
 template <class T, class Codes, class Steps>
 RGS_HD inline Vec3<T> sh_color(int degree, const ShBasis<T>& basis, const Codes& codes, const Steps& steps) {
   Vec3<T> c{0, 0, 0};

@@ -1,10 +1,9 @@
-// tie_order.hpp - which of two Gaussians of equal depth is drawn first: an order that follows from their own values.
+// tie_order.hpp - which of two Gaussians of equal depth is drawn first: an order by their own values.
 // SPDX-License-Identifier: Apache-2.0
 //
-// By one value after the other, as numbers, until two differ. A file in another order than its source then shows the same
-// picture, and so does one whose means are relative to an origin, or rounded one by one, as long as different values stay
-// different. A Morton curve would keep neighbours together, but does not survive that: points of a grid lie on the borders of
-// its cells.
+// Compares value after value, as numbers, until two differ. So the picture does not depend on the order of the file,
+// nor on an origin or rounding of the means, as long as different values stay different. A Morton curve would keep
+// neighbours together but lacks this property: points of a grid lie on the borders of its cells.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +14,7 @@
 
 namespace rgs::math {
 
-/// Orders as the numbers do: -infinity lowest, -0 and 0 as one, infinity highest; NaN beyond both ends, by their bits.
+/// Orders as the numbers do: -infinity lowest, -0 equal to 0, infinity highest; NaN beyond both ends, by their bits.
 RGS_HD inline std::uint32_t order_bits(float value) {
   constexpr std::uint32_t kSign = 1u << 31;
   std::uint32_t bits;
@@ -30,10 +29,10 @@ RGS_HD inline int compare_values(float a, float b) {
   return from < to ? -1 : from > to ? 1 : 0;
 }
 
-/// -1, 0 or 1: the tie order of Gaussians a and b of a scene, 0 if all their values are equal. By mean x, y, z, opacity, scale
-/// x, y, z, the coefficient of SH degree 0 (r, g, b), rotation w, x, y, z, and then the other coefficients. `scene` has
-/// mean(i, axis), opacity(i), scale(i), rotation(i), n_sh() and sh(i, k), activated and dequantised, for k below n_sh() =
-/// 3 (degree + 1)^2, coefficients before channels.
+/// -1, 0 or 1: the tie order of Gaussians a and b of a scene, 0 if all their values are equal. Compares mean x, y, z,
+/// opacity, scale x, y, z, the coefficient of SH degree 0 (r, g, b), rotation w, x, y, z, and then the other
+/// coefficients. `scene` has mean(i, axis), opacity(i), scale(i), rotation(i), n_sh() and sh(i, k), activated and
+/// dequantised, for k below n_sh() = 3 (degree + 1)^2, coefficients before channels.
 template <class Scene>
 RGS_HD inline int compare_ties(const Scene& scene, std::uint32_t a, std::uint32_t b) {
   for (int axis = 0; axis < 3; ++axis) {
@@ -54,8 +53,8 @@ RGS_HD inline int compare_ties(const Scene& scene, std::uint32_t a, std::uint32_
   return 0;
 }
 
-/// Whether Gaussian a comes before b where their depths are equal. Of Gaussians with equal values, which give the same
-/// picture either way, the one of the lower index comes first.
+/// Whether Gaussian a precedes b at equal depth. Gaussians with equal values, whose order does not change the picture,
+/// are ordered by index.
 template <class Scene>
 RGS_HD inline bool ties_before(const Scene& scene, std::uint32_t a, std::uint32_t b) {
   const int c = compare_ties(scene, a, b);

@@ -1,4 +1,4 @@
-// vec.hpp - the few small values that the math headers pass around, and host/device-safe comparisons.
+// vec.hpp - small values that the math headers pass around, and host/device-safe comparisons.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -30,8 +30,8 @@ RGS_HD constexpr Vec3<T> cross(const Vec3<T>& a, const Vec3<T>& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-// std::min and std::max are host-only for nvcc without a flag; these return b where a is NaN, and b must not be. As
-// comparison and choice they would be two instructions of the device, which has one for numbers.
+// std::min and std::max are host-only for nvcc without a flag. These return b if a is NaN; b must not be NaN. The
+// device has one instruction for them, where comparison and choice would be two.
 template <class T>
 RGS_HD constexpr T min(T a, T b) {
 #if defined(__CUDA_ARCH__)
@@ -46,13 +46,13 @@ RGS_HD constexpr T max(T a, T b) {
 #endif
   return a > b ? a : b;
 }
-/// x in [low, high]; low where x is NaN.
+/// x in [low, high]; low if x is NaN.
 template <class T>
 RGS_HD constexpr T clamp(T x, T low, T high) {
   return min(max(x, low), high);
 }
 
-/// a b + c: on the device in one instruction and rounded once, on the host as it is written. For sums whose last bits do
+/// a b + c: one instruction with one rounding on the device, two operations on the host. For sums whose last bits do
 /// not matter.
 template <class T>
 RGS_HD inline T multiply_add(T a, T b, T c) {

@@ -1,4 +1,4 @@
-// bring.hpp - the launch that copies pieces of page-locked memory to places on the device, all of them at once.
+// copy_pieces.hpp - the launch that copies pieces of page-locked memory to the device, all at once.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -11,13 +11,13 @@
 
 namespace rgs::cuda {
 
-/// What one launch copies, as a kernel's parameter.
+/// The copies of one launch, as a kernel's parameter.
 struct Pieces {
   static constexpr std::uint32_t kMost = 64;
-  /// Of each piece's place on the host and on the device, and its bytes.
+  /// Of each piece's addresses on host and device, and of its size.
   static constexpr std::size_t kAlignment = 16;
 
-  const void* from[kMost];  ///< in page-locked memory that the device reads under the host's addresses
+  const void* from[kMost];  ///< page-locked memory that the device reads under the host's addresses
   void* to[kMost];
   std::uint32_t bytes[kMost];
   std::uint32_t n = 0;
@@ -31,6 +31,6 @@ struct Pieces {
 };
 
 /// Pieces do not overlap; n > 0. Errors: device_failed.
-Status launch_bring(const Pieces& pieces, Stream stream);
+Status launch_copy_pieces(const Pieces& pieces, Stream stream);
 
 }  // namespace rgs::cuda

@@ -1,15 +1,15 @@
-// bring.cu - pieces of page-locked memory to their places on the device; a block a piece.
+// copy_pieces.cu - copies pieces of page-locked memory to the device; a block a piece.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Many threads bring pages, and their calls of the driver wait for each other there. A launch takes a thread 10 us; that the driver copies as
-// many pieces, even asked with one call, 60 to 120 us (docs/records/EXPERIMENTS.md).
+// Many threads upload pages, and their driver calls wait for each other. A launch takes a thread 10 us; copying as many
+// pieces by the driver, even with one call, 60 to 120 us (docs/records/EXPERIMENTS.md).
 //
 // Math    none
 // In/Out  n pieces of host memory -> the device's, 16 bytes at a time
 // Cost    each byte once over PCIe and once to memory: expected bound, the latency of PCIe
-// Launch  n blocks of 256 threads, each of which has four reads on their way
+// Launch  n blocks of 256 threads, each with four reads in flight
 // Order   deterministic
-#include "common/bring.hpp"
+#include "common/copy_pieces.hpp"
 #include "common/launch.cuh"
 
 namespace rgs::cuda {
@@ -17,7 +17,7 @@ namespace {
 
 constexpr std::uint32_t kThreads = 256, kAtOnce = 4;
 
-__global__ void __launch_bounds__(kThreads) bring_kernel(const __grid_constant__ Pieces pieces) {
+__global__ void __launch_bounds__(kThreads) copy_pieces_kernel(const __grid_constant__ Pieces pieces) {
   const auto* const from = static_cast<const uint4*>(pieces.from[blockIdx.x]);
   auto* const to = static_cast<uint4*>(pieces.to[blockIdx.x]);
   const std::uint32_t n = pieces.bytes[blockIdx.x] / sizeof(uint4);
@@ -36,9 +36,9 @@ __global__ void __launch_bounds__(kThreads) bring_kernel(const __grid_constant__
 
 }  // namespace
 
-Status launch_bring(const Pieces& pieces, Stream stream) {
-  bring_kernel<<<pieces.n, kThreads, 0, stream>>>(pieces);
-  return launched("pages could not be brought to the device");
+Status launch_copy_pieces(const Pieces& pieces, Stream stream) {
+  copy_pieces_kernel<<<pieces.n, kThreads, 0, stream>>>(pieces);
+  return launched("pages could not be copied to the device");
 }
 
 }  // namespace rgs::cuda
