@@ -66,10 +66,6 @@ while(listing MATCHES "^([^\n]*)\n(.*)$")
   if("${LABEL}: ${name}" MATCHES "^(${slow})")
     set(cost " COST 10")
   endif()
-  # It stops a program between two of its steps, for which it must not wait for a processor.
-  if("${LABEL}: ${name}" MATCHES "^programs: an input that changes or shrinks")
-    set(cost " RUN_SERIAL TRUE")
-  endif()
   string(APPEND script "add_test([==[${label}: ${name}]==] ${command} --first=${number} --last=${number})\n"
     "set_tests_properties([==[${label}: ${name}]==] PROPERTIES LABELS ${label} TIMEOUT 3600${cost}\n"
     "  ENVIRONMENT RGS_SKIP_RETURN_CODE=77 SKIP_RETURN_CODE 77)\n")

@@ -2,14 +2,12 @@
 // a terminal, values that no option can mean, outputs that are inputs, inputs that change, little memory, messages as JSON, --help.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
-#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cerrno>
-#include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -21,10 +19,11 @@
 #include <set>
 #include <string>
 #include <string_view>
-#include <thread>
 #include <vector>
 
+#include "counted_program.hpp"
 #include "edit_file.hpp"
+#include "file_times.hpp"
 #include "golden_scenes.hpp"
 #include "info_escape.hpp"
 #include "ply_samples.hpp"
@@ -528,7 +527,7 @@ TEST_CASE("reports of folders write over none of their inputs") {
 }
 
 TEST_CASE("an input that changes or shrinks while it is read is exit code 3") {
-  const Scene scene(kSanitized ? 100'000 : 200'000);
+  const Scene scene(20'000);
   const std::string out = scene.file("out"), ply = read_text(scene.ply), rgs = read_text(scene.rgs);
   const std::string sources = scene.file("ply"), assets = scene.file("rgs"), in_folder = sources + "/scene.ply";
   for (const std::string& folder : {sources, assets}) fs::create_directory(folder);
@@ -546,32 +545,29 @@ TEST_CASE("an input that changes or shrinks while it is read is exit code 3") {
       if (name == "rgs-info") command.insert(command.end(), {"--verify", "--stats"});
       const std::string& input = run[1] == "--overwrite" ? scene.ply : run[1] == sources ? in_folder : run[1];
       const std::string content = input == scene.rgs ? rgs : ply;
-      bool caught = false;
-      for (int attempt = 0; attempt < 20 && !caught; ++attempt) {
-        write_text(input, content);
-        Program child(command);
-        const std::string maps = "/proc/" + std::to_string(child.id()) + "/maps";
-        while (child.running() && read_text(maps).find(input) == std::string::npos) {
-        }
-        child.send(SIGSTOP);
-        siginfo_t info{};
-        ::waitid(P_PID, static_cast<id_t>(child.id()), &info, WEXITED | WSTOPPED | WNOWAIT);
-        caught = info.si_code == CLD_STOPPED;
-        if (!caught) continue;
-        if (shrink) {
-          fs::resize_file(input, content.size() / 8);
-        } else {
-          std::fstream file(input, std::ios::binary | std::ios::in | std::ios::out);
-          file.seekp(static_cast<std::streamoff>(content.size() / 2));
-          file << std::string(content.size() / 4, '\x40');
-        }
-        child.send(SIGCONT);
-        const ProgramResult result = child.wait();
-        CAPTURE(result.err);
-        CHECK(result.signal == 0);
-        CHECK(result.exit_code == 3);
+      write_text(input, content);
+      wait_for_later_time(input);
+      Program child(command, [&] {
+        ::setenv("LD_PRELOAD", RGS_STOP_AT_MAPPING, 1);
+        ::setenv("RGS_STOP_AT", input.c_str(), 1);
+        // Of folders, files are mapped twice before, to be paired and hashed.
+        ::setenv("RGS_STOP_TIME", run[1] == sources ? "3" : "1", 1);
+      });
+      siginfo_t info{};
+      ::waitid(P_PID, static_cast<id_t>(child.id()), &info, WEXITED | WSTOPPED | WNOWAIT);
+      CHECK(info.si_code == CLD_STOPPED);
+      if (shrink) {
+        fs::resize_file(input, content.size() / 8);
+      } else {
+        std::fstream file(input, std::ios::binary | std::ios::in | std::ios::out);
+        file.seekp(static_cast<std::streamoff>(content.size() / 2));
+        file << std::string(content.size() / 4, '\x40');
       }
-      CHECK(caught);
+      child.send(SIGCONT);
+      const ProgramResult result = child.wait();
+      CAPTURE(result.err);
+      CHECK(result.signal == 0);
+      CHECK(result.exit_code == 3);
       write_text(input, content);
     }
   }
@@ -586,20 +582,13 @@ TEST_CASE("a program that gets no more memory says so with exit code 3") {
     const std::string name = fs::path(run.front()).filename().string();
     if (name == "rgs-info" || name == "rgs-make-scene") continue;  // little memory is enough for any size
     CAPTURE(name);
-    const auto within = [](rlim_t megabytes) {
-      return [megabytes] {
-        const rlimit limit{megabytes << 20, megabytes << 20};
-        ::setrlimit(RLIMIT_DATA, &limit);
-      };
-    };
     // What the libraries need before main() is not ours to report.
-    rlim_t least = 512;  // in steps of 8
-    for (rlim_t step = 256; step >= 8; step /= 2)
-      if (run_program({run.front(), "--help"}, within(least - step)).exit_code == 0) least -= step;
+    const std::int64_t least = run_counted({run.front(), "--help"}).peak_bytes;
+    REQUIRE(least > 0);
     bool told = false;
-    for (const rlim_t more : {0U, 4U, 8U, 12U, 16U, 24U, 32U}) {
+    for (const std::int64_t more : {0, 1, 4, 8, 12, 16, 24, 32}) {
       CAPTURE(more);
-      const ProgramResult result = run_program(run, within(least + more));
+      const ProgramResult result = run_counted(run, least + (more << 20)).program;
       CAPTURE(result.err);
       CHECK(result.signal == 0);
       CHECK((result.exit_code == 0 || result.exit_code == 3));
