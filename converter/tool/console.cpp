@@ -362,8 +362,8 @@ void Progress::begin(const char* stage, std::uint64_t total, const char* unit) {
   start_ = Clock::now();
   next_draw_ = (start_ + between_draws()).time_since_epoch().count();
   fails_at_ = chosen_failpoint().stage == stage ? chosen_failpoint().units : 0;
-  failpoint(stage);
   if (json_ && !quiet_) draw(start_);
+  failpoint(stage);
 }
 
 Progress::Clock::duration Progress::between_draws() const {

@@ -10,6 +10,7 @@ import html
 import json
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import threading
@@ -282,13 +283,15 @@ def _read(stream: IO[bytes], into: List[bytes]) -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Stops a program, which removes its unfinished outputs."""
+    """Stops a program, which removes its unfinished outputs; another Ctrl-C kills it."""
     process.terminate()
+    process.send_signal(signal.SIGCONT)  # a stopped one would not hear it
     try:
-        process.wait(10)
-    except subprocess.TimeoutExpired:
+        process.wait()
+    except KeyboardInterrupt:
         process.kill()
         process.wait()
+        raise
 
 
 class _Messages:

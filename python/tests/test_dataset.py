@@ -40,7 +40,7 @@ with context.Pool(2) as pool:
 
 def test_forked_workers_open_the_scene_themselves(examples):
     out = subprocess.run([sys.executable, "-c", FORKING, SAMPLE, examples / "scene.rgs", examples / "cameras.json"],
-                         capture_output=True, text=True, timeout=200, env=os.environ)
+                         capture_output=True, text=True, env=os.environ)
     assert out.returncode == 0, out.stderr
     renderer, scene = roofgs.Renderer(device="cpu"), roofgs.load(examples / "scene.rgs")
     views = [view.resized(32, 24) for view in roofgs.cameras.load(examples / "cameras.json")]
@@ -51,5 +51,5 @@ def test_forked_workers_open_the_scene_themselves(examples):
 def test_with_torch(workers, examples):
     pytest.importorskip("torch", reason="torch is not installed")
     out = subprocess.run([sys.executable, SAMPLE, examples / "scene.rgs", examples / "cameras.json", str(workers)],
-                         capture_output=True, text=True, timeout=200, check=True, env=os.environ)
+                         capture_output=True, text=True, check=True, env=os.environ)
     assert out.stdout.count("(4, 3, 240, 320)") == 2

@@ -14,7 +14,8 @@ def test_the_notebook_runs(examples, tmp_path):
     book = nbformat.read(ROOT / "samples" / "notebooks" / "look.ipynb", as_version=4)
     nbformat.validate(book)
     assert not any(cell.get("outputs") for cell in book.cells)  # none is committed
-    NotebookClient(book, timeout=200, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
+    NotebookClient(book, timeout=None, startup_timeout=1_000_000, kernel_name="python3",
+                   resources={"metadata": {"path": str(tmp_path)}}).execute()
     outputs = [output for cell in book.cells if cell.cell_type == "code" for output in cell.outputs]
     kinds = [kind for output in outputs for kind in output.get("data", {})]
     assert kinds.count("image/png") == 3 and kinds.count("text/html") == 2

@@ -2,9 +2,7 @@
 import os
 import pickle
 import signal
-import stat
-import threading
-import time
+import sys
 
 import numpy as np
 import pytest
@@ -98,63 +96,57 @@ def test_an_error_in_the_callback_ends_the_program(examples, tmp_path):
     assert names(tmp_path) in ([], ["a.rgs"])  # whole or not at all
 
 
+STUCK = """#!{python}
+import os, signal, sys
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+with open("{folder}/pid", "w") as file:
+    print(os.getpid(), file=file)
+print('{{"progress": {{"stage": "encode", "done": 1, "total": 2, "unit": ""}}}}', file=sys.stderr, flush=True)
+signal.sigwait([signal.SIGTERM])
+with open("{folder}/end", "w") as file:
+    print("ended", file=file)
+sys.exit(1)
+"""
+
+
 @pytest.fixture()
 def stuck(tmp_path_factory, monkeypatch):
-    """An rgs-convert that begins its output and then waits for a signal, to which it gives a word before it ends."""
+    """An rgs-convert that tells of its progress and then waits for SIGTERM."""
     folder = tmp_path_factory.mktemp("programs")
     script = folder / "rgs-convert"
-    script.write_text("#!/bin/sh\n"
-                      "echo '{\"progress\": {\"stage\": \"encode\", \"done\": 1, \"total\": 2, \"unit\": \"\"}}' >&2\n"
-                      f"trap 'echo ended > {folder}/end; exit 1' TERM INT\n"
-                      f"echo $$ > {folder}/pid.new; mv {folder}/pid.new {folder}/pid\n"
-                      "while :; do read -t 1 line <> /dev/null || sleep 0.05; done\n")
-    script.chmod(script.stat().st_mode | stat.S_IXUSR)
+    script.write_text(STUCK.format(python=sys.executable, folder=folder))
+    script.chmod(0o755)
     monkeypatch.setenv("ROOFGS_PROGRAMS", str(folder))
     return folder
 
 
 def test_ctrl_c_ends_the_program(stuck, examples, tmp_path):
-    def send():
-        while not (stuck / "pid").exists():
-            time.sleep(0.01)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    sender = threading.Thread(target=send)
-    sender.start()
     with pytest.raises(KeyboardInterrupt):
-        roofgs.convert(examples / "scene.ply", tmp_path / "a.rgs")
-    sender.join()
+        roofgs.convert(examples / "scene.ply", tmp_path / "a.rgs", progress=lambda *_: os.kill(os.getpid(), signal.SIGINT))
     assert (stuck / "end").read_text() == "ended\n"
     with pytest.raises(ProcessLookupError):  # it has ended, and has been waited for
         os.kill(int((stuck / "pid").read_text()), 0)
 
 
-def test_ctrl_c_leaves_no_unfinished_file(examples, tmp_path):
-    big = tmp_path / "big.ply"
-    program("rgs-make-scene", "--gaussians", "300k", "--degree", 3, big, "--quiet")
-    out = tmp_path / "out"
-    out.mkdir()
+@pytest.mark.parametrize("stage", ["scan", "levels", "commit"])
+def test_ctrl_c_leaves_no_unfinished_file(stage, examples, tmp_path, monkeypatch):
+    monkeypatch.setenv("RGS_FAILPOINT", f"{stage}:0:{int(signal.SIGSTOP)}")
+    unfinished = []
 
-    def interrupt(stage, *_):
-        if stage == "encode" or len(list(out.iterdir())) > 0:
+    def interrupt(begun, *_):
+        if begun == stage:  # it has stopped there, or is about to
+            unfinished.extend(names(tmp_path))
             os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        roofgs.convert(big, out / "a.rgs", lod=True, progress=interrupt)
-    assert names(out) == []
+        roofgs.convert(examples / "scene.ply", tmp_path / "a.rgs", lod=True, progress=interrupt)
+    assert len(unfinished) == 1 and names(tmp_path) == []
 
 
 def test_a_program_that_is_killed(stuck, examples, tmp_path):
-    def kill():
-        while not (stuck / "pid").exists():
-            time.sleep(0.01)
-        os.kill(int((stuck / "pid").read_text()), signal.SIGKILL)
-
-    killer = threading.Thread(target=kill)
-    killer.start()
     with pytest.raises(roofgs.InternalError, match="signal 9"):
-        roofgs.convert(examples / "scene.ply", tmp_path / "a.rgs")
-    killer.join()
+        roofgs.convert(examples / "scene.ply", tmp_path / "a.rgs",
+                       progress=lambda *_: os.kill(int((stuck / "pid").read_text()), signal.SIGKILL))
 
 
 def test_a_program_that_is_not_there(monkeypatch, tmp_path, examples):

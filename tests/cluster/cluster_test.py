@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 
 sys.path.insert(0, os.path.join(os.path.dirname(__file__), "../support"))
 import slurm_cluster
@@ -120,21 +119,47 @@ def need(*programs):
             skip_without_tool(f"{name} is not installed")
 
 
+KILLED_WITH_ALL = """#!/usr/bin/python3
+import os, signal, sys
+child = os.fork()
+if child == 0:
+    os.environ["RGS_FAILPOINT"] = "{stage}:{units}:" + str(int(signal.SIGSTOP))
+    os.execv("{program}", ["{program}", *sys.argv[1:]])
+_, status = os.waitpid(child, os.WUNTRACED)
+if os.WIFSTOPPED(status):
+    os.kill(0, signal.SIGKILL)
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
+
+
+def kill_at(stage, units, run, folder):
+    """Starts `run`, and kills it with all programs that it began when one of them is at this failpoint."""
+    os.makedirs(f"{folder}/killing", exist_ok=True)
+    for name in ("rgs-convert", "rgs-audit"):
+        with open(f"{folder}/killing/{name}", "w", encoding="utf-8") as file:
+            file.write(KILLED_WITH_ALL.format(stage=stage, units=units, program=f"{BIN}/{name}"))
+        os.chmod(f"{folder}/killing/{name}", 0o755)
+    done = subprocess.run(run, cwd=folder, env=environment() | {"PATH": f"{folder}/killing:{BIN}:{os.environ['PATH']}"},
+                          start_new_session=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                          text=True, check=False)
+    assert done.returncode == -signal.SIGKILL, f"{stage} {units}: {done.returncode}\n{done.stdout}"
+
+
 @contextlib.contextmanager
-def slurm(folder):
+def slurm(folder, **options):
     if os.geteuid() != 0:
         print("skipped: Slurm's daemons need root")
         sys.exit(77)
     if reason := slurm_cluster.missing():
         skip_without_tool(reason)
-    with SlurmCluster(f"{folder}/slurm") as cluster:
+    with SlurmCluster(f"{folder}/slurm", **options) as cluster:
         try:
             yield cluster
         except BaseException:
             for job in cluster.run("scontrol", "show", "job", "-o", check=False).stdout.splitlines():
                 print(*re.findall(r"\b(?:JobId|JobName|JobState|Restarts|RunTime|NodeList)=\S*", job))
             raise
-    wait_for(lambda: not cluster.processes(), "end of all processes", 10)
+    wait_for(lambda: not cluster.processes())
 
 
 PAGE_SCENES = {"house1": "scenes/house1.ply", "house2": "scenes/house2.ply", "house3": "scenes/house3.ply",
@@ -316,20 +341,16 @@ def resources(folder):
     same(Run(folder, "max_threads=2", options=["--dry-run", "--cores", "16"]).text.count("threads: 2\n"), 2)
 
 
-@case("killed at any moment, the next run ends the work")
+@case("killed in any step, the next run ends the work")
 def killed(folder):
     sources = {}
     for seed in range(6):
         make_scene(f"{folder}/scenes/{seed}.ply", seed, "5k")
         sources[str(seed)] = f"scenes/{seed}.ply"
-    for seconds in (1.0, 1.8, 2.6):
-        run = subprocess.Popen(command("local", QUICK), cwd=folder, env=environment(), start_new_session=True,
-                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
-        time.sleep(seconds)
-        os.killpg(run.pid, signal.SIGKILL)
-        run.wait()
-    # A lock is left behind; Snakemake names it and --unlock removes it.
-    subprocess.run([*command("local", QUICK), "--unlock"], cwd=folder, env=environment(), check=True)
+    for stage, units in (("scan", 0), ("encode", 1), ("commit", 0), ("reading", 0), ("rendering", 1)):
+        kill_at(stage, units, command("local", QUICK), folder)
+        # A lock is left behind, which Snakemake names and --unlock removes.
+        subprocess.run([*command("local", QUICK), "--unlock"], cwd=folder, env=environment(), check=True)
     same(Run(folder).code, 0)
     same(Run(folder).jobs, [])
     for name in files_below(f"{folder}/results/assets"):
@@ -353,32 +374,36 @@ def page_slurm(folder):
         asked = [(re.search(r"MinMemoryNode=(\w+)", job)[1], re.search(r"TimeLimit=(\S+)", job)[1]) for job in jobs]
         assert all(memory.endswith("M") for memory, _ in asked), asked
         same([a for job, a in zip(jobs, asked) if "JobState=FAILED" in job], [("203M", "00:10:00"), ("406M", "00:20:00")])
-        same({re.search(r" NodeList=(\w+)", job)[1] for job in jobs}, {"n1", "n2"})
+        assert {re.search(r" NodeList=(\w+)", job)[1] for job in jobs} <= {"n1", "n2"}
         done = shell(page_block("slurm"), folder, **variables)
         same((done.returncode, re.findall("^rule (.*):", done.stdout, re.M)), (1, ["convert"] * 2))
 
 
-def slow_programs(folder, seconds):
-    """Wrappers that wait before they start the programs under test, so that jobs can be caught at work."""
-    os.makedirs(f"{folder}/slow")
+def waiting_programs(folder, first="*"):
+    """Programs in front of those under test that make the file at_work.NODE and wait for go, where `first` is their first argument."""
+    os.makedirs(f"{folder}/waiting")
     for name in ("rgs-convert", "rgs-audit"):
-        with open(f"{folder}/slow/{name}", "w", encoding="utf-8") as file:
-            file.write(f'#!/bin/sh\n[ "$1" = --version ] || sleep {seconds}\nexec {BIN}/{name} "$@"\n')
-        os.chmod(f"{folder}/slow/{name}", 0o755)
-    return f"{folder}/slow:{BIN}:{os.environ['PATH']}"
+        with open(f"{folder}/waiting/{name}", "w", encoding="utf-8") as file:
+            file.write(f'#!/bin/sh\ncase "$1" in\n  --version) ;;\n  {first}) : >"{folder}/at_work.$SLURMD_NODENAME"\n'
+                       f'    while ! [ -e "{folder}/go" ]; do sleep 0.1; done ;;\nesac\nexec {BIN}/{name} "$@"\n')
+        os.chmod(f"{folder}/waiting/{name}", 0o755)
+    return f"{folder}/waiting:{BIN}:{os.environ['PATH']}"
+
+
+def go(folder):
+    open(f"{folder}/go", "wb").close()
 
 
 @contextlib.contextmanager
 def at_work_on(node, folder, cluster, n_scenes):
-    """Snakemake, with one of its jobs running on the node."""
+    """Snakemake, with a job of it running on the node, which ends after go()."""
     for seed in range(n_scenes):
         make_scene(f"{folder}/scenes/{seed}.ply", seed)
     run = subprocess.Popen(command("slurm", QUICK), cwd=folder, start_new_session=True, stdin=subprocess.DEVNULL,
                            env=environment(SLURM_CONF=cluster.environment["SLURM_CONF"]) |
-                           {"PATH": slow_programs(folder, 3)})
+                           {"PATH": waiting_programs(folder)})
     try:
-        wait_for(lambda: cluster.run("squeue", "--noheader", "--states=RUNNING", f"--nodelist={node}").stdout, "job there")
-        time.sleep(2)  # into the program itself
+        wait_for(lambda: os.path.exists(f"{folder}/at_work.{node}"))
         yield run
     finally:
         if run.poll() is None:
@@ -387,7 +412,8 @@ def at_work_on(node, folder, cluster, n_scenes):
 
 
 def check_requeued(folder, cluster, run, n_scenes):
-    same(run.wait(300), 0)
+    go(folder)
+    same(run.wait(), 0)
     jobs = cluster.run("scontrol", "show", "job", "-o").stdout
     assert re.search(r"Restarts=[1-9]", jobs), "no job was queued again"
     same(results(folder), {str(i): "passed" for i in range(n_scenes)})
@@ -403,7 +429,7 @@ def node_down(folder):
 
 @case("a node of Slurm dies in the middle")
 def node_dies(folder):
-    with slurm(folder) as cluster, at_work_on("n2", folder, cluster, 4) as run:
+    with slurm(folder, slurmd_timeout=6) as cluster, at_work_on("n2", folder, cluster, 4) as run:
         cluster.kill_node("n2")
         check_requeued(folder, cluster, run, 4)
         assert "down" in cluster.states()[1], cluster.states()
@@ -413,8 +439,8 @@ def node_dies(folder):
 def interrupted(folder):
     with slurm(folder) as cluster, at_work_on("n1", folder, cluster, 6) as run:
         os.kill(run.pid, signal.SIGINT)
-        same(run.wait(60), 1)
-        wait_for(lambda: not cluster.run("squeue", "--noheader").stdout, "empty queue", 20)
+        same(run.wait(), 1)
+        wait_for(lambda: not cluster.run("squeue", "--noheader").stdout)
 
 
 @case("a job's state in Snakemake's words")
@@ -425,9 +451,9 @@ def job_states(folder):
             return cluster.run("sbatch", "--parsable", "--output=/dev/null", *options, "--wrap", text).stdout.strip()
 
         def is_(word, job):
-            wait_for(lambda: cluster.run(status, job).stdout == word + "\n", f"'{word}' of job {job}", 20)
+            wait_for(lambda: cluster.run(status, job).stdout == word + "\n")
 
-        good, bad, long, held = submit("true"), submit("exit 4"), submit("sleep 100"), submit("true", "--hold")
+        good, bad, long, held = submit("true"), submit("exit 4"), submit("sleep infinity"), submit("true", "--hold")
         is_("success", good)
         is_("failed", bad)
         is_("running", long)
