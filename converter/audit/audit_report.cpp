@@ -693,9 +693,10 @@ class Page {
     fact("Asset", fmt::format("{}: {} bytes, {} Gaussians, SH degree {}, XXH3 <code>{:016x}</code>",
                               html(report_.asset_name), format_count(report_.size.asset_bytes),
                               format_count(report_.size.n_asset), report_.size.asset_sh_degree, report_.asset_xxh3));
-    fact("Provenance", !report_.made_from_source   ? "the asset does not state its source"
-                       : *report_.made_from_source ? "the asset names this source: name, size and hash agree"
-                                                   : "<b class=\"bad\">the asset names another file as its source</b>");
+    fact("Source check", !report_.made_from_source ? "the asset does not state its source"
+                         : *report_.made_from_source
+                             ? "the asset names this source: name, size and hash agree"
+                             : "<b class=\"bad\">the asset names another file as its source</b>");
     if (report_.render) {
       fact("Reference",
            "the source in FP32 by the original 3DGS definition: square extent of 3 sigma, exact depth order, exact "

@@ -371,7 +371,7 @@ TEST_CASE("pages of which nothing is kept are not read for a cut") {
   // All of the coarsest level is in the crop, and the error says which of them count.
   const ProgramResult none = rgs_convert({"--max-count", "10", "--crop=-1e6,-1e6,-1e6,1e6,1e6,1e6", levels, out});
   CHECK(none.exit_code == 2);
-  CHECK(none.err.find("are kept (--crop") != std::string::npos);
+  CHECK(none.err.find("the coarsest level (--crop") != std::string::npos);
 }
 
 TEST_CASE("of a file whose end is missing only levels that are there are converted") {
