@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# records_test.py - what the documents of docs/records show is what the records beside them hold.
+# records_test.py - the documents of docs/records match the records beside them.
 # SPDX-License-Identifier: Apache-2.0
 """records_test.py SOURCE_FOLDER
 
