@@ -83,7 +83,7 @@ void check_same(const std::vector<float>& a, const std::vector<float>& b) {
 }
 
 void check_error(const Result<FrameStats>& result, Errc code) {
-  REQUIRE_MESSAGE(!result, "a frame was made with ", result ? result->instances : 0, " pairs");
+  REQUIRE_MESSAGE(!result, "a frame was drawn with ", result ? result->instances : 0, " pairs");
   CHECK_MESSAGE(result.error().code == code, text_of(result.error()), ", found ", result.error().found);
 }
 
@@ -277,7 +277,7 @@ TEST_CASE("a scene far from the world's origin gives the same frame as near it, 
       require_ok(at_home.render(pair.home, modes()[m]));
       require_ok(far_away.render(pair.away, modes()[m]));
       const double quality = psnr(at_home.rgb(), far_away.rgb());
-      MESSAGE(kModes[m], ", ", pair.name, ": ", quality, " dB between home and far away");
+      MESSAGE(kModes[m], ", ", pair.name, ": ", quality, " dB between near and far");
       CAPTURE(kModes[m]);
       CAPTURE(pair.name);
       CHECK(quality >= 80);
@@ -792,7 +792,7 @@ TEST_CASE("more pairs than the workspace holds: the frame equals that of a suffi
     check_same(device.rgb(), rgb);
     require_ok(device.render(small, modes()[m]));
     check_same(device.rgb(), small_rgb);
-    CHECK_MESSAGE(device.renderer().bytes() == after, "frames that fit allocate");
+    CHECK_MESSAGE(device.renderer().bytes() == after, "a frame that fits allocates");
     const Frame host = cpu_frame(scene, camera, modes()[m]);
     const double quality = psnr(rgb, host.rgb);
     CHECK_MESSAGE(quality >= lowest_psnr(modes()[m]), quality, " dB");
@@ -1049,5 +1049,5 @@ TEST_CASE("device memory returns to its start once everything is destroyed") {
   for (int run = 0; run < 20; ++run) use_everything();
   const std::int64_t after = free_bytes();
   // The driver allocates pages of 2 MiB, one of which it may keep.
-  CHECK_MESSAGE(before - after <= 2 << 20, (before - after), " bytes are missing");
+  CHECK_MESSAGE(before - after <= 2 << 20, (before - after), " bytes are not released");
 }

@@ -77,7 +77,7 @@ bool agrees_with_host(std::span<const std::byte> bytes) {
                        (expected.has_value() || (expected.error().code == found.error().code &&
                                                  expected.error().offset == found.error().offset));
   if (!is_same) {
-    MESSAGE("host: ", expected ? "sound" : text_of(expected.error()),
+    MESSAGE("host: ", expected ? "valid" : text_of(expected.error()),
             "; device: ", found ? "sound" : text_of(found.error()));
   }
   return is_same;
@@ -205,7 +205,7 @@ TEST_CASE("the device refuses a damaged file like the host, with the same error 
       }
     }
   }
-  MESSAGE(n_refused, " refused, ", n_sound, " sound");
+  MESSAGE(n_refused, " refused, ", n_sound, " valid");
   CHECK(n_refused > 40);
 }
 

@@ -60,7 +60,7 @@ std::string unpacked_scene() {
 
 TEST_CASE("a trained scene matches images of the original definition to 60 dB in 8 bits") {
   if (!fs::exists(south() / "south.ply.zst"))
-    return skip_without_data("there is no measurement data in " + south().string() + "; set RGS_DATA_DIR");
+    return skip_without_data("no measurement data in " + south().string() + "; set RGS_DATA_DIR");
   auto cloud = read_ply(unpacked_scene());
   REQUIRE(cloud);
   const auto scene = Scene::load(std::move(*cloud));

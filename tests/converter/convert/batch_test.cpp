@@ -710,7 +710,7 @@ TEST_CASE("one shard's state does not end another's work, in whatever order the 
 
 TEST_CASE("on a terminal --quiet prints no lines") {
   const Folders f(1);
-  if (run_shell("command -v script").exit_code != 0) return skip("there is no program `script` for a terminal");
+  if (run_shell("command -v script").exit_code != 0) return skip("`script` is not installed (Debian: bsdutils)");
   const auto on_terminal = [&](const std::string& more) {
     fs::remove_all(f.out);
     return run_shell("script -qec '" RGS_CONVERT " --no-sync " + f.in + " " + f.out + " --to rgs " + more +

@@ -541,7 +541,7 @@ TEST_CASE("malformed inputs exit with 4, say where, and write nothing") {
 }
 
 TEST_CASE("once Gaussians are in order, their means leave the memory") {
-  if (!counts_live_memory()) return skip("a sanitizer that does not count has the allocator");
+  if (!counts_live_memory()) return skip("the sanitizer replaces the allocator and counts nothing");
   const TemporaryFolder folder;
   constexpr std::int64_t kN = 400'000;
   const auto ply = PlyFile::open(write_scene(folder.file("a.ply"), golden_cloud(kN, 0, 1)));

@@ -32,7 +32,7 @@ constexpr std::uint64_t kSize = 3'000'000;
 
 bool without_nginx() {
   if (Nginx::is_installed()) return false;
-  test::skip_without_tool(std::string("there is no ") + Nginx::kProgram);
+  test::skip_without_tool(std::string(Nginx::kProgram) + " is not installed");
   return true;
 }
 

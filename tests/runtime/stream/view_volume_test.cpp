@@ -84,7 +84,7 @@ TEST_CASE("a Gaussian whose box is culled changes no pixel, whatever its positio
       CHECK(volume.may_show(larger));
     }
   }
-  MESSAGE(n_shown, " shown, of these ", n_beside, " with means beside the image; ", n_culled, " left out");
+  MESSAGE(n_shown, " shown, ", n_beside, " with means beside the image; ", n_culled, " culled");
   CHECK(n_beside > 500);
   CHECK(n_culled > 500);
 }
