@@ -18,7 +18,7 @@
 namespace {
 
 std::atomic<std::int64_t> g_live{0}, g_peak{0};
-constexpr std::int64_t kHeader = 8;  // glibc's overhead beyond the usable bytes
+constexpr std::int64_t kHeader = 8;  // of glibc, besides what can be used
 
 [[maybe_unused]] void* counted(void* memory) {
   if (memory == nullptr) return memory;

@@ -187,9 +187,9 @@ TEST_CASE("tiles at their places get levels without being in memory together") {
   CHECK(rgs_convert({"--scratch", folder.file(""), a, levels}).exit_code == 2);
 }
 
-TEST_CASE("--lod takes no more than --memory, leaves nothing in --scratch, and says what is wrong with it") {
-  if (kSanitized) return;  // sanitizers take memory of their own
-  // Gaussians of 92 bytes, 64 MB; the levels before took 2.4 times that and the mapped input on top.
+TEST_CASE("--lod takes no more than --memory, leaves --scratch empty, and refuses a missing one") {
+  if (kSanitized) return;  // sanitizers use more memory
+  // 64 MB of Gaussians, 92 bytes each.
   const TemporaryFolder folder, scratch;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(700'000, 1, 3)),
                     levels = folder.file("levels.rgs");
@@ -347,7 +347,7 @@ TEST_CASE("--max-count counts the Gaussians of a file with levels that --crop an
   }
 }
 
-TEST_CASE("a cut reads no pages of which nothing is kept") {
+TEST_CASE("a cut does not read pages whose Gaussians are all dropped") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 8)),
                     plain = folder.file("plain.rgs"), out = folder.file("out.ply");

@@ -15,7 +15,7 @@
 using namespace rgs;
 using namespace rgs::test;
 
-TEST_CASE("a conversion on two threads holds at most 16 MB + 48 bytes a Gaussian") {
+TEST_CASE("a conversion on two threads holds at most 16 MB + 48 bytes per Gaussian") {
   if (!counts_memory()) return skip("a sanitizer replaces the allocator");
   constexpr std::uint64_t kN = 400'000;  // the rows alone would take 94 MB
   // The documented limit is 64 MB beside the input; the program and its stacks take the rest.

@@ -1,5 +1,5 @@
-// programs_test.cpp - what all programs have in common: standard streams that are closed or full, names that would act on
-// a terminal, values that no option can mean, outputs that are inputs, inputs that change, little memory, messages as JSON, --help.
+// programs_test.cpp - behaviour of all programs: closed or full standard streams, names that would control a terminal,
+// invalid values, outputs that are inputs, changing inputs, little memory, messages as JSON, --help.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <sys/resource.h>

@@ -112,7 +112,7 @@ void note_most(std::atomic<std::uint64_t>& most, std::uint64_t now) {
 }  // namespace
 
 struct FakeCuda::Impl {
-  mutable std::mutex mutex;  // of what follows
+  mutable std::mutex mutex;  // of the members below
   struct Block {
     std::size_t bytes;
     int device;

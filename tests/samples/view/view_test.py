@@ -33,7 +33,7 @@ class View:
         line = self.process.stdout.readline()
         found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([0-9a-f]{32})/(#.*)?\n", line)
         if not found:
-            sys.exit(f"no address, but {line!r}: {self.process.stderr.read()}")
+            sys.exit(f"no address but {line!r}: {self.process.stderr.read()}")
         self.port, self.token, self.fragment = int(found[1]), found[2], found[3]
 
     def ask(self, name, method="GET", body=None, headers=None, path=None):
@@ -268,7 +268,7 @@ def case_end():
     with View(source / "tests/golden/two.rgs") as view:
         port = view.port
         view.end()
-    with View(source / "tests/golden/two.rgs", "--port", port) as view:  # the port is free again
+    with View(source / "tests/golden/two.rgs", "--port", port) as view:  # free again
         assert view.port == port
         code, said = refused(source / "tests/golden/two.rgs", "--port", port)
         assert code == 3 and "--port" in said, said
@@ -315,7 +315,7 @@ def case_browser():
                                    text=True)
         try:
             address = process.stdout.readline().strip()
-            urllib.request.urlopen(address, timeout=60).close()  # it answers after opening a browser
+            urllib.request.urlopen(address, timeout=60).close()  # it answers after it has opened a browser
             if screen:
                 wait_until(told.exists)
                 lines = told.read_text().split("\n")
