@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draco's kd-tree in a few lines, the entropy coder, and the way from codes to rows of MEAN, GEOM and SHI8.
 
-Readable, not fast: some thousand Gaussians a second. Whatever is wrong with a frame is Damaged, a ValueError.
+Readable, not fast: some thousand Gaussians per second. Any defect of a frame raises Damaged, a ValueError.
 """
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ DRACO_ATTRIBUTE = bytes.fromhex("01 01 00 06 03 00 00 06")
 
 
 class Bytes:
-    """A cursor that does not run over the end."""
+    """A cursor with a check for the end."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.at = data, 0
@@ -93,7 +93,7 @@ class Bytes:
 
 
 class AsymmetricBits:
-    """Bits of one probability, coded by a binary range asymmetric numeral system that is read from its end."""
+    """Bits of one probability, coded by a binary range asymmetric numeral system and read from the end."""
 
     def __init__(self, source: Bytes) -> None:
         self.zero = source.take(1)[0]
@@ -293,7 +293,7 @@ def decode_sh(frame: bytes, rows: int, arch: dict[str, Any], classes: list[int],
 
 
 def step_for(largest: float) -> np.float32:
-    """The step that a chunk of a page takes for values of at most this magnitude."""
+    """The step of a page's chunk for values of at most this magnitude."""
     largest = np.float32(largest)
     if not largest >= np.float32(127 * 2.0**-107):
         return np.float32(0)

@@ -2,12 +2,12 @@
 # rgs_reader.py - an independent reader of .rgs files, written from docs/format/FORMAT.md and docs/format/ARCHIVE.md alone; needs numpy,
 # xxhash, zstandard.
 # SPDX-License-Identifier: Apache-2.0
-"""Reads an .rgs file, checks every rule of docs/format/FORMAT.md, and gives every value as a numpy array.
+"""Reads an .rgs file, checks every rule of docs/format/FORMAT.md, and returns every value as a numpy array.
 
     scene = rgs_reader.read(open("scene.rgs", "rb").read())     # raises RgsError(code, offset, text)
     scene.means, scene.rotations, scene.scales, scene.opacities, scene.sh
 
-The checks stand in the order of the document's "Reading safely"; nothing is allocated from a count before it is proven.
+The checks follow the order of the document's "Reading safely"; no count is used for an allocation before it is checked.
 """
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ import rgs_archive
 
 MAGIC = bytes.fromhex("89 52 47 53 0D 0A 1A 0A")
 HEADER_BYTES, ENTRY_BYTES, HASH_BYTES = 128, 64, 8
-SH_BYTES = (4, 12, 28, 48)                                        # bytes a Gaussian, by degree
+SH_BYTES = (4, 12, 28, 48)                                        # bytes per Gaussian, by degree
 DEGREE = np.array([0] + [1] * 3 + [2] * 5 + [3] * 7)              # degree of SH coefficient k
 KNOWN = ("DECL", "SHSC", "CHNK", "MEAN", "GEOM", "SHI8", "PERM", "PROV")
 REQUIRED = KNOWN[:6]
@@ -96,10 +96,10 @@ class RgsError(ValueError):
 
 @dataclass
 class Scene:
-    """Everything a file says. N Gaussians, K = (sh_degree + 1)^2; values are float32 unless noted.
+    """The contents of a file. N Gaussians, K = (sh_degree + 1)^2; values are float32 unless noted.
 
-    Of a file with levels of detail the arrays are those of all pages in their order, and chunks count step sets within
-    their page; only source_index is of the leaves, which are the last Gaussians.
+    For a file with levels of detail the arrays hold all pages in file order, and chunks count step sets within
+    their page; only source_index refers to the leaves, which are the last Gaussians.
     """
 
     header: Record
@@ -155,7 +155,7 @@ def codec_exists(h: Record, s: Record) -> bool:
 
 def require_all(ok: NDArray[np.bool_], offset: int, row_bytes: int, column_bytes: int, text: str,
                 code: str = "bad_value") -> None:
-    """ok [n] or [n, k]: refuses the first False, whose place is offset + row * row_bytes + column * column_bytes."""
+    """ok [n] or [n, k]: refuses the first False; its offset is offset + row * row_bytes + column * column_bytes."""
     if not ok.all():
         row, column = divmod(int(np.argmin(ok)), ok[0].size)
         raise RgsError(code, offset + row * row_bytes + column * column_bytes, text)
@@ -205,7 +205,7 @@ def read_header(data: memoryview, max_file_bytes: int, max_gaussians: int) -> Re
 
 
 def read_table(data: memoryview, h: Record) -> list[Record]:
-    """The section entries; their order and place are checked, not yet that their sizes follow from the counts."""
+    """The section entries; checks their order and offsets, but not yet their sizes against the counts."""
     head = table_end(h)
     stored = int.from_bytes(data[head:head + HASH_BYTES], "little")
     require(xxhash.xxh3_64_intdigest(data[:head]) == stored, "checksum_mismatch", head, "hash of header and table")
@@ -282,7 +282,7 @@ def require_hash(data: memoryview, s: Record) -> None:
 
 
 def read_declarations(data: memoryview, h: Record, base: int) -> Record:
-    """DECL without its statements about the payload, which check_declarations proves."""
+    """DECL without its statements about the payload, which check_declarations checks."""
     d = record(data, DECL, base)
 
     def rule(ok: Any, name: str, text: str) -> None:
@@ -543,7 +543,7 @@ def read_levels(data: memoryview, h: Record, sections: dict[str, Record], max_ga
     decoded = ENTRY.fields["decoded_bytes"][1]
     l = record(data, LODS, base) if size >= LODS.itemsize else {"n_pages": 0}
     require(size >= LODS.itemsize and size == LODS.itemsize + PAGE.itemsize * l["n_pages"], "size_mismatch",
-            s["at"] + decoded, "64 bytes and 112 a page")
+            s["at"] + decoded, "64 bytes and 112 per page")
 
     def rule(ok: Any, name: str, text: str, code: str = "bad_value") -> None:
         require(ok, code, base + LODS.fields[name][1], text)
@@ -758,7 +758,7 @@ def read_page(data: memoryview, h: Record, p: Record, codec: int, arch: Record |
 
 
 def read_with_levels(data: memoryview, h: Record, entries: list[Record], max_gaussians: int, max_expansion: int) -> Scene:
-    """What read() does with a file that has levels of detail."""
+    """read() for a file with levels of detail."""
     sections = {s["type"]: s for s in entries if s["type"] in known(h)}
     require_sizes(h, {kind: s for kind, s in sections.items() if kind == "DECL"})
     require(is_there(data, sections["DECL"]), "truncated", len(data), "the file ends before its first page")
@@ -865,7 +865,7 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     step_ok[:, h["sh_degree"] + 1:] &= steps[:, h["sh_degree"] + 1:] == 0
     require_all(step_ok.ravel(), base["SHSC"], 4, 0, "a step is +0, or 2^-107 to 2^93 in 17 bits, up to degree D")
 
-    sets = np.minimum(chunks["scale_set"], max(h["n_scale_sets"], 1) - 1)      # legal or not is checked below
+    sets = np.minimum(chunks["scale_set"], max(h["n_scale_sets"], 1) - 1)      # validity is checked below
     if arch:
         decoded = decode_archive(data, h, sections, arch, steps[sets])
         means, geom, rows = (np.frombuffer(decoded[kind], dtype).reshape(n, -1) for kind, dtype in

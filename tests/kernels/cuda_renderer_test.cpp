@@ -1,4 +1,4 @@
-// cuda_renderer_test.cpp - whole frames on the device: against the CPU, again and again, at once, and at every limit.
+// cuda_renderer_test.cpp - whole frames on the device: against the CPU, repeated, concurrent, and at every limit.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/cuda_renderer.hpp"
 
@@ -29,7 +29,7 @@ using FrontEnd = PaperSteps::FrontEnd;
 
 namespace {
 
-/// A CudaRenderer with its target of one size.
+/// A CudaRenderer with a target of one size.
 class Device {
  public:
   explicit Device(const Camera& camera) : camera_(camera), renderer_(make()) { resize(camera); }
@@ -70,7 +70,7 @@ DeviceScene upload(const FileView& file) {
   return *std::move(uploaded);
 }
 
-/// Same bytes, NaN included; says where the first difference is.
+/// Compares bytes, NaN included; reports the first difference.
 void check_same(const std::vector<float>& a, const std::vector<float>& b) {
   REQUIRE(a.size() == b.size());
   if (std::memcmp(a.data(), b.data(), a.size() * sizeof(float)) == 0) return;
@@ -83,7 +83,7 @@ void check_same(const std::vector<float>& a, const std::vector<float>& b) {
 }
 
 void check_error(const Result<FrameStats>& result, Errc code) {
-  REQUIRE_MESSAGE(!result, "a frame was made with ", result ? result->instances : 0, " pairs");
+  REQUIRE_MESSAGE(!result, "a frame was drawn with ", result ? result->instances : 0, " pairs");
   CHECK_MESSAGE(result.error().code == code, text_of(result.error()), ", found ", result.error().found);
 }
 
@@ -102,9 +102,9 @@ constexpr std::size_t kTurbo = 4, kTurboFp32 = 5, kModeCount = 6;
 bool is_turbo(const RenderOptions& o) {
   return o.pipeline == Pipeline::turbo;
 }
-/// Lowest PSNR against the CPU in the same arithmetic, and largest difference. Turbo goes on a little where the
-/// definition stops a pixel, at the Gaussian that would take its transmittance below 1e-4, or stops at 2^-11, and has
-/// colours, mostly opacities as well, in FP16.
+/// Lowest PSNR against the CPU in the same arithmetic, and largest difference. Turbo continues slightly beyond the
+/// definition's stop (the Gaussian that would take the transmittance below 1e-4), or stops at 2^-11, and stores
+/// colours, usually opacities too, in FP16.
 double lowest_psnr(const RenderOptions& o) {
   return is_turbo(o) ? 60 : steps_of(o, Backend::cuda).exp == math::Exp::exact ? 70 : 65;
 }
@@ -117,7 +117,7 @@ std::uint64_t n_tiles(const RenderOptions& o, int width, int height) {
   return static_cast<std::uint64_t>(grid.columns) * static_cast<std::uint64_t>(grid.rows);
 }
 
-/// Walls that fill the image of front_camera(), one behind the other.
+/// Walls that fill front_camera()'s image, one behind the other.
 Scene walls(int n) {
   std::vector<Splat> splats;
   for (int i = 0; i < n; ++i) {
@@ -213,10 +213,10 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
       const auto close = [](std::uint64_t a, std::uint64_t b, double part) {
         return std::abs(static_cast<double>(a) - static_cast<double>(b)) <= part * static_cast<double>(b);
       };
-      if (is_turbo(options)) {  // lists other tiles, and passes over parts of them
+      if (is_turbo(options)) {  // lists other tiles and skips parts of them
         CHECK_MESSAGE(close(stats->visible, host.stats.visible, 0.02), stats->visible, " and ", host.stats.visible);
         CHECK(stats->instances < host.stats.instances);
-        // Cells of more than 16x8 pixels have less to pass over.
+        // Cells of more than 16x8 pixels have less to skip.
         CHECK((!is_compact ||
                (stats->evaluated > 0 && (cuda::kTurboCellHeight > 8 || stats->evaluated < host.stats.evaluated))));
         continue;
@@ -234,7 +234,7 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
   }
 }
 
-TEST_CASE("a scene far from the world's origin gives the frame that it gives at home, FP32 and compact") {
+TEST_CASE("a scene far from the world's origin gives the same frame as near it, FP32 and compact") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const int n = small_sizes() ? 400 : 40000;
@@ -249,7 +249,7 @@ TEST_CASE("a scene far from the world's origin gives the frame that it gives at 
   const auto away_bytes = encode(cloud.view(), options).value();
   const auto away_scene = Scene::load(cloud, declared);
   require_ok(away_scene);
-  // Absolute FP32 positions, multiples of 1/2, and the same at home.
+  // Absolute FP32 positions, multiples of 1/2, and the same near the origin.
   SplatCloud absolute = cloud, rounded = cloud;
   for (std::size_t i = 0; i < cloud.mean.size(); ++i) {
     const double centre = std::floor(declared.origin[i % 3]);
@@ -277,7 +277,7 @@ TEST_CASE("a scene far from the world's origin gives the frame that it gives at 
       require_ok(at_home.render(pair.home, modes()[m]));
       require_ok(far_away.render(pair.away, modes()[m]));
       const double quality = psnr(at_home.rgb(), far_away.rgb());
-      MESSAGE(kModes[m], ", ", pair.name, ": ", quality, " dB between home and far away");
+      MESSAGE(kModes[m], ", ", pair.name, ": ", quality, " dB between near and far");
       CAPTURE(kModes[m]);
       CAPTURE(pair.name);
       CHECK(quality >= 80);
@@ -340,11 +340,11 @@ TEST_CASE("every mode gives the same bytes on every run, whatever came before") 
   }
 }
 
-TEST_CASE("the order of blocks changes nothing but Gaussians of one depth") {
+TEST_CASE("the order of blocks affects only Gaussians of one depth") {
   if (!device_answers()) return;
   auto splats = random_splats(604, small_sizes() ? 500 : 30000);
   for (std::size_t i = 0; i < splats.size(); ++i) {
-    splats[i * 7919 % splats.size()].mean[2] = 0.3F + 0.0004F * static_cast<float>(i);  // no two alike
+    splats[i * 7919 % splats.size()].mean[2] = 0.3F + 0.0004F * static_cast<float>(i);  // all different
   }
   const DeviceScene uploaded = upload(scene_of(cloud_of(splats, 1)));
   Device device(race_sizes() ? front_camera(64, 40) : front_camera(320, 200));
@@ -359,7 +359,7 @@ TEST_CASE("the order of blocks changes nothing but Gaussians of one depth") {
   check_same(device.rgb(), fused);
 }
 
-TEST_CASE("renderers on streams of their own at once give the bytes of each alone") {
+TEST_CASE("renderers on concurrent streams each give the bytes that they give alone") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   constexpr std::size_t kAtOnce = 3, kModeOf[kAtOnce] = {0, 1, kTurbo};
@@ -410,7 +410,7 @@ TEST_CASE("renderers on streams of their own at once give the bytes of each alon
 TEST_CASE("a scene may be destroyed while its frame is drawn") {
   if (!device_answers()) return;
   const Camera camera = front_camera(90, 60);
-  const int n = sized(400000, 5000, 500);  // long lists: what orders them reads the scene after render() has returned
+  const int n = sized(400000, 5000, 500);  // long lists: sorting them reads the scene after render() has returned
   const auto kept = CompactScene::of(cloud_of(random_splats(618, n), 0)),
              other = CompactScene::of(cloud_of(random_splats(619, n), 0));
   for (const RenderOptions& options : modes()) {
@@ -425,14 +425,14 @@ TEST_CASE("a scene may be destroyed while its frame is drawn") {
   }
 }
 
-TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after the other") {
+TEST_CASE("Renderer on CUDA equals CudaRenderer, in host memory, for one scene after the other") {
   if (!device_answers()) return;
   const Scene scenes[] = {scene_of(cloud_of(random_splats(606, sized(2000, 2000, 300)), 1)), Scene(),
                           scene_of(cloud_of(random_splats(607, 300), 3))};
   auto renderer = Renderer::create({.backend = Backend::cuda});
   require_ok(renderer);
   for (const Scene& scene : scenes) {
-    // Depth and counts, which the frame has and the device's target has not, are blended in FP32.
+    // Depth and counts, which the frame has and the device's target lacks, are blended in FP32.
     for (const std::size_t m : {std::size_t{0}, kTurboFp32}) {
       const Camera camera = front_camera(m == 0 ? 120 : 31, 47);
       Frame frame = Frame::of(camera);
@@ -450,13 +450,13 @@ TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after
   }
 }
 
-TEST_CASE("pictures of several cameras at once, in the host's memory and the device's, are those of each") {
+TEST_CASE("concurrent pictures of several cameras, in host and device memory, equal the single ones") {
   if (!device_answers()) return;
   const Scene scene = scene_of(cloud_of(random_splats(608, sized(3000, 1000, 200)), 2));
   const std::size_t n = sized<std::size_t>(23, 9, 3);
   std::vector<Camera> cameras;
   for (std::size_t i = 0; i < n; ++i) {
-    // The later ones see more, so that workspaces grow in the midst of it.
+    // Later cameras see more, so that workspaces grow in between.
     cameras.push_back(front_camera(61, 47));
     cameras.back().fx *= i < n / 2 ? 8 : 0.5;
   }
@@ -484,7 +484,7 @@ TEST_CASE("pictures of several cameras at once, in the host's memory and the dev
       require_ok(renderer);
       const auto block = renderer->allocate_on_device(n * kPixels * 19);
       require_ok(block);
-      for (const bool on_device : {false, true, true}) {  // the first one makes the renderers, the others find them
+      for (const bool on_device : {false, true, true}) {  // the first call makes the renderers, the others reuse them
         CAPTURE(on_device);
         std::vector<float> rgb(3 * n * kPixels, -1), alpha(n * kPixels, -1);
         std::vector<std::uint8_t> codes(3 * n * kPixels, 77);
@@ -498,7 +498,7 @@ TEST_CASE("pictures of several cameras at once, in the host's memory and the dev
                       .alpha = reinterpret_cast<float*>(base + n * kPixels * 12),
                       .on_device = true,
                       .stream = stream};
-          // What is queued before comes before: it would leave its bytes in the pictures otherwise.
+          // Earlier work in the stream runs first: otherwise its bytes would be in the pictures.
           require_cuda(cudaMemsetAsync(base, 0x55, n * kPixels * 19, stream));
         }
         const auto stats = renderer->render_all(scene, cameras, pictures, options);
@@ -520,7 +520,7 @@ TEST_CASE("pictures of several cameras at once, in the host's memory and the dev
           CHECK(std::ranges::equal(wanted, std::span(codes).subspan(3 * kPixels * i, 3 * kPixels)));
         }
       }
-      // Codes alone; and memory that is not the device's.
+      // Codes only; and memory outside the device.
       std::vector<std::uint8_t> codes(3 * n * kPixels, 77);
       require_ok(renderer->render_all(scene, cameras, {.codes = codes.data()}, options));
       CHECK(std::ranges::equal(std::span(codes).last(3 * kPixels), [&] {
@@ -535,7 +535,7 @@ TEST_CASE("pictures of several cameras at once, in the host's memory and the dev
   }
 }
 
-TEST_CASE("packed targets hold what the float targets hold, converted; misaligned ones are refused") {
+TEST_CASE("packed targets hold the float targets' values, converted; misaligned ones are refused") {
   if (!device_answers()) return;
   const Camera camera = front_camera(75, 33);
   const DeviceScene scene = upload(scene_of(cloud_of(random_splats(611, sized(2000, 2000, 300)), 2)));
@@ -573,7 +573,7 @@ void check_same_counts(const FrameStats& a, const FrameStats& b) {
 
 }  // namespace
 
-TEST_CASE("a turbo frame does not depend on the frames before: other cameras, sizes, scenes, outputs and streams") {
+TEST_CASE("a turbo frame does not depend on earlier frames: other cameras, sizes, scenes, outputs and streams") {
   if (!device_answers()) return;
   const auto compact = CompactScene::of(cloud_of(random_splats(612, small_sizes() ? 400 : 30000), 3));
   const DeviceScene scenes[] = {upload(compact.file), upload(scene_of(cloud_of(random_splats(613, 300), 1))),
@@ -607,7 +607,7 @@ TEST_CASE("a turbo frame does not depend on the frames before: other cameras, si
   require_cuda(cudaStreamDestroy(stream));
 }
 
-TEST_CASE("an asynchronous frame is the frame once it is finished, also one that has outgrown the workspace") {
+TEST_CASE("a finished asynchronous frame equals the synchronous one, even if it outgrew the workspace") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const Camera camera = small_sizes() ? front_camera(64, 64) : front_camera(640, 360);
@@ -630,7 +630,7 @@ TEST_CASE("an asynchronous frame is the frame once it is finished, also one that
   const auto queued = device.render(large, options);
   require_ok(queued);
   CHECK(queued->gaussians == large.size());
-  CHECK(queued->instances == 0);  // nobody has looked
+  CHECK(queued->instances == 0);  // nobody has queried it
   const auto finished = device.renderer().finish();
   require_ok(finished);
   check_same_counts(*finished, *large_stats);
@@ -639,7 +639,7 @@ TEST_CASE("an asynchronous frame is the frame once it is finished, also one that
   require_ok(again);
   CHECK(again->instances == finished->instances);
 
-  // Not finished, but followed: by a frame into another target, on another stream.
+  // Unfinished, but followed: by a frame into another target, on another stream.
   Device other(camera);
   cudaStream_t stream = nullptr;
   require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
@@ -649,7 +649,7 @@ TEST_CASE("an asynchronous frame is the frame once it is finished, also one that
   require_ok(other.renderer().finish());
   check_same(first.download(), large_rgb);
   check_same(second.download(), small_rgb);
-  // And frame after frame, the target of each its own.
+  // Frame after frame, each into its own target.
   std::vector<DeviceArray<float>> targets;
   for (int k = 0; k < 20; ++k) {
     targets.emplace_back(small_rgb.size());
@@ -661,11 +661,11 @@ TEST_CASE("an asynchronous frame is the frame once it is finished, also one that
     check_same(targets[k].download(), k % 2 == 0 ? small_rgb : large_rgb);
   require_cuda(cudaStreamDestroy(stream));
 
-  Device abandoned(camera);  // destroyed while its frame is made
+  Device abandoned(camera);  // destroyed while its frame is drawn
   require_ok(abandoned.render(large, options));
 }
 
-TEST_CASE("stage times on request: the frame's own time does without them") {
+TEST_CASE("stage times on request: the frame's own time excludes them") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const Camera camera = front_camera(160, 90);
@@ -675,7 +675,7 @@ TEST_CASE("stage times on request: the frame's own time does without them") {
     options.measure.timings = true;
     const auto staged = device.render(scene, options);
     require_ok(staged);
-    // Between the same events, each read to half a microsecond.
+    // Between the same events, each measured to half a microsecond.
     const double stages_ms = staged->project_ms + staged->bin_ms + staged->sort_ms + staged->blend_ms;
     CHECK(std::abs(stages_ms - staged->total_ms) < 0.01);
     options.measure.stage_timings = false;
@@ -686,7 +686,7 @@ TEST_CASE("stage times on request: the frame's own time does without them") {
   }
 }
 
-TEST_CASE("Renderer puts an .rgs file on the device as it lies on disk, a third of the FP32 attributes") {
+TEST_CASE("Renderer uploads an .rgs file in its stored form, a third of the FP32 attributes") {
   if (!device_answers()) return;
   const int n = small_sizes() ? 500 : 2000000;
   const auto compact = CompactScene::of(cloud_of(random_splats(617, n), 3));
@@ -713,13 +713,13 @@ TEST_CASE("Renderer puts an .rgs file on the device as it lies on disk, a third 
   require_ok(stats);
   const double attributes = before - free_bytes() - static_cast<double>(stats->bytes - empty->bytes);
   MESSAGE("attributes of ", n, " Gaussians: ", attributes, " bytes");
-  CHECK((small_sizes() || attributes < 0.5 * 236 * n));  // 76 n, and what the pool has in its pages beside them
+  CHECK((small_sizes() || attributes < 0.5 * 236 * n));  // 76 n, and the unused part of the pool's pages
   Device device(camera);
   require_ok(device.render(upload(compact.file), turbo_fp32));
   check_same(frame.rgb, device.rgb());
 }
 
-TEST_CASE("nothing to see: no Gaussians, all behind the camera, all beside it") {
+TEST_CASE("nothing visible: no Gaussians, all behind the camera, all beside it") {
   if (!device_answers()) return;
   const Camera camera = front_camera(50, 20);
   Device device(camera);
@@ -767,10 +767,10 @@ TEST_CASE("one Gaussian over all tiles, from one pixel to 8K") {
   }
 }
 
-TEST_CASE("more pairs than the workspace holds: the frame is the one of a workspace that holds them") {
+TEST_CASE("more pairs than the workspace holds: the frame equals that of a sufficient workspace") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
-  const int n = small_sizes() ? 1200 : 6000;  // a first workspace has room for 2^20 pairs
+  const int n = small_sizes() ? 1200 : 6000;  // the first workspace has room for 2^20 pairs
   const Scene scene = walls(n), tiny = walls(3);
   const Camera camera = front_camera(640, 360);
   for (std::size_t m = 0; m < kModeCount; ++m) {
@@ -792,7 +792,7 @@ TEST_CASE("more pairs than the workspace holds: the frame is the one of a worksp
     check_same(device.rgb(), rgb);
     require_ok(device.render(small, modes()[m]));
     check_same(device.rgb(), small_rgb);
-    CHECK_MESSAGE(device.renderer().bytes() == after, "frames that fit allocate");
+    CHECK_MESSAGE(device.renderer().bytes() == after, "a frame that fits allocates");
     const Frame host = cpu_frame(scene, camera, modes()[m]);
     const double quality = psnr(rgb, host.rgb);
     CHECK_MESSAGE(quality >= lowest_psnr(modes()[m]), quality, " dB");
@@ -806,9 +806,9 @@ TEST_CASE("more pairs than the workspace holds: the frame is the one of a worksp
 
 TEST_CASE("cells of many Gaussians are blended in segments: the picture is the CPU's, the same on every run") {
   if (!device_answers()) return;
-  // Far less than a pixel wide, so that a pixel is met by one in a hundred of its cell's; transmittance then lasts for some
-  // of the segments, for all, or for none after the first. With the fewest, a single cell has five segments: waves of one
-  // and two, and two of a wave of four.
+  // Much thinner than a pixel, so that one in a hundred of a cell's Gaussians meets a given pixel; transmittance then
+  // lasts for some segments, for all, or only for the first. With the fewest, a single cell has five segments: waves of
+  // one and two, and two of a wave of four.
   const int n = sized(200000, 12000, 6000);
   const Camera camera = race_sizes() ? front_camera(16, 8) : front_camera(90, 50);
   const double reach_x = sized(10.8, 10.8, 8.0), reach_y = sized(7.2, 7.2, 4.0);  // px
@@ -842,7 +842,7 @@ TEST_CASE("cells of many Gaussians are blended in segments: the picture is the C
   }
 }
 
-TEST_CASE("above 2^31 pairs: limit_exceeded, and the renderer goes on") {
+TEST_CASE("above 2^31 pairs: limit_exceeded, and the renderer continues") {
   if (!device_answers()) return;
   if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const Scene many = walls(70000), few = walls(5);
@@ -875,12 +875,12 @@ TEST_CASE("refusals: cameras and options") {
   check_error(device.render(scene, {.pipeline = Pipeline::paper, .paper = {.pixels_per_thread = 3}}),
               Errc::bad_argument);
   require_ok(device.render(scene, {}));
-  require_ok(device.renderer().render(scene, front_camera(8, 8), {}));  // a frame that nobody wants to see
+  require_ok(device.renderer().render(scene, front_camera(8, 8), {}));  // a frame without outputs
 }
 
 namespace {
 
-/// All but about `left` bytes of the device's memory, until destroyed.
+/// Occupies the device's memory except about `left` bytes, until destroyed.
 class Hog {
  public:
   explicit Hog(std::size_t left) {
@@ -924,7 +924,7 @@ TEST_CASE("device out of memory: an error, never a wrong picture, and a working 
     const auto small_rgb = fresh.rgb();
 
     Device device(camera);
-    // With more or less memory left, another of the workspace's arrays is the first that does not fit.
+    // With more or less memory left, different arrays of the workspace are the first that do not fit.
     int n_refused = 0;
     for (const std::size_t megabytes : {1u, 3u, 4u, 5u, 8u, 30u, 90u, 150u, 170u, 250u, 280u, 300u, 390u, 500u}) {
       CAPTURE(megabytes);
@@ -943,7 +943,7 @@ TEST_CASE("device out of memory: an error, never a wrong picture, and a working 
           CHECK(result.error().expected > 0);
           CHECK(result.error().expected < std::uint64_t{1} << 32);
         }
-        // The workspace may be smaller than before: then this is an error again, or the right picture.
+        // The workspace may be smaller than before: again an error or the right picture.
         const auto again = device.render(small, modes()[m]);
         if (again) {
           check_same(device.rgb(), small_rgb);
@@ -973,7 +973,7 @@ TEST_CASE("device out of memory: an error, never a wrong picture, and a working 
   CHECK(refused.error().code == Errc::device_out_of_memory);
 }
 
-TEST_CASE("where memory is short, the workspace grows by what the frame needs and not by half") {
+TEST_CASE("with little memory, the workspace grows by the frame's need and not by half") {
   if (!device_answers()) return;
   if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const Camera camera = front_camera(640, 360);
@@ -1000,7 +1000,7 @@ TEST_CASE("where memory is short, the workspace grows by what the frame needs an
   }
 }
 
-TEST_CASE("where the first guess at a workspace does not fit, it begins with a small one") {
+TEST_CASE("if the first workspace does not fit, a small one is tried") {
   if (!device_answers()) return;
   if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const Camera camera = front_camera(640, 360);
@@ -1018,9 +1018,9 @@ TEST_CASE("where the first guess at a workspace does not fit, it begins with a s
   CHECK(device.renderer().bytes() < left);
 }
 
-TEST_CASE("device memory is back at its start once everything is destroyed") {
+TEST_CASE("device memory returns to its start once everything is destroyed") {
   if (!device_answers()) return;
-  // compute-sanitizer's own memory comes and goes; its leak check takes over.
+  // compute-sanitizer's own memory varies; its leak check covers this.
   if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const auto use_everything = [] {
     const auto compact = CompactScene::of(cloud_of(random_splats(609, 3000), 3));
@@ -1048,6 +1048,6 @@ TEST_CASE("device memory is back at its start once everything is destroyed") {
   const std::int64_t before = free_bytes();
   for (int run = 0; run < 20; ++run) use_everything();
   const std::int64_t after = free_bytes();
-  // The driver hands memory out in pages of 2 MiB, one of which it may keep.
-  CHECK_MESSAGE(before - after <= 2 << 20, (before - after), " bytes are missing");
+  // The driver allocates pages of 2 MiB, one of which it may keep.
+  CHECK_MESSAGE(before - after <= 2 << 20, (before - after), " bytes are not released");
 }

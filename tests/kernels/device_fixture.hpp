@@ -42,7 +42,7 @@ inline TestSize test_size() {
   const std::string size = value == nullptr ? "" : value;
   if (size == "race") return TestSize::race;
   if (size == "small") return TestSize::small;
-  if (!size.empty()) FAIL("RGS_TEST_SIZE is small, race or not set, and not " << size);
+  if (!size.empty()) FAIL("RGS_TEST_SIZE is small, race or unset, not " << size);
   return TestSize::full;
 }
 inline bool small_sizes() {

@@ -1,4 +1,4 @@
-// device_memory_test.cpp - uploads in every form, the caller's own allocator, and growth that stops nobody else.
+// device_memory_test.cpp - uploads of every kind, the caller's allocator, and growth that blocks nobody else.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -13,7 +13,7 @@ using namespace rgs::test;
 
 namespace {
 
-/// An allocator that knows what it has given out, and gives no more than `limit`.
+/// An allocator that counts its allocations and limits them to `limit`.
 struct Ledger {
   std::map<void*, std::uint64_t> held;
   std::uint64_t total = 0, limit = ~std::uint64_t{0};
@@ -48,7 +48,7 @@ struct Ledger {
   }
 };
 
-/// A stream of its own, which no other waits for.
+/// A stream that no other waits for.
 class TestStream {
  public:
   TestStream() { require_cuda(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking)); }
@@ -82,7 +82,7 @@ std::vector<float> picture(CudaRenderer& device, const DeviceScene& scene, const
 std::vector<RenderOptions> pipelines() {
   return {baseline_options(), paper_options(), turbo_options()};
 }
-/// Walls that fill the image of front_camera(), one behind the other.
+/// Walls that fill front_camera()'s image, one behind the other.
 Scene walls(int n) {
   std::vector<Splat> splats;
   for (int i = 0; i < n; ++i) {
@@ -93,7 +93,7 @@ Scene walls(int n) {
 
 }  // namespace
 
-TEST_CASE("uploads of arrays whose sizes contradict each other are refused without a device") {
+TEST_CASE("uploads of arrays with inconsistent sizes are refused without a device") {
   const Scene scene = scene_of(cloud_of(random_splats(711, 5), 1));
   const auto code = [](const SceneView& view, const UploadOptions& options = {}) {
     const auto uploaded = DeviceScene::upload(view, options);
@@ -128,7 +128,7 @@ TEST_CASE("uploads of arrays whose sizes contradict each other are refused witho
   CHECK(ledger.held.empty());
 }
 
-TEST_CASE("half an allocator makes no renderer") {
+TEST_CASE("half an allocator is refused") {
   if (!device_answers()) return;
   Ledger ledger;
   DeviceAllocator half = ledger.allocator();
@@ -138,7 +138,7 @@ TEST_CASE("half an allocator makes no renderer") {
   CHECK(made.error().code == Errc::bad_argument);
 }
 
-TEST_CASE("a scene uploaded on a stream, waited for or not, is the scene; also one that is dropped at once") {
+TEST_CASE("a scene uploaded on a stream, waited for or not, is complete; also one that is destroyed at once") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const Camera camera = front_camera(120, 70);
@@ -153,7 +153,7 @@ TEST_CASE("a scene uploaded on a stream, waited for or not, is the scene; also o
       CAPTURE(asynchronous);
       const TestStream copies, frames;
       const UploadOptions how{.stream = copies.get(), .asynchronous = asynchronous};
-      // The copies begin after much other work, and nothing but the frame itself waits for them.
+      // The copies start after much other work, and only the frame itself waits for them.
       const DeviceArray<std::byte> other(std::size_t{small_sizes() ? 1U : 256U} << 20);
       const auto late = [&](const auto& source) {
         const DeviceArray<float> rgb(fp32.size());
@@ -173,7 +173,7 @@ TEST_CASE("a scene uploaded on a stream, waited for or not, is the scene; also o
   }
 }
 
-TEST_CASE("some chunks of a file on the device are those Gaussians") {
+TEST_CASE("some chunks of a file on the device hold their Gaussians") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const Camera camera = front_camera(120, 70);
@@ -204,7 +204,7 @@ TEST_CASE("some chunks of a file on the device are those Gaussians") {
   }
 }
 
-TEST_CASE("a caller's allocator gives all memory and gets all of it back, and its refusal is out of memory") {
+TEST_CASE("a caller's allocator provides all memory and gets it all back, and its refusal is out of memory") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const Camera camera = small_sizes() ? front_camera(64, 48) : front_camera(640, 360);
@@ -245,7 +245,7 @@ TEST_CASE("a caller's allocator gives all memory and gets all of it back, and it
   }
 }
 
-TEST_CASE("what an asynchronous upload needs for its time is given back with the first frame after it") {
+TEST_CASE("the first frame releases an asynchronous upload's temporary memory") {
   if (!device_answers()) return;
   const Camera camera = front_camera(64, 48);
   const Scene scene = walls(3000);
@@ -282,7 +282,7 @@ TEST_CASE("a workspace grows while another stream is busy, without waiting for i
     picture(plain, small, camera, options);
     const auto expected = picture(plain, large, camera, options);  // its kernels are loaded now
 
-    // A callback that holds its stream until the frame is made.
+    // A callback that blocks its stream until the frame is drawn.
     struct Gate {
       std::atomic<bool> is_open{false};
     } gate;

@@ -1,4 +1,4 @@
-// file_upload_test.cpp - files decoded on the device are to the byte what the host decodes, and refused where it refuses.
+// file_upload_test.cpp - files decode to the same bytes on the device as on the host, and are refused alike.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/file_upload.hpp"
 
@@ -30,7 +30,7 @@ Bytes encoded(const SplatCloud& cloud, EncodeOptions options, Profile profile) {
   return *std::move(bytes);
 }
 
-/// The five sections of a file on the device, between guards.
+/// A file's five sections on the device, between guards.
 struct DeviceSections {
   explicit DeviceSections(const FileView& file) {
     const std::uint64_t n = file.header().n_gaussians;
@@ -52,7 +52,7 @@ void check_same(const DeviceArray<std::byte>& found, std::span<const std::byte> 
   CHECK_MESSAGE(differing == static_cast<std::ptrdiff_t>(bytes.size()), "byte ", differing, " of ", bytes.size());
 }
 
-// Uploads the file and compares it with what the host decodes.
+// Uploads the file and compares it with the host's decoding.
 void check_upload(std::span<const std::byte> bytes, const UploadOptions& options = {}) {
   const auto file = FileView::open(bytes);
   require_ok(file);
@@ -67,7 +67,7 @@ void check_upload(std::span<const std::byte> bytes, const UploadOptions& options
   check_same(device.arrays[4], expected->chunk_table());
 }
 
-// The device's answer to a file is the host's, error and offset included.
+// The device's answer to a file equals the host's, error and offset included.
 bool agrees_with_host(std::span<const std::byte> bytes) {
   const auto file = FileView::open(bytes);
   if (!file) return true;
@@ -77,13 +77,13 @@ bool agrees_with_host(std::span<const std::byte> bytes) {
                        (expected.has_value() || (expected.error().code == found.error().code &&
                                                  expected.error().offset == found.error().offset));
   if (!is_same) {
-    MESSAGE("host: ", expected ? "sound" : text_of(expected.error()),
+    MESSAGE("host: ", expected ? "valid" : text_of(expected.error()),
             "; device: ", found ? "sound" : text_of(found.error()));
   }
   return is_same;
 }
 
-// Whether the device, and not the host that explains its verdict, refuses the file.
+// Whether the device refuses the file, not the host that explains the error.
 Status refused_by_device(const FileView& file) {
   const auto data = load_direct(file, {.validate = false});
   require_ok(data);
@@ -99,7 +99,7 @@ Status refused_by_device(const FileView& file) {
 
 }  // namespace
 
-TEST_CASE("a packed file decoded on the device is to the byte what the host decodes") {
+TEST_CASE("a packed file decodes on the device to the host's bytes") {
   if (!device_answers()) return;
   for (const std::uint64_t n : {1u, 63u, 64u, 65u, 255u, 256u, 257u, 16384u, 16385u, 100001u}) {
     if (small_sizes() && n > 300) continue;
@@ -120,7 +120,7 @@ TEST_CASE("a packed file decoded on the device is to the byte what the host deco
   }
 }
 
-TEST_CASE("direct files, archives and files without Gaussians go through the same ring") {
+TEST_CASE("direct files, archives and files without Gaussians use the same ring") {
   if (!device_answers()) return;
   const std::uint64_t n = small_sizes() ? 300 : 100001;
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
@@ -136,7 +136,7 @@ TEST_CASE("direct files, archives and files without Gaussians go through the sam
   }
 }
 
-TEST_CASE("uploads wait for the caller's stream, say what they took, and give back what they borrowed") {
+TEST_CASE("uploads wait for the caller's stream, report their memory, and release what they borrowed") {
   if (!device_answers()) return;
   SplitMix random{83};
   const auto bytes = encoded(random_cloud(small_sizes() ? 300 : 40000, 3, random), {}, Profile::packed);
@@ -180,7 +180,7 @@ TEST_CASE("uploads wait for the caller's stream, say what they took, and give ba
   require_cuda(cudaStreamDestroy(stream));
 }
 
-TEST_CASE("what the host refuses of a damaged file the device refuses, with the same error and offset") {
+TEST_CASE("the device refuses a damaged file like the host, with the same error and offset") {
   if (!device_answers()) return;
   std::uint64_t n_refused = 0, n_sound = 0;
   for (const int degree : {0, 3}) {
@@ -198,34 +198,34 @@ TEST_CASE("what the host refuses of a damaged file the device refuses, with the 
         const std::uint64_t at = begin + random.below(bytes.size() - begin);
         bytes[at] ^= static_cast<std::byte>(1 + random.below(255));
         CAPTURE(at);
-        if (k % 4 != 0) fix_hashes(bytes);  // so that values are what is wrong, if anything
+        if (k % 4 != 0) fix_hashes(bytes);  // so that only values can be wrong
         CHECK(agrees_with_host(bytes));
         const auto file = FileView::open(bytes);
         ++(file && load_direct(*file) ? n_sound : n_refused);
       }
     }
   }
-  MESSAGE(n_refused, " refused, ", n_sound, " sound");
+  MESSAGE(n_refused, " refused, ", n_sound, " valid");
   CHECK(n_refused > 40);
 }
 
-TEST_CASE("a table that is damaged is told with its place, also without validation") {
+TEST_CASE("a damaged table is reported with its offset, also without validation") {
   if (!device_answers()) return;
   SplitMix random{89};
   auto bytes = encoded(random_cloud(300, 1, random), {}, Profile::direct);
   const std::uint64_t at = section_of(bytes, "CHNK") + 32;
-  put(bytes, at, std::uint32_t{0xFFFF});  // a set of steps that there is none of
+  put(bytes, at, std::uint32_t{0xFFFF});  // a set of steps that does not exist
   fix_hashes(bytes);
   const auto file = FileView::open(bytes);
   require_ok(file);
-  REQUIRE(load_direct(*file, {.validate = false}));  // does not look at it
+  REQUIRE(load_direct(*file, {.validate = false}));  // does not check it
   const auto scene = DeviceScene::upload(*file, {.validate = false});
   REQUIRE_FALSE(scene);
   CHECK(scene.error().code == Errc::bad_value);
   CHECK(scene.error().offset == at);
 }
 
-TEST_CASE("every rule of stored values is checked on the device itself") {
+TEST_CASE("the device itself checks every rule of stored values") {
   if (!device_answers()) return;
   for (const int degree : {0, 1, 2, 3}) {
     CAPTURE(degree);
@@ -272,7 +272,7 @@ TEST_CASE("every rule of stored values is checked on the device itself") {
       for (const unsigned bits : {0x3C01u, 0x8000u, 0x7E00u, 0xFFFFu})
         change("GEOM", geometry + 14, static_cast<std::uint16_t>(bits));
       change("SHI8", sh + 1, std::int8_t{-128});
-      change("SHI8", sh, std::int8_t{1});                                                  // of the step that is 0
+      change("SHI8", sh, std::int8_t{1});                                                  // of the zero step
       if (degree == 0 || degree == 2) change("SHI8", sh + row_bytes - 1, std::int8_t{1});  // padding
     }
     for (const std::uint64_t chunk : {0u, 5u}) {
@@ -296,7 +296,7 @@ TEST_CASE("every rule of stored values is checked on the device itself") {
   }
 }
 
-TEST_CASE("contents that no writer makes become on the device what they become on the host") {
+TEST_CASE("contents that no writer makes decode alike on device and host") {
   if (!device_answers()) return;
   SplitMix random{97};
   for (int degree = 0; degree <= kMaxShDegree; ++degree) {
@@ -341,7 +341,7 @@ TEST_CASE("contents that no writer makes become on the device what they become o
       CHECK(rows.download() == expected);
     }
   }
-  // Words that wrap, and rotations without a w.
+  // Words that wrap, and rotations without w.
   const std::uint32_t n = 3000;
   Bytes content(16 * n);
   for (std::byte& b : content) b = static_cast<std::byte>(random.below(256));
@@ -372,7 +372,7 @@ TEST_CASE("contents that no writer makes become on the device what they become o
   CHECK(device_geometry.download() == geometry);
 }
 
-TEST_CASE("a scene that is only opened is drawn as the one that is loaded, and refused as it is") {
+TEST_CASE("an opened scene is drawn like a loaded one, and refused like it") {
   if (!device_answers()) return;
   SplitMix random{101};
   const auto bytes = encoded(cloud_of(random_splats(82, small_sizes() ? 300 : 20000), 3), {}, Profile::packed);
@@ -393,7 +393,7 @@ TEST_CASE("a scene that is only opened is drawn as the one that is loaded, and r
   require_ok(opened);
   require_ok(renderer->prepare(*opened));
   CHECK(picture(*opened) == picture(*loaded));
-  CHECK(picture(*loaded) == picture(*opened));  // what load() decoded is given away by now
+  CHECK(picture(*loaded) == picture(*opened));  // load()'s decoded sections are freed by now
   CHECK_FALSE(opened->is_validated());          // by the host
 
   auto damaged = bytes;

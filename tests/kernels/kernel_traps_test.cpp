@@ -178,7 +178,8 @@ TEST_CASE("trap 3: the exponent is tested, not the exponential: approximations d
       n_different += other.evaluated[i] != 100;
       n_different += n_near[i] == 0 && other.blended[i] != exact.blended[i];
     }
-    CHECK_MESSAGE(n_different == 0, v.name(), ": ", n_different, " pixels count other Gaussians than the exact one");
+    CHECK_MESSAGE(n_different == 0, v.name(), ": ", n_different,
+                  " pixels count other Gaussians than the exact variant");
   }
 }
 
@@ -368,7 +369,7 @@ TEST_CASE("trap 8: with steps per chunk an outlier's SH does not coarsen the res
     const auto compact = CompactScene::of(cloud, options);
     quality[per_chunk] = psnr(draw(upload(compact.file), camera, Arithmetic()).rgb, exact.rgb);
   }
-  MESSAGE("one set of steps: ", quality[0], " dB, a set a chunk: ", quality[1], " dB");
+  MESSAGE("one set of steps: ", quality[0], " dB, one per chunk: ", quality[1], " dB");
   CHECK(quality[1] > quality[0] + 6);
 }
 

@@ -52,7 +52,7 @@ std::vector<Way> ways() {
           {"baseline", baseline_options(), {0}}};
 }
 
-/// Colour alone, for which turbo has a way of its own.
+/// Colour only, for which turbo has its own path.
 std::vector<float> colours(Renderer& renderer, const auto& scene, const Camera& camera, const RenderOptions& options) {
   std::vector<float> rgb(3 * static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height), NAN);
   require_ok(renderer.render(scene, camera, {.rgb = rgb}, options));
@@ -78,7 +78,8 @@ Bytes in_pages(std::span<const Splat> splats) {
   return bytes;
 }
 
-/// Two at each of n / 2 places before front_camera(), at depths of their own; in the file the one comes first that the tie order has last.
+/// Two Gaussians at each of n / 2 positions before front_camera(), at different depths; the file has the tie order's
+/// last one first.
 std::vector<Splat> pairs(unsigned seed, int n) {
   Random random(seed);
   std::vector<Splat> splats;
@@ -92,7 +93,7 @@ std::vector<Splat> pairs(unsigned seed, int n) {
   return splats;
 }
 
-/// At one depth, in one tile of the image's middle.
+/// At one depth, in one tile in the middle of the image.
 std::vector<Splat> wall(unsigned seed, int n) {
   Random random(seed);
   std::vector<Splat> splats;
@@ -111,7 +112,7 @@ std::uint64_t device_memory() {
 
 }  // namespace
 
-TEST_CASE("on the device a refined picture is that of the whole file, byte for byte, by every pipeline") {
+TEST_CASE("on the device a complete picture equals the whole file's, byte for byte, in every pipeline") {
   if (!device_answers()) return;
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
     if (race_sizes() && profile != Profile::direct) continue;
@@ -140,7 +141,7 @@ TEST_CASE("on the device a refined picture is that of the whole file, byte for b
   }
 }
 
-TEST_CASE("pages that many threads send at once, in rings of any size, are those of the file") {
+TEST_CASE("pages that many threads send at once, in rings of any size, equal the file's") {
   if (!device_answers()) return;
   const Bytes bytes = town({.n = sized(60000, 20000, 2000), .sh_degree = 1});
   const Scene all = whole(bytes);
@@ -159,7 +160,7 @@ TEST_CASE("pages that many threads send at once, in rings of any size, are those
             bytes, std::make_shared<Script>(),
             {.pool = *pool, .traits = {.reads_at_once = reads_at_once, .most_bytes = 256 << 10, .gap_bytes = 4096}});
         Renderer renderer = device_renderer();
-        // Frames of what is there, while more of it comes.
+        // Frames of resident pages, while more arrive.
         Frame frame = Frame::of(camera);
         do {
           const auto drawn = renderer.render(scene, camera, frame.target(), at_detail(0));
@@ -177,7 +178,7 @@ TEST_CASE("pages that many threads send at once, in rings of any size, are those
 
 TEST_CASE("equal depths are drawn in tie order, whatever slots they are in") {
   if (!device_answers()) return;
-  // A grid seen along its axis: many means at one depth, in pages that come in any order.
+  // A grid seen along its axis: many means at one depth, in pages that arrive in any order.
   const Bytes bytes = in_pages(grid_splats(5, sized(8000, 3000, 600)));
   const Scene all = whole(bytes);
   Renderer reference = device_renderer();
@@ -197,7 +198,7 @@ TEST_CASE("equal depths are drawn in tie order, whatever slots they are in") {
   }
 }
 
-TEST_CASE("equal depths of a streamed frame: two by two, on a grid, and more of a tile than are ordered at a time") {
+TEST_CASE("equal depths of a streamed frame: pairs, a grid, and more in a tile than a round sorts") {
   if (!device_answers()) return;
   const int n = sized(6000, 4000, 600);
   const Camera camera = front_camera(sized(256, 128, 64), sized(192, 96, 48));
@@ -218,8 +219,7 @@ TEST_CASE("equal depths of a streamed frame: two by two, on a grid, and more of 
   }
 }
 
-TEST_CASE(
-    "a small pool: coarser pictures, pages that come and go, and never more of the device's memory than its budget") {
+TEST_CASE("a small pool: coarser pictures, evicted pages, and never more device memory than its budget") {
   if (!device_answers()) return;
   const Bytes bytes = town({.n = sized(60000, 20000, 3000)});
   const Scene all = whole(bytes);
@@ -248,7 +248,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("two scenes in one pool, each by renderers of its own, at once") {
+TEST_CASE("two scenes in one pool, each with its own renderers, at once") {
   if (!device_answers() || race_sizes()) return;
   const Bytes bytes[2] = {town({.n = sized(40000, 10000, 3000)}), town({.n = sized(40000, 10000, 3000), .seed = 18})};
   const StreamPool pool = device_pool(1 << 20);
@@ -279,7 +279,7 @@ TEST_CASE("two scenes in one pool, each by renderers of its own, at once") {
   }
 }
 
-TEST_CASE("a pool that is larger than the device is refused, and nothing of the refusal stays") {
+TEST_CASE("a pool larger than the device is refused, and leaves nothing behind") {
   if (!device_answers()) return;
   // The most that kernels can number: 170 GB of SH degree 3.
   const Bytes bytes = town({.n = 3000, .sh_degree = 3});
@@ -295,7 +295,7 @@ TEST_CASE("a pool that is larger than the device is refused, and nothing of the 
   CHECK(streamed_in(device_pool(1 << 20), bytes).size() == 3000);
 }
 
-TEST_CASE("a scene whose pool has no memory of the device is not drawn on it") {
+TEST_CASE("a scene whose pool has no device memory is not drawn on the device") {
   if (!device_answers()) return;
   const Bytes bytes = town({.n = 3000});
   Renderer renderer = device_renderer();

@@ -5,7 +5,7 @@ mkdir /opt/moved
 tar -C /opt/moved -xf /project/build/packaging/roofgs.tar.gz
 cd /tmp
 bin=/opt/moved/roofgs/bin
-# Nothing but libc is taken from the system, also by libraries of libraries.
+# Only libc comes from the system, also for indirect dependencies.
 for program in "$bin"/*; do
   if ldd "$program" | grep '=>' | grep -v '=> /opt/moved/' | grep -vE '^\s*(libc|libm|libdl|librt|libpthread|libresolv|libmvec|libanl|libnsl|libutil)\.so'; then
     exit 1

@@ -109,5 +109,5 @@ if __name__ == "__main__":
     FOLDER = Path(sys.argv[1]).resolve()
     for tool in ("man", "bash", "zsh", "fish"):
         if not shutil.which(tool):
-            skip_without_tool(f"there is no {tool}")
+            skip_without_tool(f"{tool} is not installed")
     unittest.main(argv=sys.argv[:1])

@@ -8,7 +8,7 @@ apt-get -q -y install --no-install-recommends /project/build/deb/packages/libroo
 cmake -S /project/samples/consumer -B cmake -G Ninja
 cmake --build cmake
 ctest --test-dir cmake --output-on-failure --no-tests=error
-# The second one links every library, so that a symbol that is missing anywhere shows.
+# The second one links every library, so that any missing symbol is found.
 c++ -std=c++20 /project/samples/consumer/consumer.cpp -o consumer $(pkg-config --cflags --libs rgs-format)
 c++ -std=c++20 /project/samples/minimal/minimal.cpp -o minimal -Wl,--no-as-needed \
   $(pkg-config --cflags --libs rgs-runtime rgs-cameras rgs-interchange)

@@ -1,10 +1,10 @@
 #!/bin/sh
-# libraries.sh - in a bare root with a compiler: RGS_PROGRAMS=OFF builds with what the libraries need, and no more.
+# libraries.sh - in a bare root with a compiler: RGS_PROGRAMS=OFF needs only the libraries' dependencies.
 # The packages that bare_root.sh is told to install are those without Draco, TBB and libcurl. SPDX-License-Identifier: Apache-2.0
 set -eux
 cd /tmp
 configure() { cmake -S /project -G Ninja -DRGS_PROGRAMS=OFF -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS_DEBUG=-O0 "$@"; }
-# What is missing is named.
+# A missing dependency is named.
 if configure -B refused 2>refused.txt; then exit 1; fi
 grep libdraco-dev refused.txt
 configure -B small -DRGS_ENABLE_DRACO=OFF -DRGS_BUILD_RUNTIME=OFF
@@ -19,6 +19,6 @@ if test -f installed/include/rgs/renderer.hpp; then exit 1; fi
 apt-get -q update
 apt-get -q -y install --no-install-recommends libdraco-dev libtbb-dev libcurl4-openssl-dev
 configure -B whole
-# Programs, samples and tests come with RGS_PROGRAMS alone.
+# Only RGS_PROGRAMS adds programs, samples and tests.
 if configure -B refused -DRGS_BUILD_TESTS=ON 2>refused.txt; then exit 1; fi
 grep RGS_PROGRAMS=ON refused.txt

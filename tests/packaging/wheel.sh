@@ -13,7 +13,7 @@ scene = roofgs.load("/project/tests/golden/packed_degree3.rgs")
 camera = roofgs.cameras.default_view(scene, width=160, height=120)
 image = roofgs.Renderer().render(scene, camera)
 assert image.shape == (120, 160, 3) and image.max() > 0.05, image.max()
-# Arrays are those of the scene, whatever NumPy's version.
+# Arrays hold the scene with every version of NumPy.
 assert scene.means.strides == (12, 4) and len(set(scene.means[:, 0])) > 100, scene.means.strides
 assert abs(1 - (scene.quats ** 2).sum(axis=1)).max() < 0.01 and camera.world_to_camera.shape == (4, 4)
 scene.save("copy.rgs")

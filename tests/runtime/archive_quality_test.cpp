@@ -1,4 +1,4 @@
-// archive_quality_test.cpp - pictures of a generated scene after the archive profile: presets stay as good as they were.
+// archive_quality_test.cpp - the archive presets keep the picture quality of a generated scene.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -23,7 +23,7 @@ SplatCloud generated(std::uint64_t n) {
   return cloud;
 }
 
-// Around the house, at eye height.
+// Around the house at eye height.
 std::vector<Image> pictures(const Scene& scene) {
   auto renderer = Renderer::create({.backend = Backend::cpu});
   REQUIRE(renderer);
@@ -64,7 +64,7 @@ TEST_CASE("archives of a generated scene: bytes and worst picture of each preset
   const Outcome high = measure(cloud, reference, archive_high()), small = measure(cloud, reference, archive_small());
   MESSAGE("high " << high.bytes_per_gaussian << " B " << high.psnr << " dB, small " << small.bytes_per_gaussian << " B "
                   << small.psnr << " dB");
-  // What was measured when the presets were chosen, less a little.
+  // The figures at the time the presets were chosen, with a margin.
   CHECK(high.bytes_per_gaussian < 10.2);
   CHECK(high.psnr > 40);
   CHECK(small.bytes_per_gaussian < 7);

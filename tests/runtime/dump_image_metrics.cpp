@@ -1,4 +1,4 @@
-// dump_image_metrics.cpp - prints what the library measures between two raw FP32 pictures, for image_metrics_test.py:
+// dump_image_metrics.cpp - prints the library's comparison of two raw FP32 pictures, for image_metrics_test.py:
 // rgs_dump_image_metrics WIDTH HEIGHT CHANNELS A.raw B.raw  ->  mse psnr largest largest_index ssim
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdio>

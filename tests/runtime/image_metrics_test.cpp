@@ -1,4 +1,4 @@
-// image_metrics_test.cpp - PSNR and SSIM at their edges; an independent program checks values: image_metrics_test.py.
+// image_metrics_test.cpp - edge cases of PSNR and SSIM; image_metrics_test.py checks values independently.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/image_metrics.hpp"
 
@@ -24,7 +24,7 @@ Image noise(unsigned seed, int width, int height, int channels) {
 
 }  // namespace
 
-TEST_CASE("equal pictures are infinitely alike, without NaN, whatever they hold") {
+TEST_CASE("equal pictures have infinite PSNR without NaN, whatever their content") {
   for (const Image& image : {noise(1, 37, 23, 3), Image::make(64, 5, 1), noise(2, 1, 1, 3)}) {
     const auto d = difference(image, image);
     REQUIRE(d);
@@ -34,14 +34,14 @@ TEST_CASE("equal pictures are infinitely alike, without NaN, whatever they hold"
     CHECK(ssim(image, image).value() == 1.0);
   }
   Image bright = noise(3, 20, 20, 3);
-  for (float& v : bright.pixels) v *= 1e12F;  // variances drown in rounding
+  for (float& v : bright.pixels) v *= 1e12F;  // variances vanish in rounding
   CHECK(ssim(bright, bright).value() == 1.0);
 }
 
-TEST_CASE("a known difference has its squared error, PSNR and place") {
+TEST_CASE("a known difference has its squared error, PSNR and pixel") {
   Image a = Image::make(5, 4, 3), b = a;
   b.at(3, 2, 1) = 0.5F;
-  b.at(4, 3, 2) = -0.5F;  // as large, later
+  b.at(4, 3, 2) = -0.5F;  // equal, but later
   const auto d = difference(a, b);
   REQUIRE(d);
   CHECK(d->mse == doctest::Approx(0.5 / 60));

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# image_metrics_test.py - PSNR and SSIM of the library against numpy, and against scikit-image where that is installed.
+# image_metrics_test.py - the library's PSNR and SSIM against numpy, and against scikit-image if installed.
 # SPDX-License-Identifier: Apache-2.0
 """usage: image_metrics_test.py rgs_dump_image_metrics
 

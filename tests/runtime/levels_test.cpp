@@ -1,4 +1,4 @@
-// levels_test.cpp - scenes with levels of detail: which pages a view draws, and that leaves are drawn as ever.
+// levels_test.cpp - scenes with levels of detail: the pages that a view draws, and unchanged leaves.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -21,7 +21,7 @@ struct Files {
   std::vector<std::byte> plain, levels;
 };
 
-/// 3,000 Gaussians in the order of the file without levels, and with them: pages of two chunks of 32.
+/// 3,000 Gaussians in the order of the file without levels, and with levels: pages of two chunks of 32.
 Files files(Profile profile = Profile::direct, bool keep_permutation = false) {
   EncodeOptions options;
   options.chunk_size = 32;
@@ -52,7 +52,7 @@ RenderOptions at_detail(float px) {
 
 }  // namespace
 
-TEST_CASE("at detail 0 a file with levels is drawn to the bytes of one without, in every profile that keeps them") {
+TEST_CASE("at detail 0 a file with levels is drawn like the file without, in every profile that keeps the bytes") {
   const Camera camera = front_camera(90, 60);
   for (const Profile profile : {Profile::direct, Profile::packed}) {
     const Files of = files(profile);
@@ -68,12 +68,12 @@ TEST_CASE("at detail 0 a file with levels is drawn to the bytes of one without, 
       CHECK(drawn.stats.pages == 0);
       CHECK(drawn.stats.gaussians == plain.size());
     }
-    // So does the original, which draws nothing else unless it is told to, and then refuses.
+    // The file without levels draws nothing else, and refuses a detail above 0.
     CHECK(render(levels, camera, baseline_options()).rgb == render(plain, camera, baseline_options()).rgb);
   }
 }
 
-TEST_CASE("a view draws one page on the way from each leaf to the root, and fewer Gaussians the farther away it is") {
+TEST_CASE("a view draws one page per path from leaf to root, and fewer Gaussians the farther away it is") {
   const Scene scene = load(files().levels);
   const std::vector<lod::Page>& pages = scene.levels()->pages();
   Camera camera = front_camera(90, 60);
@@ -87,7 +87,7 @@ TEST_CASE("a view draws one page on the way from each leaf to the root, and fewe
     for (const std::uint32_t page : *drawn) ++n_drawn[page];
     std::uint64_t n = 0;
     for (std::size_t i = 0; i < pages.size(); ++i) {
-      // Each decides by itself, from its own record and its parent's.
+      // Each page decides by itself, from its own record and its parent's.
       const glm::dmat4 to_world = glm::inverse(camera.world_to_camera);
       const lod::Eye eye{{to_world[3][0], to_world[3][1], to_world[3][2]},
                          std::max(camera.fx, camera.fy),
@@ -115,9 +115,7 @@ TEST_CASE("a view draws one page on the way from each leaf to the root, and fewe
   CHECK(before == pages.front().count);
 }
 
-TEST_CASE(
-    "what a view draws of a file with levels is what these pages are as a scene, with the opacities they were fitted "
-    "by") {
+TEST_CASE("a view of a file with levels equals its pages drawn as a scene, with the opacities they were fitted with") {
   const Scene scene = load(files().levels);
   Camera camera = front_camera(90, 60);
   camera.world_to_camera[3][2] += 40;
@@ -130,7 +128,7 @@ TEST_CASE(
   mip.low_pass = 0.1F;
   const Frame expected = render(*of_pages, camera, mip);
   CHECK(render(scene, camera, at_detail(2)).rgb == expected.rgb);
-  // Frames of one renderer that see other pages do not leave anything behind.
+  // No frame affects the next, even if it sees other pages.
   auto renderer = Renderer::create({.backend = Backend::cpu});
   REQUIRE(renderer);
   for (const float detail : {2.0F, 0.0F, 9.0F, 2.0F}) {
@@ -143,7 +141,7 @@ TEST_CASE(
   CHECK(load(files().plain).pages(*drawn).error().code == Errc::bad_argument);
 }
 
-TEST_CASE("the beginning of a file with levels is drawn as far as it goes") {
+TEST_CASE("a prefix of a file with levels is drawn as far as it goes") {
   const Files of = files();
   const auto whole = PagedFile::open(of.levels);
   REQUIRE(whole);
@@ -160,7 +158,7 @@ TEST_CASE("the beginning of a file with levels is drawn as far as it goes") {
     CHECK(render(scene, camera, at_detail(0)).stats.gaussians == scene.size());
     CHECK(render(scene, camera, at_detail(1)).stats.pages >= 1);
   }
-  // All pages but nothing of the positions behind them.
+  // All pages, but none of the positions behind them.
   Files behind = files(Profile::direct, true);
   behind.levels.resize(behind.levels.size() - 1);
   CHECK(load(behind.levels).size() == whole->head().header().n_gaussians);
@@ -170,7 +168,7 @@ TEST_CASE("the beginning of a file with levels is drawn as far as it goes") {
   CHECK(nothing.error().code == Errc::pages_missing);
 }
 
-TEST_CASE("a detail that is none, and what draws leaves alone, are refused") {
+TEST_CASE("an invalid detail is refused, and so is detail for functions that draw leaves alone") {
   const Scene scene = load(files().levels);
   const Camera camera = front_camera(90, 60);
   auto renderer = Renderer::create({.backend = Backend::cpu});

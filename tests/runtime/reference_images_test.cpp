@@ -1,4 +1,4 @@
-// reference_images_test.cpp - a trained scene against images of an independent renderer of the original definition.
+// reference_images_test.cpp - a trained scene against images by an independent renderer of the original definition.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Needs south/ of the measurement data (data_folder.hpp).
@@ -30,7 +30,7 @@ fs::path south() {
   return data_folder() / "south";
 }
 
-// The scene as a PLY file in the build folder, unpacked once.
+// The scene's PLY file in the build folder, unpacked once.
 std::string unpacked_scene() {
   const std::string path = (fs::path(RGS_BINARY_DIR) / "south.ply").string();
   if (fs::exists(path)) return path;
@@ -60,7 +60,7 @@ std::string unpacked_scene() {
 
 TEST_CASE("a trained scene matches images of the original definition to 60 dB in 8 bits") {
   if (!fs::exists(south() / "south.ply.zst"))
-    return skip_without_data("there is no measurement data in " + south().string() + "; set RGS_DATA_DIR");
+    return skip_without_data("no measurement data in " + south().string() + "; set RGS_DATA_DIR");
   auto cloud = read_ply(unpacked_scene());
   REQUIRE(cloud);
   const auto scene = Scene::load(std::move(*cloud));

@@ -1,4 +1,4 @@
-// render_options_test.cpp - the rule from options, declarations and backend to the settings of a frame.
+// render_options_test.cpp - how options, declarations and backend determine a frame's settings.
 // SPDX-License-Identifier: Apache-2.0
 #include "render_options.hpp"
 
@@ -47,7 +47,7 @@ Errc refusal(const RenderOptions& options, Backend backend = Backend::cpu) {
 
 }  // namespace
 
-TEST_CASE("each pipeline has its arithmetic, and turbo is what CUDA draws unless asked otherwise") {
+TEST_CASE("each pipeline has its arithmetic, and turbo is CUDA's default") {
   struct Row {
     Pipeline pipeline;
     Backend backend;
@@ -87,8 +87,7 @@ TEST_CASE("each pipeline has its arithmetic, and turbo is what CUDA draws unless
 }
 
 TEST_CASE(
-    "anti-aliasing and low-pass: what is asked for, else what the scene declares, else classic; 0.3, Mip-Splatting "
-    "0.1") {
+    "anti-aliasing and low-pass: the option, else the scene's declaration, else classic; 0.3, Mip-Splatting 0.1") {
   const auto declared = [](AaMode mode, float low_pass) {
     Declarations d;
     d.aa_mode = mode, d.low_pass_px2 = low_pass;
@@ -127,7 +126,7 @@ TEST_CASE(
         const FrameSettings s = settings_of(options, row.declared, backend);
         CHECK(s.anti_aliasing == row.expected);
         CHECK(s.low_pass == row.expected_low_pass);
-        // What is filled in does not change any more.
+        // Resolved settings resolve to themselves.
         const FrameSettings again =
             settings_of(with_declarations(options, row.declared), declared(AaMode::mip_splatting, 7), backend);
         CHECK(again.anti_aliasing == row.expected);
@@ -137,7 +136,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("the paper's key has the range and mapping that is asked for, else the scene's, else the paper's") {
+TEST_CASE("the paper's key takes range and mapping from the options, else the scene, else the paper") {
   Declarations d;
   d.depth_mapping = DepthMapping::logarithmic;
   d.z_near = 1, d.z_far = 9;
@@ -156,7 +155,7 @@ TEST_CASE("the paper's key has the range and mapping that is asked for, else the
 
 namespace {
 
-// Relative width of the bin of `z`, found in the key itself: FP32 depths of one key are consecutive.
+// Relative width of `z`'s bin, searched in the key: FP32 depths of one key are consecutive.
 double width_of_bin(const math::DepthQuantizer& q, float z) {
   const std::uint32_t key = math::quantize_depth(q, z);
   const auto end = [&](float from, float step) {
@@ -175,9 +174,9 @@ double width_of_bin(const math::DepthQuantizer& q, float z) {
 
 }  // namespace
 
-TEST_CASE("the depth resolution is the width of the widest bin that the key has") {
+TEST_CASE("the depth resolution is the width of the key's widest bin") {
   struct Row {
-    int width, height, bits;  // 0: asked for none
+    int width, height, bits;  // 0: none requested
     DepthMapping mapping;
     std::array<float, 2> range;
     int expected_bits;
@@ -207,11 +206,11 @@ TEST_CASE("the depth resolution is the width of the widest bin that the key has"
     if (bits == 0) continue;
     const auto q = math::make_depth_quantizer(row.mapping, bits, row.range[0], row.range[1]);
     double widest = 0;
-    // From the second bin on: all depths in front of the range share the first.
+    // From the second bin on: all depths before the range share the first.
     for (auto z = static_cast<float>(row.range[0] * (1 + 1.5 * resolution)); z < row.range[1] * 0.99F; z *= 1.05F) {
       widest = std::max(widest, width_of_bin(q, z));
     }
-    CHECK(widest == doctest::Approx(resolution).epsilon(0.05));  // FP32 logarithms round the ends of narrow bins
+    CHECK(widest == doctest::Approx(resolution).epsilon(0.05));  // FP32 logarithms round the edges of narrow bins
   }
 }
 
@@ -231,7 +230,7 @@ TEST_CASE("a scene outside the depth range has the resolution of the end bin tha
   CHECK(at(18) == within);  // its middle at 19
   CHECK(at(20) == doctest::Approx(25.0 / 20 - 1));
   CHECK(at(300) == doctest::Approx(305.0 / 20 - 1));
-  CHECK(at(-0.7) == doctest::Approx(0.5 / 0.2 - 1));  // its middle at 0.3, its front behind the near plane
+  CHECK(at(-0.7) == doctest::Approx(0.5 / 0.2 - 1));  // its middle at 0.3, its front before the near plane
   CHECK(at(-2) == within);                            // mostly behind the camera
   // The world's origin belongs to the box.
   d.origin = {0, 0, 1000};
@@ -239,7 +238,7 @@ TEST_CASE("a scene outside the depth range has the resolution of the end bin tha
   CHECK(at(0) == doctest::Approx(1005.0 / 20 - 1));
 }
 
-TEST_CASE("frames tell their depth resolution, and those of exact order none") {
+TEST_CASE("frames report their depth resolution, and 0 for exact order") {
   const SplatCloud cloud = cloud_of(random_splats(73, 300), 1);
   const Camera camera = front_camera(192, 128);  // 96 tiles: 25 bits
   const RendererOptions cpu{.backend = Backend::cpu};
@@ -256,7 +255,7 @@ TEST_CASE("frames tell their depth resolution, and those of exact order none") {
   CHECK(render(*far, camera, {.pipeline = Pipeline::paper}, cpu).stats.depth_resolution > 1);
 }
 
-TEST_CASE("steps are the paper's alone, turbo's options turbo's alone: no other pipeline reads them") {
+TEST_CASE("steps apply to paper alone, turbo's options to turbo alone") {
   const PaperSteps steps{.extent = Extent::square,
                          .depth_bits = 99,
                          .depth_range = {{5, 5}},
@@ -281,7 +280,7 @@ TEST_CASE("steps are the paper's alone, turbo's options turbo's alone: no other 
         CHECK(s.exp == plain.exp);
         CHECK(s.cuda.front_end == plain.cuda.front_end);
         CHECK(s.cuda.pixels_per_thread == plain.cuda.pixels_per_thread);
-        // What turbo promises holds also for scenes that the paper's kernels draw for it.
+        // Turbo's guarantees also hold for scenes that the paper's kernels draw for it.
         CHECK(s.cuda.deterministic);
         CHECK(plain.cuda.deterministic);
       }
@@ -290,7 +289,7 @@ TEST_CASE("steps are the paper's alone, turbo's options turbo's alone: no other 
       CHECK(s.cuda.asynchronous == s.cuda.turbo);
     }
   }
-  // An ablation starts where baseline is.
+  // An ablation starts at baseline.
   RenderOptions start{.pipeline = Pipeline::paper};
   start.paper = steps_of({.pipeline = Pipeline::baseline}, Backend::cuda);
   const Scene scene = scene_of(cloud_of(random_splats(71, 500), 1));
@@ -300,7 +299,7 @@ TEST_CASE("steps are the paper's alone, turbo's options turbo's alone: no other 
   CHECK(render(scene, camera, {}, cpu).rgb == render(scene, camera, Arithmetic(), cpu).rgb);
 }
 
-TEST_CASE("values that no option has are refused") {
+TEST_CASE("invalid option values are refused") {
   const float nan = std::numeric_limits<float>::quiet_NaN();
   CHECK(refusal({}) == Errc::internal);  // accepted
   CHECK(refusal({.pipeline = static_cast<Pipeline>(4)}) == Errc::bad_argument);
@@ -317,7 +316,7 @@ TEST_CASE("values that no option has are refused") {
   CHECK(refusal(with({.pixels_per_thread = 3})) == Errc::bad_argument);
 }
 
-TEST_CASE("a scene's declarations choose its picture: a file's, or those that load() is told") {
+TEST_CASE("a scene's declarations determine its picture: a file's, or those passed to load()") {
   Declarations mip;
   mip.aa_mode = AaMode::mip_splatting;
   mip.low_pass_px2 = 0.1F;
@@ -332,7 +331,7 @@ TEST_CASE("a scene's declarations choose its picture: a file's, or those that lo
   CHECK(rgb == render(*plain, camera, asked, cpu).rgb);
   CHECK(rgb != render(*plain, camera, {}, cpu).rgb);
   CHECK(rgb == render(*plain, camera, with_declarations({}, declared->declarations()), cpu).rgb);
-  // A file on disk, drawn as a program does that knows nothing of this: samples/minimal.
+  // A file on disk, drawn by a program that ignores declarations: samples/minimal.
   const TemporaryFolder folder;
   EncodeOptions file_options;
   file_options.aa_mode = AaMode::mip_splatting;

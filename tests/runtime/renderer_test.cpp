@@ -32,7 +32,7 @@ namespace {
 constexpr RendererOptions kScalar{.backend = Backend::cpu, .threads = 1, .simd = false};
 constexpr RendererOptions kVector{.backend = Backend::cpu, .threads = 1, .simd = true};
 
-/// What every Gaussian gave to one picture, or to several.
+/// Every Gaussian's contribution to one picture or several.
 std::vector<Contribution> contributions_of(const Scene& scene, const std::vector<Camera>& cameras,
                                            const RendererOptions& how, const RenderOptions& options = {}) {
   auto renderer = Renderer::create(how);
@@ -44,7 +44,7 @@ std::vector<Contribution> contributions_of(const Scene& scene, const std::vector
 
 }  // namespace
 
-TEST_CASE("pictures of several cameras are those of each, one behind the other") {
+TEST_CASE("pictures of several cameras equal the single ones, in order") {
   const Scene scene = scene_of(cloud_of(random_splats(31, 200), 2));
   auto renderer = Renderer::create(kVector);
   REQUIRE(renderer);
@@ -75,7 +75,7 @@ TEST_CASE("pictures of several cameras are those of each, one behind the other")
   }
   CHECK(std::ranges::all_of(std::span(codes).last(kGuard), [](int code) { return code == 77; }));
 
-  // Codes alone, and no camera.
+  // No camera, codes only.
   const std::vector<std::uint8_t> expected = codes;
   std::ranges::fill(codes, std::uint8_t{77});
   REQUIRE(renderer->render_all(scene, cameras, {.codes = codes.data()}, options));
@@ -112,7 +112,7 @@ TEST_CASE("one Gaussian on the axis has the closed form's pixels") {
   }
 }
 
-TEST_CASE("the nearer Gaussian is in front, of equal depths the one of lower values, opaque ones stop the pixel") {
+TEST_CASE("the nearer Gaussian is in front, of equal depths the one of lower values, and opaque ones stop the pixel") {
   const Camera camera = front_camera(16, 16);
   const std::size_t centre = 8 * 16 + 8;
   const Splat red = splat_at(0, 0, 5, 5, 0.9, 1), dark = splat_at(0, 0, 3, 3, 0.9, 0);
@@ -135,14 +135,14 @@ TEST_CASE("the nearer Gaussian is in front, of equal depths the one of lower val
   CHECK(frame.alpha[centre] >= 0.99F - 1e-6F);
 }
 
-TEST_CASE("moving camera and scene together leaves the image") {
+TEST_CASE("moving camera and scene together does not change the image") {
   const auto splats = random_splats(21, 400);
   Random random(22);
   const auto turn = random.rotation();
   const auto motion = rigid(turn, {0.5, -1, 2});
   Camera camera = front_camera(96, 64);
   auto flat = splats;
-  for (Splat& s : flat) std::fill(s.sh + 3, s.sh + 48, 0.0F);  // colours that do not turn
+  for (Splat& s : flat) std::fill(s.sh + 3, s.sh + 48, 0.0F);  // colours that do not rotate
   const Frame a = render(scene_of(cloud_of(flat)), camera);
   for (Splat& s : flat) {
     const auto m = transform(motion, {s.mean[0], s.mean[1], s.mean[2]});
@@ -157,7 +157,7 @@ TEST_CASE("moving camera and scene together leaves the image") {
   CHECK(psnr(a.rgb, b.rgb) > 60);
 }
 
-TEST_CASE("a scene far from the world's origin gives the picture that it gives at home") {
+TEST_CASE("a scene far from the world's origin gives the same picture as near it") {
   const glm::dvec3 place(4.2e6, 1.7e5, 4.8e6);
   const Camera home = front_camera(160, 120);
   Camera away = home;
@@ -172,14 +172,14 @@ TEST_CASE("a scene far from the world's origin gives the picture that it gives a
     CHECK(scene->origin() == declared.origin);
     const Frame a = render(scene_of(cloud_of(splats, 3)), home, {}, how);
     CHECK(psnr(a.rgb, render(*scene, away, {}, how).rgb) > 100);
-    // Another origin: means lose their last bits to it, no more.
+    // Another origin: means lose their last bits, no more.
     auto beside = splats;
     for (Splat& s : beside) s.mean[0] -= 13;
     declared.origin[0] += 13;
     const auto other = Scene::load(cloud_of(beside, 3), declared);
     REQUIRE(other);
     CHECK(psnr(a.rgb, render(*other, away, {}, how).rgb) > 80);
-    // Absolute FP32 positions are what they are: multiples of 1/2, in the one place and in the other.
+    // Absolute FP32 positions have steps of 1/2, in both scenes.
     auto rounded = splats, absolute = splats;
     for (std::size_t i = 0; i < splats.size(); ++i) {
       for (int k = 0; k < 3; ++k) {
@@ -240,7 +240,7 @@ TEST_CASE("vectors follow the scalar definition in every arithmetic") {
   }
 }
 
-TEST_CASE("every instruction set that the machine can run follows the definition") {
+TEST_CASE("every instruction set of the machine follows the definition") {
   const Scene scene = scene_of(cloud_of(random_splats(27, 1500), 1));
   const Camera camera = front_camera(150, 70);
   const Arithmetic options{.exponent = Exponent::folded};
@@ -253,7 +253,7 @@ TEST_CASE("every instruction set that the machine can run follows the definition
   });
 }
 
-TEST_CASE("the number of threads changes nothing, and a renderer can be used again for another scene and size") {
+TEST_CASE("the number of threads changes nothing, and a renderer can be reused for another scene and size") {
   const Scene scene = scene_of(cloud_of(random_splats(24, 60000), 1));
   const Camera camera = front_camera(160, 120);
   const Frame one = render(scene, camera, {}, {.threads = 1});
@@ -271,16 +271,16 @@ TEST_CASE("the number of threads changes nothing, and a renderer can be used aga
   }
 }
 
-TEST_CASE("contributions are the weights of the definition, and add up to what pixels no longer transmit") {
+TEST_CASE("contributions are the definition's weights and add up to what pixels no longer transmit") {
   const Scene scene = scene_of(cloud_of(random_splats(31, 3000), 0));
-  const Camera camera = front_camera(203, 117);  // tiles over the edge
+  const Camera camera = front_camera(203, 117);  // tiles beyond the edge
   for (const RendererOptions& how : {kScalar, kVector}) {
     const auto all = contributions_of(scene, {camera}, how);
     double sum = 0, opaque = 0;
     for (const Contribution& c : all) sum += c.weight();
     for (const float alpha : render(scene, camera, {}, how).alpha) opaque += alpha;
     CHECK(sum == doctest::Approx(opaque).epsilon(1e-5));
-    // Taking a Gaussian's colour away takes its weight, times that colour, out of the picture.
+    // Removing a Gaussian's colour removes its weight, times that colour, from the picture.
     const auto most = std::ranges::max_element(all, {}, &Contribution::sum) - all.begin();
     auto splats = random_splats(31, 3000);
     for (Splat& s : splats) std::fill(s.sh, s.sh + 48, -0.5F / 0.28209479F);
@@ -298,7 +298,7 @@ TEST_CASE("contributions are the weights of the definition, and add up to what p
   }
 }
 
-TEST_CASE("contributions: equal bits for any number of threads, sums over frames, nothing for what is not seen") {
+TEST_CASE("contributions: equal bits for any number of threads, sums over frames, 0 for invisible Gaussians") {
   auto splats = random_splats(32, 3000);
   splats[7].mean[2] = -5;  // behind every camera
   const Scene scene = scene_of(cloud_of(splats, 1));
@@ -323,7 +323,7 @@ TEST_CASE("contributions: equal bits for any number of threads, sums over frames
     if (first[i].sum > 0 && second[i].sum > 0) ++n_in_both;
   }
   CHECK(n_in_both > 100);
-  // What is counted beside the picture does not change it.
+  // Counting beside the picture does not change it.
   Frame frame = Frame::of(views[0]);
   auto renderer = Renderer::create(kVector);
   REQUIRE(renderer);
@@ -345,7 +345,7 @@ TEST_CASE("contributions: vectors follow the definition in every arithmetic") {
                  b = contributions_of(scene, {camera}, kVector, options);
       double worst = 0;
       for (std::size_t i = 0; i < a.size(); ++i) {
-        // A pair on the threshold of 1/255, or beyond a pixel that stopped one earlier, counts here and not there.
+        // A pair at the threshold of 1/255, or beyond a pixel that stopped one pair earlier, counts on one side only.
         const double difference = std::abs(a[i].weight() - b[i].weight());
         worst = std::max(worst, difference / (a[i].weight() + 10));
       }
@@ -370,7 +370,7 @@ TEST_CASE("several renderers share a scene") {
   for (const Frame& frame : frames) CHECK(frame.rgb == expected.rgb);
 }
 
-TEST_CASE("each option does what it says") {
+TEST_CASE("each option has its effect") {
   const Scene scene = scene_of(cloud_of(random_splats(26, 3000), 3));
   const Camera camera = front_camera(192, 128);
   const Frame base = render(scene, camera);
@@ -424,7 +424,7 @@ TEST_CASE("alpha and opacity stay in range for opacity 0 and 1") {
   }
 }
 
-TEST_CASE("nothing to see: empty scene, everything behind the camera, everything beside it") {
+TEST_CASE("nothing visible: an empty scene, everything behind the camera, everything beside it") {
   const Camera camera = front_camera(50, 20);
   for (const double z : {-5.0, 0.2, 5.0}) {
     const Scene scene = scene_of(cloud_of(std::vector{splat_at(z > 1 ? 1000 : 0, 0, z, 0.1, 0.9)}));
@@ -458,7 +458,7 @@ TEST_CASE("degenerate Gaussians draw something finite or nothing") {
     for (const float b : {-200.0F, -20.0F, 0.0F, 20.0F, 60.0F, 200.0F}) {
       Splat s = splat_at(0.1, 0.05, 2, 1, 0.7);
       s.log_scale[0] = a, s.log_scale[1] = b, s.log_scale[2] = -5;
-      s.rotation[0] = a > 0 ? 0.0F : 1e-30F, s.rotation[1] = 0;  // no direction at all, or one that underflows
+      s.rotation[0] = a > 0 ? 0.0F : 1e-30F, s.rotation[1] = 0;  // no direction, or one that underflows
       splats.push_back(s);
       s.mean[0] = 1e30F;
       splats.push_back(s);
@@ -519,7 +519,7 @@ TEST_CASE("a scene keeps the file that it was loaded from, and its copies share 
     REQUIRE(data);
     CHECK(std::ranges::equal(data->file().bytes(), *bytes));
   }
-  const auto borrowed = Scene::load(*bytes);  // the caller's memory may go
+  const auto borrowed = Scene::load(*bytes);  // the caller's memory may be freed
   REQUIRE(borrowed);
   CHECK_FALSE(borrowed->has_file());
   CHECK(same_arrays(copy.view().value(), borrowed->view().value()));
@@ -528,7 +528,7 @@ TEST_CASE("a scene keeps the file that it was loaded from, and its copies share 
   CHECK(Scene().view().value().n == 0);
 }
 
-TEST_CASE("arrays of a file are made when they are first asked for, once for all copies and threads") {
+TEST_CASE("a file's arrays are made on first use, once for all copies and threads") {
   const TemporaryFolder folder;
   const int n = 50000;
   for (const Profile profile : {Profile::direct, Profile::packed}) {
@@ -538,7 +538,7 @@ TEST_CASE("arrays of a file are made when they are first asked for, once for all
     CHECK(scene->size() == n);
     CHECK(scene->sh_degree() == 3);
     CHECK(scene->declarations().has_value());
-    CHECK(scene->bytes() == (profile == Profile::direct ? 0 : 76 * n));  // what is coded is decoded to be validated
+    CHECK(scene->bytes() == (profile == Profile::direct ? 0 : 76 * n));  // coded sections are decoded for validation
     std::vector<Scene> copies(8, *scene);
     std::vector<SceneView> views(8);
     std::vector<std::thread> threads;
@@ -546,8 +546,8 @@ TEST_CASE("arrays of a file are made when they are first asked for, once for all
     for (std::thread& thread : threads) thread.join();
     for (const SceneView& view : views) CHECK(view.mean.data() == views[0].mean.data());
     CHECK(scene->view().value().sh.data() == views[0].sh.data());
-    CHECK(scene->bytes() == 236 * n);  // and not kept beside them
-    // The attributes as they lie in the file are there all the same, and give the same arrays.
+    CHECK(scene->bytes() == 236 * n);  // and the decoded sections are freed
+    // The file's own attributes remain available and give the same arrays.
     const auto data = scene->direct();
     REQUIRE(data);
     CHECK(data->size() == n);
@@ -558,7 +558,7 @@ TEST_CASE("arrays of a file are made when they are first asked for, once for all
   }
 }
 
-TEST_CASE("a scene from a file is drawn to the same bytes whether its arrays are made at load or at its first frame") {
+TEST_CASE("a scene from a file is drawn to the same bytes whether its arrays are made at load or at the first frame") {
   const TemporaryFolder folder;
   const std::string path = write_scene(folder, cloud_of(random_splats(63, 20000), 2), Profile::packed);
   const auto file = MappedFile::open(path);
@@ -567,7 +567,7 @@ TEST_CASE("a scene from a file is drawn to the same bytes whether its arrays are
   REQUIRE(eager);
   REQUIRE(lazy);
   CHECK(eager->bytes() == eager->size() * 4 * (11 + 27));
-  const auto decoded = decode(file->bytes());  // the training parameters, activated
+  const auto decoded = decode(file->bytes());  // training parameters, activated
   REQUIRE(decoded);
   const Camera camera = front_camera(203, 117);
   std::vector<Frame> frames(4);
@@ -588,7 +588,7 @@ TEST_CASE("a scene from a file is drawn to the same bytes whether its arrays are
   CHECK(psnr(render(scene_of(*decoded), camera, {}, kVector).rgb, expected.rgb) > 80);  // logarithms and back
 }
 
-TEST_CASE("a scene that is only opened is validated by whoever needs it first") {
+TEST_CASE("the first user of an opened scene validates it") {
   const TemporaryFolder folder;
   const int n = 3000;
   const std::string path = write_scene(folder, cloud_of(random_splats(64, n), 1), Profile::packed);
@@ -652,7 +652,7 @@ TEST_CASE("a scene that is only opened is validated by whoever needs it first") 
   CHECK(Scene::open(damaged_path).error().code == Errc::truncated);
 }
 
-TEST_CASE("a packed file loads as the scene of the direct one") {
+TEST_CASE("a packed file loads as the direct file's scene") {
   SplitMix random{21};
   const SplatCloud cloud = random_cloud(20000, 3, random);
   EncodeOptions options;
@@ -671,7 +671,7 @@ TEST_CASE("a packed file loads as the scene of the direct one") {
   CHECK(Scene::load(damaged).error().code == Errc::checksum_mismatch);
 }
 
-TEST_CASE("a scene of activated attributes is the one that gave them, and damage is refused with its index") {
+TEST_CASE("a scene of activated attributes equals its source, and damage is refused with its index") {
   SplitMix random(3);
   const Scene scene = scene_of(random_cloud(50, 2, random));
   const SceneView view = scene.view().value();

@@ -1,4 +1,4 @@
-// tie_order_test.cpp - Gaussians of equal depth are drawn in an order that follows from their values, whatever the file's.
+// tie_order_test.cpp - Gaussians of equal depth are drawn in an order of their values, whatever the file's order.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -29,7 +29,7 @@ std::vector<RenderOptions> every_arithmetic() {
 
 }  // namespace
 
-TEST_CASE("a scene on a grid is drawn to the same bytes in whatever order its Gaussians come") {
+TEST_CASE("a scene on a grid is drawn to the same bytes in any order of Gaussians") {
   const auto splats = grid_splats(1411, 6000);
   const Camera camera = front_camera(200, 140);
   for (const RenderOptions& options : every_arithmetic()) {
@@ -52,7 +52,7 @@ TEST_CASE("a scene on a grid is drawn to the same bytes in whatever order its Ga
   }
 }
 
-TEST_CASE("a file in another order than its source is drawn as one in the source's") {
+TEST_CASE("a file in another order than its source is drawn like one in the source's") {
   const auto splats = shuffled(grid_splats(1412, 6000), 1);
   const Camera camera = front_camera(200, 140);
   const SplatCloud cloud = cloud_of(splats, 3);
@@ -72,7 +72,7 @@ TEST_CASE("a file in another order than its source is drawn as one in the source
   CHECK(reordered > in_order - 3);
 }
 
-TEST_CASE("growth: a scene whose depths are all equal takes no more than its size") {
+TEST_CASE("growth: a scene whose depths are all equal takes time linear in its size") {
   const Camera camera = front_camera(16, 16);
   for (const bool one_place : {false, true}) {
     CAPTURE(one_place);
@@ -91,7 +91,7 @@ TEST_CASE("growth: a scene whose depths are all equal takes no more than its siz
   }
 }
 
-TEST_CASE("what a frame holds for its ties is counted with its workspace") {
+TEST_CASE("a frame's memory for ties counts as its workspace") {
   static constexpr int kCount = 1000;  // in one tile
   const auto bytes = [](bool is_tied) {
     std::vector<Splat> splats;

@@ -1,4 +1,4 @@
-// archive_reject_cases.hpp - files of profile archive with one defect each, and the error that it must give.
+// archive_reject_cases.hpp - archives with one defect each, and the error that each must cause.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,14 +10,14 @@
 
 namespace rgs::test::detail {
 
-/// Grows the section of table entry `entry`, and its only frame with it, over zeros that lie behind it.
+/// Grows the section of table entry `entry` and its only frame, over the zeros behind it.
 inline void grow_frame(Bytes& b, std::uint64_t entry, std::uint32_t bytes) {
   const auto section = get<std::uint64_t>(b, entry + 16);
   put(b, entry + 24, get<std::uint64_t>(b, entry + 24) + bytes);
   put(b, section + 16, get<std::uint32_t>(b, section + 16) + bytes);
 }
 
-/// Ends the file with section ARCH after `bytes` of it.
+/// Truncates the file, and its section ARCH, to `bytes` of the section.
 inline void end_parameters(Bytes& b, std::uint64_t bytes) {
   const std::uint64_t entry = entry_of(b, "ARCH");
   b.resize(section_of(b, "ARCH") + bytes);
@@ -26,7 +26,7 @@ inline void end_parameters(Bytes& b, std::uint64_t bytes) {
   put(b, entry + 32, bytes);
 }
 
-/// Changes what is in the Zstandard frame that begins at `at` and ends the file.
+/// Changes the content of the Zstandard frame from `at` to the end of the file.
 template <class Change>
 void change_tables(Bytes& b, std::uint64_t at, Change change) {
   Bytes tables(ZSTD_getFrameContentSize(b.data() + at, b.size() - at));
@@ -76,7 +76,7 @@ inline void reject_parameters(RejectMaker& m) {
   content("tables_frequencies", [](Bytes& t) { put(t, t.size() - 2, std::uint16_t{4096}); });
 }
 
-/// `m` is of a file of degree 1 with one frame, whose last section is ARCH and whose other sections end with zeros.
+/// `m` has a file of degree 1 with one frame, whose last section is ARCH and whose other sections end with zeros.
 inline void reject_archive(RejectMaker& m) {
   using enum Errc;
   constexpr std::uint32_t kUnknown = 0x5A5A5A5Au;  // ZZZZ

@@ -1,4 +1,4 @@
-// await.hpp - waits for what other threads and programs do.
+// await.hpp - waits for other threads and programs.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -7,7 +7,7 @@
 
 namespace rgs::test {
 
-/// Returns once the condition holds, however long that takes: ctest ends a test that hangs.
+/// Returns once the condition holds, without a limit: ctest ends a test that hangs.
 template <class Condition>
 void await(const Condition& condition) {
   while (!condition()) std::this_thread::sleep_for(std::chrono::milliseconds(1));

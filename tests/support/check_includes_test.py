@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# check_includes_test.py - a small tree in order, then with one breach of each kind.
+# check_includes_test.py - a small valid tree, then one breach of each kind.
 # SPDX-License-Identifier: Apache-2.0
 """check_includes_test.py CHECK_INCLUDES"""
 import subprocess
@@ -12,7 +12,7 @@ GOOD = {
     "format/src/file/a_io.hpp": '#include "rgs/a.hpp"',
     "format/src/file/a.cpp": '#include "a_io.hpp"\n#include "file/a_io.hpp"\n#include <zstd.h>',
     "kernels/math/include/rgs/math/vec.hpp": '#include "rgs/a.hpp"',
-    "kernels/math/include/rgs/math/a.hpp": '#include "rgs/math/vec.hpp"',  # rgs/a.hpp's name is another one
+    "kernels/math/include/rgs/math/a.hpp": '#include "rgs/math/vec.hpp"',  # another header's name for rgs/a.hpp
     "kernels/src/sorted/sort.hpp": '#include "rgs/math/vec.hpp"',
     "kernels/src/sorted/sort.cu": '#include <cub/cub.cuh>\n#include "sorted/sort.hpp"',
     "runtime/include/rgs/camera.hpp": '#include "rgs/a.hpp"',
@@ -37,7 +37,7 @@ GOOD = {
     "tests/kernels/sort_test.cpp": '#include "sorted/sort.hpp"\n#include "report.hpp"',
     "build/generated.cpp": '#include "not looked at"',
 }
-# A line added to a file (new or not), and what is said of it.
+# A line added to a file (new or not), and the expected message.
 BREACHES = [
     ("format/src/file/a.cpp", '#include "rgs/math/vec.hpp"', "format may not include math"),
     ("kernels/math/include/rgs/math/vec.hpp", '#include "sorted/sort.hpp"', "installed headers only"),
@@ -53,7 +53,7 @@ BREACHES = [
     ("converter/prune/prune.cpp", '#include "info.hpp"', "prune may not include inspect"),
     ("converter/tool/console.cpp", '#include "convert.hpp"', "tool may not include convert"),
     ("converter/inspect/info.cpp", '#include "fixture.hpp"', "inspect may not include what is in no room"),
-    # Others' insides
+    # Private headers of other rooms
     ("runtime/src/cpu/cpu.cpp", '#include "file/a_io.hpp"', "format/src is private"),
     ("runtime/src/cpu/cpu.cpp", '#include "sorted/sort.hpp"', "kernels/src is private"),
     ("converter/convert/convert.cpp", '#include "ply_header.hpp"', "converter/formats is private"),
@@ -67,7 +67,7 @@ BREACHES = [
     ("samples/minimal/minimal.cpp", '#include "console.hpp"', "only installed headers"),
     ("web/server/rgs.cpp", '#include "console.hpp"', "only installed headers"),
     ("python/src/rgs.cpp", '#include "prune.hpp"', "python may not include prune"),
-    # Other people's headers
+    # Third-party headers
     ("format/src/file/a.cpp", "#include <cuda_runtime_api.h>", "not in format"),
     ("kernels/math/include/rgs/math/vec.hpp", "  #  include <cub/block/block_scan.cuh>", "not in math"),
     ("converter/formats/ply.cpp", "#include <CLI/CLI.hpp>", "not in formats"),
@@ -95,11 +95,11 @@ def breaches(tree: dict[str, str]) -> list[str]:
 assert breaches(GOOD) == []
 for path, line, expected in BREACHES:
     said = breaches(GOOD | {path: GOOD.get(path, "") + "\n" + line})
-    # Two headers of one name make others' includes ambiguous; any other breach is a single one.
+    # Two headers of one name make other includes ambiguous; every other breach is a single one.
     lines = [found for found in said if path in found and expected in found]
     assert len(lines) == 1 and (not line or said == lines), f"{path}: {line}: {said}"
 
-# The program's exit status, which CI goes by.
+# The exit status, which CI relies on.
 with tempfile.TemporaryDirectory() as folder:
     Path(folder, "samples").mkdir()
     for text, status in (("", 0), ('#include "rgs/gone.hpp"', 1)):

@@ -1,5 +1,5 @@
-// complexity.hpp - how the work of something grows with its input: the ratio of the instructions at two sizes, which
-// valgrind counts, so that neither the machine's speed nor its load matters.
+// complexity.hpp - growth of work with its input: the ratio of instruction counts at two sizes, counted by valgrind, so
+// that neither the machine's speed nor its load matters.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -20,15 +20,15 @@
 
 namespace rgs::test {
 
-/// How many times as large the larger input is. Four times would hardly tell n log n from n squared.
+/// Ratio of the two input sizes. Four would hardly separate n log n from n squared.
 inline constexpr std::uint64_t kGrowthFactor = 16;
 
-/// Half way between linear and quadratic, as powers go.
+/// Halfway between linear and quadratic, by exponent.
 inline constexpr double kLinearGrowth = 64;
 
-/// `prepare(n)` makes an input of size n; the instructions of `work(input)` are counted, those of prepare() are not. Returns
-/// those of 16n over those of n: about 16 where work is linear, 256 where it is quadratic. For cases whose names begin with
-/// "growth: ", which ctest runs by tests/support/count_work.sh.
+/// `prepare(n)` makes an input of size n. Counts the instructions of `work(input)`, not of prepare(). Returns the count
+/// at 16n over that at n: about 16 for linear work, 256 for quadratic. For cases named "growth: ...", which ctest runs
+/// by tests/support/count_work.sh.
 template <class Prepare, class Work>
 double growth(std::uint64_t n, const Prepare& prepare, const Work& work) {
   REQUIRE_MESSAGE(RUNNING_ON_VALGRIND,
@@ -38,7 +38,7 @@ double growth(std::uint64_t n, const Prepare& prepare, const Work& work) {
     CALLGRIND_START_INSTRUMENTATION;
     work(input);
     CALLGRIND_STOP_INSTRUMENTATION;
-    CALLGRIND_DUMP_STATS;  // and begin at 0 again
+    CALLGRIND_DUMP_STATS;  // and restart at 0
     static int n_dumps = 0;
     std::ifstream dump("callgrind.out." + std::to_string(::getpid()) + "." + std::to_string(++n_dumps));
     double total = 0;

@@ -1,6 +1,6 @@
 #!/bin/sh
 # count_work.sh - runs a test whose growth() counts instructions: sh count_work.sh PROGRAM ARGUMENTS...
-# On one processor, since what threads do while they wait is no work.
+# On one processor, because waiting threads also execute instructions.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 folder=$(mktemp -d)

@@ -1,4 +1,4 @@
-// counted_memory.cpp - stands in for glibc's malloc() and its siblings, which every other allocator of the program calls.
+// counted_memory.cpp - replaces glibc's malloc() and its siblings, which every other allocator of the program calls.
 // SPDX-License-Identifier: Apache-2.0
 #include "counted_memory.hpp"
 
@@ -55,7 +55,7 @@ void reset_peak_bytes() {
 
 #ifndef RGS_TEST_SANITIZED
 extern "C" {
-// By other names, since clang refuses declarations of reserved ones.
+// Under other names, because clang refuses declarations of reserved ones.
 void* libc_malloc(std::size_t size) __asm__("__libc_malloc");
 void* libc_calloc(std::size_t n, std::size_t size) __asm__("__libc_calloc");
 void* libc_realloc(void* memory, std::size_t size) __asm__("__libc_realloc");

@@ -10,7 +10,7 @@
 int main(int argc, char** argv) {
   doctest::Context context(argc, argv);
   const int result = context.run();
-  const char* const skip_code = std::getenv("RGS_SKIP_RETURN_CODE");  // ctest runs a case at a time
+  const char* const skip_code = std::getenv("RGS_SKIP_RETURN_CODE");  // ctest runs one case at a time
   if (result == 0 && rgs::test::g_skipped && skip_code != nullptr) return std::atoi(skip_code);
   return result;
 }

@@ -1,4 +1,4 @@
-// edit_file.hpp - .rgs files changed byte by byte, with their hashes made to fit again. Knows the layout on its own, so
+// edit_file.hpp - edits .rgs files byte by byte and corrects their hashes. It has its own description of the layout, so
 // that the library does not check itself.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
@@ -59,7 +59,7 @@ inline std::uint64_t section_of(std::span<const std::byte> file, std::string_vie
   return get<std::uint64_t>(file, entry_of(file, type) + 16);
 }
 
-/// Recomputes the hashes of the frames of a coded section and of their table, as far as the section has them.
+/// Recomputes the hashes of a coded section's frames and frame table, as far as they exist.
 inline void fix_frame_hashes(std::span<std::byte> section) {
   if (section.size() < 16) return;
   const std::uint64_t n = get<std::uint32_t>(section, 4), table = 8 + 16 * n;
@@ -74,7 +74,7 @@ inline void fix_frame_hashes(std::span<std::byte> section) {
   put(section, table, xxh3(section.first(table)));
 }
 
-/// Recomputes the hashes of pages in section LODS of a file with levels, as far as the file has them.
+/// Recomputes the hashes of pages in section LODS, as far as they exist.
 inline void fix_page_hashes(std::span<std::byte> file, std::uint64_t levels, std::uint64_t levels_bytes) {
   if (levels_bytes < 64) return;
   const std::uint64_t n = get<std::uint32_t>(file, levels);
@@ -88,8 +88,8 @@ inline void fix_page_hashes(std::span<std::byte> file, std::uint64_t levels, std
 
 enum class Hashes { all, but_frames };
 
-/// Recomputes the hash of each section, in coded ones those of their frames and pages first, then that of the head, as far as
-/// the file has them. Safe on any bytes.
+/// Recomputes the hash of each section (after its frames' and pages'), then that of the head, as far as they exist.
+/// Safe on any bytes.
 inline void fix_hashes(std::span<std::byte> file, Hashes which = Hashes::all) {
   if (file.size() < 128) return;
   const std::uint64_t n = get<std::uint32_t>(file, 52);

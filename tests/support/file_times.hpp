@@ -1,4 +1,4 @@
-// file_times.hpp - changes of files that their times show, however coarse the clock of the file system is.
+// file_times.hpp - makes changes of files visible in their times, however coarse the file system's clock.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,7 +12,7 @@
 
 namespace rgs::test {
 
-/// Returns once a change of `path` would get a later time than its last one: a file beside it does.
+/// Returns once a change of `path` would get a later time than its last one, judged by a file beside it.
 inline void wait_for_later_time(const std::string& path) {
   const auto changed_at = [](const std::string& file) {
     struct stat info {};

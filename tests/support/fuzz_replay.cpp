@@ -35,7 +35,7 @@ int main(int argc, char** argv) {
       return 1;
     }
     std::fprintf(stderr, "%s: %zu bytes\n", file.c_str(), bytes.size());
-    // Copied to a heap block of the exact size, so that AddressSanitizer sees a read of one byte too many.
+    // An exact-size heap copy, so that AddressSanitizer detects any overread.
     const auto exact = std::make_unique<std::uint8_t[]>(bytes.size());
     if (!bytes.empty()) std::memcpy(exact.get(), bytes.data(), bytes.size());
     LLVMFuzzerTestOneInput(exact.get(), bytes.size());

@@ -15,7 +15,7 @@ namespace rgs::test {
 
 struct GoldenLevels {
   std::string name;   ///< tests/golden/NAME.rgs
-  SplatCloud leaves;  ///< in the order of the file
+  SplatCloud leaves;  ///< in file order
   lod::Levels levels;
   EncodeOptions options;
 };
@@ -53,7 +53,7 @@ inline std::vector<GoldenLevels> all_golden_levels() {
   return scenes;
 }
 
-/// The scene's bytes; none if it cannot be written.
+/// The scene's bytes; empty if it cannot be written.
 inline std::vector<std::byte> encode_levels(const GoldenLevels& scene) {
   std::vector<std::byte> bytes;
   const auto written = write_levels(scene.levels, scene.options, bytes, 1);

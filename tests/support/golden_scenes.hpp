@@ -1,4 +1,4 @@
-// golden_scenes.hpp - the scenes and options of tests/golden, from integer arithmetic alone.
+// golden_scenes.hpp - the scenes and options of tests/golden, made by integer arithmetic alone.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,7 +12,7 @@
 
 namespace rgs::test {
 
-/// SplitMix64 (Steele et al. 2014): the same numbers everywhere, unlike the distributions of <random>.
+/// SplitMix64 (Steele et al. 2014): the same numbers on every machine, unlike the distributions of <random>.
 class SplitMix {
  public:
   explicit SplitMix(std::uint64_t seed) : state_(seed) {}
@@ -23,7 +23,7 @@ class SplitMix {
     return z ^ z >> 31;
   }
   std::uint64_t below(std::uint64_t n) { return bits() % n; }
-  /// Multiple of 2^-12 in [low, high), which are multiples of it too: exact in FP32 up to magnitude 4096.
+  /// A multiple of 2^-12 in [low, high), whose bounds are multiples too: exact in FP32 up to magnitude 4096.
   float dyadic(int low, int high) {
     const auto steps = static_cast<std::uint64_t>(high - low) * 4096;
     return static_cast<float>(low) + static_cast<float>(below(steps)) / 4096.f;
@@ -33,7 +33,7 @@ class SplitMix {
   std::uint64_t state_;
 };
 
-/// n Gaussians of a small scene: dyadic numbers, none of whose codes lies near a rounding boundary of exp.
+/// n Gaussians of a small scene: dyadic numbers whose codes keep away from rounding boundaries of exp.
 inline SplatCloud golden_cloud(std::uint64_t n, int sh_degree, std::uint64_t seed) {
   SplitMix random(seed);
   SplatCloud cloud;
@@ -131,7 +131,7 @@ inline std::vector<GoldenScene> golden_scenes() {
     scenes.back().options.chunk_size = 64;
     scenes.back().options.keep_permutation = true;
   }
-  // The same in coded sections, and enough Gaussians for lanes that cross chunks, and for a rest.
+  // The same in coded sections, with enough Gaussians for lanes that cross chunks and for an incomplete one.
   for (const char* name : {"empty", "degree0", "degree1", "global", "edges", "origin"}) {
     scenes.push_back(*std::ranges::find(scenes, name, &GoldenScene::name));
     scenes.back().name = "packed_" + scenes.back().name;
@@ -143,7 +143,8 @@ inline std::vector<GoldenScene> golden_scenes() {
   scenes.back().options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};
   scenes.push_back({"packed_degree2", golden_cloud(130, 2, 19), golden_options()});
   scenes.back().options.profile = Profile::packed;
-  // Lossy: every degree, one Gaussian, more chunks than one, and distant means. Options stand here, for presets may change.
+  // Lossy: every degree, one Gaussian, several chunks, and distant means. Options are spelled out, because presets may
+  // change.
   const std::uint64_t counts[] = {5, 1, 70, 300};
   for (int degree = 0; degree <= kMaxShDegree; ++degree) {
     scenes.push_back({"archive_degree" + std::to_string(degree),

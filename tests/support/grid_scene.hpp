@@ -1,4 +1,4 @@
-// grid_scene.hpp - Gaussians on a coarse grid: most depths are shared, and many means.
+// grid_scene.hpp - Gaussians on a coarse grid: most depths and many means are shared.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,8 +10,8 @@
 
 namespace rgs::test {
 
-/// n Gaussians on 17 x 17 x 6 places before front_camera(), on both sides of 0. Some that share a place differ in one
-/// attribute alone, down to one coefficient of SH degree 3, and some in none.
+/// n Gaussians at 17 x 17 x 6 positions before front_camera(), on both sides of 0. Some at one position differ in a
+/// single attribute, down to one coefficient of SH degree 3, and some in none.
 inline std::vector<Splat> grid_splats(unsigned seed, int n) {
   Random random(seed);
   const auto step = [&random](int below) { return std::floor(random.uniform(0, below)); };

@@ -1,9 +1,10 @@
-# hostile_server.py - a web server on 127.0.0.1 that does everything wrong, on demand; prints its port, then a line for each request.
+# hostile_server.py - a web server on 127.0.0.1 that misbehaves on demand; prints its port, then a line for each
+# request.
 #
-# The path names what is wrong (the functions below; /plain is in order), parameters say when and with what:
-#   from=N      requests before the Nth to this very address are answered in order (1: none)
-#   times=N     at most so many are answered wrongly; 0: no limit
-#   size=N      of the file, at most 400000, whose bytes are made; file=PATH serves that one
+# The path names the fault (the functions below; /plain has none), parameters say when and with what:
+#   from=N      requests before the Nth to this exact address are answered correctly (1: none)
+#   times=N     at most N requests get the fault; 0: no limit
+#   size=N      of the generated file, at most 400000; file=PATH serves another
 #   etag=, modified=   of the file; absent: no such header. etag2=, modified2=, size2= hold from the Nth request on
 # A line: "GET ADDRESS range=... auth=... agent=... encoding=..."
 # SPDX-License-Identifier: Apache-2.0
@@ -22,7 +23,7 @@ import urllib.parse
 FIRST = "bytes=0-65535"
 
 
-MADE = bytes(((offset * 2654435761) >> 13) & 0xFF for offset in range(400000))  # tests/support/made_bytes.hpp
+MADE = bytes(((offset * 2654435761) >> 13) & 0xFF for offset in range(400000))  # the same bytes as tests/support/made_bytes.hpp
 
 
 class File:
@@ -44,7 +45,7 @@ class File:
 
 
 class Request:
-    """One request and the means to answer it. begin, end: what is asked for, cut at the file's end."""
+    """One request and the means to answer it. begin, end: the requested range, cut at the file's end."""
 
     def __init__(self, connection, address, fields, options, file):
         self.connection, self.address, self.fields, self.options, self.file = connection, address, fields, options, file
@@ -77,12 +78,12 @@ class Request:
         self.send(body)
 
     def wait_until_taken(self):
-        """Until the other side has all that was sent."""
+        """Waits until the client has everything that was sent."""
         while struct.unpack("i", fcntl.ioctl(self.connection, termios.TIOCOUTQ, bytes(4)))[0] > 0:
             time.sleep(0.001)
 
     def hang(self):
-        """Until the other side goes."""
+        """Waits until the client closes."""
         while self.connection.recv(4096):
             pass
 
@@ -91,7 +92,7 @@ class Request:
         self.connection.close()
 
 
-# What is done wrong. True: the connection stays open.
+# Faults. True: the connection stays open.
 
 def plain(r):
     if r.begin >= r.file.size:
@@ -107,7 +108,7 @@ def no_ranges(r):
 
 
 def no_ranges_broken(r):
-    """The first ones break off; the file then `grows`."""
+    """The first answers break off; the file then `grows`."""
     with lock:
         counts["broken", r.address] += 1
         is_broken = counts["broken", r.address] <= int(r.options["breaks"])
@@ -157,7 +158,7 @@ def truncated_chunked(r):
 
 
 def short_length(r):
-    """A shorter body than the range says, and all in order otherwise."""
+    """A body shorter than its range; everything else is right."""
     body = r.body()[:-7]
     r.head(length=len(body))
     r.send(body)
@@ -174,12 +175,12 @@ def other_range(r):
 
 
 def lying_range(r):
-    """The bytes of another range under the name of the right one."""
+    """The bytes of another range, labelled as the right one."""
     r.answer(range=r.options["range"])
 
 
 def longer(r):
-    """As chunks, so that nothing but the range says how much it is."""
+    """In chunks, so that only the range states the size."""
     body = r.body() + bytes(1 << 20)
     r.head(more=["Transfer-Encoding: chunked"])
     r.send(b"%x\r\n" % len(body) + body + b"\r\n0\r\n\r\n")
@@ -199,7 +200,7 @@ def endless(r):
 
 
 def slow(r):
-    """So many bytes a second; the first request is answered at once unless `all` is set."""
+    """Limited bytes per second; the first request is answered at once unless `all` is set."""
     if r.fields["range"] == FIRST and "all" not in r.options:
         return plain(r)
     body, step = r.body(), max(1, int(r.options.get("rate", 1000)) // 20)
@@ -232,7 +233,7 @@ def reset(r):
     body = r.body()
     r.head(length=len(body))
     r.send(body[:len(body) // 2])
-    r.wait_until_taken()  # or the reset overtakes what was sent
+    r.wait_until_taken()  # otherwise the reset overtakes what was sent
     r.reset()
 
 
@@ -289,7 +290,7 @@ def two_ranges(r):
 
 
 def old(r):
-    """HTTP/1.0, whose body ends with the connection."""
+    """HTTP/1.0: the body ends with the connection."""
     r.head(version="1.0")
     r.send(r.body())
 
@@ -328,7 +329,7 @@ def no_header_colon(r):
 
 
 def busy(r):
-    """The first requests wait until `n` are at work; the largest number at a time is in the log."""
+    """The first requests wait until `n` are in flight; the log states the largest number."""
     with changed:
         at_work[0] += 1
         at_work[1] = max(at_work)

@@ -1,4 +1,4 @@
-// instruction_sets.hpp - what Highway chooses at run time, chosen by a test.
+// instruction_sets.hpp - runs a test under each instruction set that Highway would choose at run time.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,14 +8,14 @@
 
 namespace rgs::test {
 
-/// Calls act() once for each instruction set that the machine has and Highway knows, during which kernels are those for it.
+/// Calls act() once for each instruction set of the machine that Highway supports, with its kernels enabled.
 template <class Act>
 void with_each_instruction_set(const Act& act) {
   for (std::int64_t left = hwy::SupportedTargets(); left != 0; left &= left - 1) {
     hwy::SetSupportedTargetsForTest(left & -left);
     hwy::GetChosenTarget().Update(hwy::SupportedTargets());
     act();
-    hwy::SetSupportedTargetsForTest(0);  // SupportedTargets() gives all of them again
+    hwy::SetSupportedTargetsForTest(0);  // SupportedTargets() returns all of them again
   }
   hwy::GetChosenTarget().Update(hwy::SupportedTargets());
 }

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# kernel_resources_test.py - the script that reports kernels' resources, with a compiler that says what the test wants.
+# kernel_resources_test.py - the script that reports kernels' resources, with a fake compiler.
 # SPDX-License-Identifier: Apache-2.0
 """kernel_resources_test.py PROJECT_SOURCE_DIR"""
 import json
@@ -19,7 +19,7 @@ ptxas info    : Function properties for {KERNEL}
     {{spilled}} bytes stack frame, {{spilled}} bytes spill stores, {{spilled}} bytes spill loads
 ptxas info    : Used 48 registers, used 1 barriers, {{shared}} bytes smem, 400 bytes cmem[0]
 """
-# A compiler that wants one architecture, and neither an object nor what makes one.
+# A compiler that accepts one architecture and no options about object files.
 COMPILER = """#!/bin/sh
 for a; do case $a in -c|--generate-code*|-gencode*|-MF) echo "unexpected $a"; exit 9;; -arch=sm_*) arch=${a#-arch=sm_};; esac; done
 [ "$(cat %s/status)" = 0 ] || { echo broken; exit 1; }
@@ -60,7 +60,7 @@ def main():
         code, _, said = run(folder, plain, status=1)
         assert code == 2 and "broken" in said, said
         (folder / "compile_commands.json").unlink()
-    # Ours: nvcc refuses more than 48 KiB that it knows of, and this is the other way to have more.
+    # nvcc refuses more than 48 KiB of static memory; our kernels use no dynamic memory, which would bypass that.
     sys.path.insert(0, str(SCRIPT.parent))
     import kernel_resources
     ours = [str(file) for file in (SOURCE / "kernels/src").rglob("*.cu")]

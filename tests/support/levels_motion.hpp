@@ -1,4 +1,4 @@
-// levels_motion.hpp - a scene with levels of detail on a camera's path, beside the truth.
+// levels_motion.hpp - a scene with levels of detail along a camera path, against the truth.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,15 +13,15 @@
 
 namespace rgs::test {
 
-/// One way of drawing, on the path.
+/// One way of drawing along the path.
 struct MotionRow {
   bench::OrbitRow whole;             ///< over all frames; `added` is not filled in
   std::vector<bench::Change> steps;  ///< from each frame to the next
-  double drawn = 0;                  ///< share of the Gaussians, mean over the frames
-  int n_changes = 0;                 ///< of that share, from a frame to the next
+  double drawn = 0;                  ///< drawn share of the Gaussians, mean over the frames
+  int n_changes = 0;                 ///< of that share, from frame to frame
 };
 
-/// The truth is all Gaussians as the scene declares, at `supersampling` times the size and averaged, values clamped to 0..1.
+/// Truth: all Gaussians as the scene declares, at `supersampling` times the size, averaged, values clamped to 0..1.
 class LevelsMotion {
  public:
   LevelsMotion(const Scene& scene, int supersampling, int threads = 0)
@@ -51,7 +51,7 @@ class LevelsMotion {
       return draw(camera, options, n);
     });
   }
-  /// All Gaussians as levels are drawn: what is left of steps when no page changes.
+  /// All Gaussians, drawn like levels: the steps that remain when no page changes.
   Result<MotionRow> leaves(std::span<const Camera> path) {
     return follow("leaves", path, [this](const Camera& camera, std::uint64_t& n) {
       RenderOptions options;

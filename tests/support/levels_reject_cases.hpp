@@ -1,4 +1,4 @@
-// levels_reject_cases.hpp - files with levels of detail and one defect each, and the error that it must give.
+// levels_reject_cases.hpp - files with levels of detail and one defect each, and the error that each must cause.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,7 +9,7 @@
 
 namespace rgs::test::detail {
 
-/// Section LODS of a file, and the records of its pages.
+/// A file's section LODS and its page records.
 struct LevelsAt {
   explicit LevelsAt(const RejectMaker& m)
       : section(m.section("LODS")), n_pages(get<std::uint32_t>(m.file(), section)), bytes(m.file()) {}
@@ -113,7 +113,7 @@ inline void reject_records(RejectMaker& m) {
   m.set("page_reserved", reserved_bits, root + 104, root + 111, std::uint8_t{1});
 }
 
-/// `m` is of a file of degree 1 whose pages are stored as they are, and of one chunk each.
+/// `m` has a file of degree 1 with uncoded pages of one chunk each.
 inline void reject_pages(RejectMaker& m) {
   using enum Errc;
   const LevelsAt at(m);
@@ -139,7 +139,7 @@ inline void reject_pages(RejectMaker& m) {
   });
 }
 
-/// `m` is of a packed file without positions.
+/// `m` has a packed file without positions.
 inline void reject_packed_pages(RejectMaker& m) {
   using enum Errc;
   const LevelsAt at(m);
@@ -156,7 +156,7 @@ inline void reject_packed_pages(RejectMaker& m) {
         get<std::uint32_t>(m.file(), at.record(at.n_pages - 1) + 16) - 1);
 }
 
-/// `m` is of an archive.
+/// `m` has an archive.
 inline void reject_archive_pages(RejectMaker& m) {
   using enum Errc;
   const LevelsAt at(m);

@@ -1,4 +1,4 @@
-// made_bytes.hpp - files whose bytes their offsets make, so that a part that is read needs nothing to be compared with.
+// made_bytes.hpp - files whose bytes follow from their offsets, so that any part can be checked without a copy.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,7 +10,7 @@
 
 namespace rgs::test {
 
-/// As hostile_server.py makes them.
+/// The same bytes as hostile_server.py's.
 inline std::byte byte_at(std::uint64_t offset) {
   return static_cast<std::byte>((offset * 2654435761u) >> 13);
 }

@@ -1,4 +1,4 @@
-// plausible_cloud.hpp - seeded clouds with values as training leaves them, for lossy codecs.
+// plausible_cloud.hpp - seeded clouds with values like trained ones, for lossy codecs.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,8 +8,8 @@
 
 namespace rgs::test {
 
-/// n Gaussians: most means in a box of 10 units, one of 50 up to a thousand times as far; scales over eight octaves;
-/// colours and their coefficients follow one another and each other.
+/// n Gaussians: most means in a box of 10 units, one in 50 up to a thousand times as far; scales over eight octaves;
+/// colours and their coefficients are correlated with neighbours and each other.
 inline SplatCloud plausible_cloud(std::uint64_t n, int sh_degree, SplitMix& random) {
   SplatCloud cloud;
   cloud.resize(n, sh_degree);

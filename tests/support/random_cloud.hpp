@@ -1,4 +1,4 @@
-// random_cloud.hpp - seeded clouds with all the values that an encoder may meet.
+// random_cloud.hpp - seeded clouds with every value that an encoder may meet.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,8 +8,8 @@
 
 namespace rgs::test {
 
-/// n Gaussians, all sound: scales over the whole legal range or a part of it, logits +-30, quaternions of any norm, SH
-/// of any size, absent SH, distant outliers, both zeros.
+/// n valid Gaussians: scales over the whole legal range or a part of it, logits +-30, quaternions of any norm, SH of
+/// any size, absent SH, distant outliers, both zeros.
 inline SplatCloud random_cloud(std::uint64_t n, int sh_degree, SplitMix& random) {
   SplatCloud cloud;
   cloud.resize(n, sh_degree);

@@ -1,10 +1,10 @@
 #!/usr/bin/python3
-# records_test.py - what the documents of docs/records show is what the records beside them hold.
+# records_test.py - the documents of docs/records match the records beside them.
 # SPDX-License-Identifier: Apache-2.0
 """records_test.py SOURCE_FOLDER
 
-Each record names its tables, and a document has them; docs/images/flight.svg is what plot_flight.py draws; a record that is
-shrunk again stays as it is.
+A document has each table that a record names; docs/images/flight.svg is plot_flight.py's output; shrinking a record again does not
+change it.
 """
 import json
 import subprocess
@@ -25,13 +25,13 @@ for path, record in records.items():
     if path.name not in documents:
         failures.append(f"no document names {path.name}")
     if path.read_text() != shrink_record.text(record) + "\n":
-        failures.append(f"{path.name} is not what shrink_record.py writes")
+        failures.append(f"{path.name} differs from shrink_record.py's output")
     for words in bench_tables.tables(record) if "tables" in record else []:
         for table in words.split("\n\n"):
             if table.startswith("|") and table.strip() not in documents:
                 failures.append(f"no document has this table of {path.name}:\n{table}")
 if plot_flight.svg(records[root / "docs/records/flight.json"]) != (root / "docs/images/flight.svg").read_text():
-    failures.append("docs/images/flight.svg is not what plot_flight.py draws of flight.json")
+    failures.append("docs/images/flight.svg differs from plot_flight.py's picture of flight.json")
 
 with tempfile.TemporaryDirectory() as folder:
     run, out = Path(folder) / "run.json", Path(folder) / "out.json"

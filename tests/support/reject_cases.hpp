@@ -1,4 +1,4 @@
-// reject_cases.hpp - files with one defect each, and the error that it must give.
+// reject_cases.hpp - files with one defect each, and the error that each must cause.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -176,7 +176,7 @@ inline void reject_declarations(RejectMaker& m) {
   m.set("declaration_reserved_last", reserved_bits, d + 152, d + 255, std::uint8_t{1});
 }
 
-// `m` is of a file with an origin.
+// `m` has a file with an origin.
 inline void reject_origin(RejectMaker& m) {
   using enum Errc;
   const std::uint64_t origin = m.section("DECL") + 152;
@@ -240,7 +240,7 @@ inline void reject_payload(RejectMaker& m) {
   });
 }
 
-// `m` is of a packed file.
+// `m` has a packed file.
 inline void reject_coded(RejectMaker& m) {
   using enum Errc;
   const std::uint64_t mean = m.section("MEAN"), sh = m.section("SHI8"), steps = m.section("SHSC");
@@ -263,7 +263,7 @@ inline void reject_coded(RejectMaker& m) {
   m.set("frame_skippable", corrupt_data, first_frame(sh), 0x184D2A50u);
   m.set("frame_table_corrupt", corrupt_data, first_frame(steps), first_frame(steps) + 4, std::uint8_t{0xFF});
   m.change("frame_empty", corrupt_data, first_frame(sh), [&](Bytes& b) {
-    // A last block without content, right behind the header of the Zstandard frame: 2 + 4 bytes and its size's.
+    // An empty last block right after the Zstandard frame's header: 2 + 4 bytes and those of its size.
     const std::uint64_t at = first_frame(sh) + 4;
     const auto descriptor = get<std::uint8_t>(b, at);
     const std::uint64_t sizes[4] = {(descriptor & 0x20) != 0 ? 1u : 0u, 2, 4, 8};

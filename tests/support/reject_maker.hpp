@@ -21,7 +21,7 @@ struct RejectCase {
 
 namespace detail {
 
-/// Collects defects of one sound file.
+/// Collects defects of one valid file.
 class RejectMaker {
  public:
   RejectMaker(std::vector<RejectCase>& cases, Bytes file) : cases_(cases), file_(std::move(file)) {}
@@ -30,7 +30,7 @@ class RejectMaker {
   std::uint64_t entry(std::string_view type) const { return entry_of(file_, type); }
   std::uint64_t section(std::string_view type) const { return section_of(file_, type); }
 
-  /// `change(bytes)` makes the defect; hashes are made to fit afterwards.
+  /// `change(bytes)` makes the defect; the hashes are then corrected.
   template <class Change>
   void change(const std::string& name, Errc code, std::uint64_t offset, Change change, Hashes hashes = Hashes::all) {
     Bytes bytes = file_;
@@ -42,7 +42,7 @@ class RejectMaker {
   void set(const std::string& name, Errc code, std::uint64_t offset, std::uint64_t at, T value) {
     change(name, code, offset, [&](Bytes& b) { put(b, at, value); });
   }
-  /// The usual case: the error names the field that was changed.
+  /// The usual case: the error names the changed field.
   template <class T>
   void set(const std::string& name, Errc code, std::uint64_t at, T value) {
     set(name, code, at, at, value);
@@ -52,7 +52,7 @@ class RejectMaker {
     cases_.push_back({name, code, offset, file_});
     cases_.back().bytes[at] ^= std::byte{0x10};
   }
-  /// Both sizes of a section's entry.
+  /// Both sizes of a section in its entry.
   void resize(const std::string& name, std::string_view type, std::uint64_t size) {
     change(name, Errc::size_mismatch, entry(type) + 32, [&](Bytes& b) {
       put(b, entry(type) + 24, size);

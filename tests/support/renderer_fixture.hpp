@@ -44,7 +44,7 @@ inline SplatCloud cloud_of(std::span<const Splat> splats, int sh_degree = 0) {
   return cloud;
 }
 
-/// Gaussians in front of, around and behind front_camera(), from pin points to walls.
+/// Gaussians before, around and behind front_camera(), from points to walls.
 inline std::vector<Splat> random_splats(unsigned seed, int n) {
   Random random(seed);
   std::vector<Splat> splats;
@@ -78,7 +78,7 @@ inline RenderOptions turbo_options() {
   return {.pipeline = Pipeline::turbo};
 }
 
-/// Options in one flat list, of which the defaults are the image's definition on every backend.
+/// Options in one flat list; the defaults are the image's definition on every backend.
 struct Arithmetic {
   std::array<float, 3> background = {0, 0, 0};
   float near_plane = math::kNearPlane;
@@ -120,7 +120,7 @@ struct Frame {
 
   static Frame of(const Camera& camera) {
     const auto n = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
-    // NaN and a sentinel, so that a pixel that is not written shows.
+    // NaN and a sentinel, so that an unwritten pixel is detected.
     Frame f;
     f.rgb.assign(3 * n, NAN), f.alpha.assign(n, NAN), f.depth.assign(n, NAN);
     f.evaluated.assign(n, 0xDEADBEEF), f.blended.assign(n, 0xDEADBEEF);

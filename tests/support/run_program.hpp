@@ -1,4 +1,4 @@
-// run_program.hpp - programs as child processes of a test: started, signalled, waited for, with what they printed.
+// run_program.hpp - child processes of a test: start, signal, wait, and read their output.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -41,7 +41,7 @@ class Program {
     ::dup2(::open("/dev/null", O_RDONLY), STDIN_FILENO);
     ::dup2(out_, STDOUT_FILENO);
     ::dup2(err_, STDERR_FILENO);
-    // Test runners ignore some of these, and what is ignored stays so over exec.
+    // Test runners ignore some signals, and exec keeps that.
     for (const int s : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGXFSZ}) ::signal(s, SIG_DFL);
     if (before_exec) before_exec();
     ::execv(argv[0], argv.data());
@@ -59,7 +59,7 @@ class Program {
   Program& operator=(const Program&) = delete;
 
   pid_t id() const { return id_; }
-  /// True until the child has ended; it stays a zombie, so that its id is not given to another process.
+  /// True until the child has ended; it stays a zombie, so that its id is not reused.
   bool running() const {
     siginfo_t info{};
     return ::waitid(P_PID, static_cast<id_t>(id_), &info, WEXITED | WNOHANG | WNOWAIT) == 0 && info.si_pid == 0;
@@ -73,7 +73,7 @@ class Program {
   /// Signals the child; harmless if it has ended.
   void send(int signal_number) const { ::kill(id_, signal_number); }
 
-  /// What it has printed to its standard output so far.
+  /// Its standard output so far.
   std::string out() const { return contents(out_); }
 
   ProgramResult wait() {
@@ -94,7 +94,7 @@ class Program {
     id_ = -1;
     return status;
   }
-  // The place in the file is left alone: the child writes there.
+  // The file offset stays: the child writes there.
   static std::string contents(int fd) {
     struct stat info {};
     if (::fstat(fd, &info) != 0) return {};
@@ -108,7 +108,7 @@ class Program {
   pid_t id_ = -1;
 };
 
-/// For `before_exec`: the program sends itself `signal_number` once `stage` has done so many units (console.hpp).
+/// For `before_exec`: the program sends itself `signal_number` once `stage` has done that many units (console.hpp).
 inline std::function<void()> failpoint(const std::string& stage, std::uint64_t units = 0, int signal_number = SIGSTOP) {
   return [value = stage + ":" + std::to_string(units) + ":" + std::to_string(signal_number)] {
     ::setenv("RGS_FAILPOINT", value.c_str(), 1);
@@ -120,7 +120,7 @@ inline ProgramResult run_program(const std::vector<std::string>& arguments,
   return Program(arguments, before_exec).wait();
 }
 
-/// `line` as a shell takes it: with quotes, redirections, pipes. The exit code is that of its last command.
+/// Runs `line` in a shell. The exit code is that of its last command.
 inline ProgramResult run_shell(const std::string& line) {
   return run_program({"/bin/sh", "-c", line});
 }

@@ -1,4 +1,4 @@
-// sanitized.hpp - whether a test was built with a sanitizer that takes memory and time of its own.
+// sanitized.hpp - whether a test was built with a sanitizer, which adds memory and time.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

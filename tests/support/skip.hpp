@@ -1,4 +1,4 @@
-// skip.hpp - a test case that cannot run says so: ctest knows it by the exit code, and .ci/run shows the line.
+// skip.hpp - skips a test case that cannot run: ctest sees the exit code, and .ci/run shows the line.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,8 +13,8 @@ namespace rgs::test {
 /// Set by skip(): doctest_main.cpp then ends with $RGS_SKIP_RETURN_CODE, unless a check has failed.
 inline bool g_skipped = false;
 
-/// Leaves out the case that calls it and then returns, before any check: what did run is no skip. doctest's MESSAGE
-/// would put file and line before the text, and the case would count as passed.
+/// Skips the calling case, which then returns before any check: a case that checked something is not skipped. doctest's
+/// MESSAGE would print file and line before the text, and the case would count as passed.
 inline void skip(const std::string& reason) {
   g_skipped = true;
   std::cout << "skipped: " << reason << std::endl;
@@ -25,13 +25,13 @@ inline bool is_set(const char* variable) {
   return value != nullptr && *value != '\0' && std::string(value) != "0";
 }
 
-/// For lack of measurement data; a failure where RGS_REQUIRE_DATA=1 says that it should be there.
+/// For missing measurement data; a failure if RGS_REQUIRE_DATA=1 requires it.
 inline void skip_without_data(const std::string& reason) {
   if (is_set("RGS_REQUIRE_DATA")) FAIL("RGS_REQUIRE_DATA is set, but " << reason);
   skip(reason);
 }
 
-/// For lack of something that scripts/install-deps.sh installs; a failure where RGS_REQUIRE_TOOLS=1 says that it has.
+/// For a missing tool of scripts/install-deps.sh; a failure if RGS_REQUIRE_TOOLS=1 requires it.
 inline void skip_without_tool(const std::string& reason) {
   if (is_set("RGS_REQUIRE_TOOLS")) FAIL("RGS_REQUIRE_TOOLS is set, but " << reason);
   skip(reason);

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# skip_test.py - skipped cases are skipped tests in ctest, and failures where the environment says that nothing is missing.
+# skip_test.py - ctest reports skipped cases as skipped, and as failures if the environment requires everything.
 # SPDX-License-Identifier: Apache-2.0
 """skip_test.py RGS_SKIP_SAMPLE CMAKE CTEST SOURCE_FOLDER"""
 import os
@@ -18,7 +18,7 @@ def environment(**required: str) -> dict[str, str]:
 
 
 def outcomes(folder: str, **required: str) -> dict[str, str]:
-    """Each test's word in ctest's output."""
+    """Each test's result in ctest's output."""
     run = subprocess.run([ctest, "--test-dir", folder], env=environment(**required), capture_output=True, text=True,
                          check=False)
     return dict(re.findall(r"sample: ([a-z ]+?) \.+\**\s*(Passed|Skipped|Failed)", run.stdout))
@@ -28,7 +28,7 @@ with tempfile.TemporaryDirectory() as folder:
     script = Path(folder, "sample.cmake")
     subprocess.run([cmake, "-D", f"PROGRAM={program}", "-D", "LABEL=sample", "-D", f"TESTS={script}", "-P",
                     f"{source}/cmake/RgsDiscoverTests.cmake"], check=True)
-    # A test written with skip.py, run as rgs_python_test runs it.
+    # A test that uses skip.py, run like rgs_python_test.
     Path(folder, "python.py").write_text("from skip import skip_without_tool\nskip_without_tool('no package')\n")
     Path(folder, "CTestTestfile.cmake").write_text(
         f'include("{script}")\nadd_test("sample: python" "{sys.executable}" "{folder}/python.py")\n'
@@ -42,7 +42,7 @@ with tempfile.TemporaryDirectory() as folder:
         found = outcomes(folder, **required)
         assert found == expected, f"{required}: {found}, not {expected}"
 
-    # What scripts/test.sh and .ci/run count.
+    # The lines that scripts/test.sh and .ci/run count.
     text = subprocess.run([ctest, "--test-dir", folder], env=environment(), capture_output=True, text=True,
                           check=False).stdout
     assert len(re.findall(r"^\s*\d+ - sample: .* \(Skipped\)$", text, re.MULTILINE)) == 4, text

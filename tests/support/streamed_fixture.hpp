@@ -1,4 +1,4 @@
-// streamed_fixture.hpp - a town of boxes as a file with levels of detail, sources that misbehave, and cameras that fly.
+// streamed_fixture.hpp - a town of boxes as a file with levels of detail, sources that misbehave, and flying cameras.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -40,7 +40,8 @@ struct TownOptions {
   unsigned seed = 17;
 };
 
-/// Gaussians on a ground of 40 x 40, most small, some as large as a house, a few larger than the town, in pages of a few chunks of 32.
+/// Gaussians on a ground of 40 x 40, most small, some as large as a house, a few larger than the town, in pages of a
+/// few chunks of 32.
 inline Bytes town(const TownOptions& o = {}) {
   Random random(o.seed);
   std::vector<Splat> splats;
@@ -73,25 +74,25 @@ inline Bytes town(const TownOptions& o = {}) {
 /// Seconds, for waits that end by themselves.
 inline constexpr double kLong = 1e7;
 
-/// Bytes in memory, with what can be wrong with a source.
+/// Bytes in memory, with faults of a source.
 struct Script {
   std::atomic<int> delay_us{0};                                         ///< of each read
   std::atomic<int> fails_every{0};                                      ///< n: each n-th read is read_failed
   std::atomic<bool> fails{false};                                       ///< all reads are
-  std::atomic<int> fails_next{0};                                       ///< so many reads are
-  std::atomic<std::uint64_t> gone_from{0}, gone_to{0};                  ///< bytes that cannot be read
+  std::atomic<int> fails_next{0};                                       ///< this many reads are
+  std::atomic<std::uint64_t> gone_from{0}, gone_to{0};                  ///< unreadable bytes
   std::atomic<bool> is_shut{false};                                     ///< reads wait
-  std::atomic<std::uint64_t> shut_from{0}, shut_to{~std::uint64_t{0}};  ///< but for those that have none of these bytes
-  std::atomic<std::uint64_t> flip_from{0}, flip_to{0};                  ///< bytes that come flipped
-  std::atomic<bool> flips_once{false};                                  ///< only the first read of them
+  std::atomic<std::uint64_t> shut_from{0}, shut_to{~std::uint64_t{0}};  ///< except those with none of these bytes
+  std::atomic<std::uint64_t> flip_from{0}, flip_to{0};                  ///< bytes that arrive flipped
+  std::atomic<bool> flips_once{false};                                  ///< only their first read
   std::atomic<int> n_reads{0}, n_at_once{0}, most_at_once{0}, n_flipped{0};
   std::atomic<std::uint64_t> n_bytes{0};
   std::mutex mutex;
   std::condition_variable opened;
   bool is_cancelled = false;
-  int n_held = 0, n_allowed = 0;  // reads that wait; of these, that need no longer
+  int n_held = 0, n_allowed = 0;  // waiting reads; those that may go on
 
-  /// A read that waits, if there is one, goes on.
+  /// Lets a waiting read go on, if there is one.
   void let_one_go() {
     const std::scoped_lock lock(mutex);
     if (n_allowed < n_held) ++n_allowed;
@@ -229,7 +230,7 @@ inline RenderOptions at_detail(float px) {
   return options;
 }
 
-/// A frame of what is there.
+/// A frame of the resident pages.
 inline Frame draw(Renderer& renderer, const StreamedScene& scene, const Camera& camera,
                   const RenderOptions& options = {}) {
   Frame frame = Frame::of(camera);

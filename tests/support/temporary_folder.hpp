@@ -1,4 +1,4 @@
-// temporary_folder.hpp - a folder for one test, removed with all it holds.
+// temporary_folder.hpp - a folder for one test, removed with its contents.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

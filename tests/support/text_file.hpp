@@ -1,4 +1,4 @@
-// text_file.hpp - text to a file and back, as bytes.
+// text_file.hpp - writes and reads text files as bytes.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,12 +9,12 @@
 
 namespace rgs::test {
 
-/// Replaces what the file held.
+/// Replaces the file's contents.
 inline void write_text(const std::string& path, std::string_view text) {
   std::ofstream(path, std::ios::binary) << text;
 }
 
-/// All of the file; empty if there is none.
+/// The whole file; empty if there is none.
 inline std::string read_text(const std::string& path) {
   std::ifstream in(path, std::ios::binary);
   return {std::istreambuf_iterator<char>(in), {}};

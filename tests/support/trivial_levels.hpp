@@ -1,4 +1,4 @@
-// trivial_levels.hpp - levels of detail that are good for nothing but tests of files: every fourth Gaussian, twice as large.
+// trivial_levels.hpp - the simplest levels of detail, for tests of files: every fourth Gaussian, twice as large.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -17,8 +17,7 @@ struct TrivialOptions {
   std::uint32_t n_children = 4;
 };
 
-/// Levels over `leaves`, which are in the order of the file. Boxes, and cores, hold means alone: writers make boxes large
-/// enough.
+/// Levels over `leaves`, which are in file order. Boxes and cores hold means only: writers enlarge boxes as necessary.
 inline lod::Levels trivial_levels(const SplatCloud& leaves, const TrivialOptions& options = {}) {
   struct Node {
     std::vector<Splat> splats;

@@ -1,4 +1,4 @@
-// value_or_stop.hpp - what a measuring program does with a result: takes the value, or says the error and ends.
+// value_or_stop.hpp - a measuring program takes a result's value, or prints the error and ends.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,7 +10,7 @@
 
 namespace rgs::test {
 
-/// `what`: of which the result is, in the message.
+/// `what` names the result in the message.
 template <class T>
 T value_or_stop(Result<T> result, const char* what) {
   if (!result) {

@@ -1,4 +1,4 @@
-// web_servers.hpp - servers on the loopback address that tests read from: a hostile one of our own, and nginx.
+// web_servers.hpp - servers on the loopback address for tests: a hostile one of our own, and nginx.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -24,12 +24,12 @@
 
 namespace rgs::test {
 
-/// Whatever the environment says, these servers are asked without a proxy.
+/// These servers are reached without a proxy, whatever the environment says.
 inline void use_no_proxy() {
   ::setenv("no_proxy", "127.0.0.1,localhost", 1);
 }
 
-/// A port of the loopback address at which nobody else listens, nor does anybody before the test says so.
+/// A loopback port on which nobody listens, now or until the test allows it.
 class ReservedPort {
  public:
   ReservedPort() : socket_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
@@ -38,7 +38,7 @@ class ReservedPort {
     address.sin_family = AF_INET;
     address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
     socklen_t size = sizeof address;
-    // A program of this user may listen there that asks for the same.
+    // Another program of this user that requests the same may listen there.
     if (::setsockopt(socket_, SOL_SOCKET, SO_REUSEPORT, &yes, sizeof yes) != 0 ||
         ::bind(socket_, reinterpret_cast<sockaddr*>(&address), size) != 0 ||
         ::getsockname(socket_, reinterpret_cast<sockaddr*>(&address), &size) != 0)
@@ -56,7 +56,7 @@ class ReservedPort {
   int socket_, number_ = 0;
 };
 
-/// hostile_server.py, which says what addresses do.
+/// hostile_server.py, which documents its addresses.
 class HostileServer {
  public:
   HostileServer() : program_({RGS_PYTHON, "-B", RGS_SOURCE_DIR "/tests/support/hostile_server.py"}) {
@@ -70,9 +70,9 @@ class HostileServer {
   /// path_and_options: "/truncated?from=2"
   std::string url(const std::string& path_and_options) const { return "http://" + host() + path_and_options; }
 
-  /// What it has printed so far: a line for each request.
+  /// Its output so far: a line for each request.
   std::string log() const { return program_.out(); }
-  /// Requests so far whose line in the log has `text` in it.
+  /// Number of requests so far whose log line contains `text`.
   int requests(const std::string& text = "") const {
     std::istringstream lines(log());
     int n = 0;
@@ -87,13 +87,13 @@ class HostileServer {
   int port_ = 0;
 };
 
-/// nginx, which serves the files of a folder.
+/// nginx, serving the files of a folder.
 class Nginx {
  public:
   static constexpr const char* kProgram = "/usr/sbin/nginx";
   static bool is_installed() { return ::access(kProgram, X_OK) == 0; }
 
-  /// `ssl`: https, with HTTP/2 and a certificate of its own, for 127.0.0.1. `directives` go into its server block.
+  /// `ssl`: https, with HTTP/2 and its own certificate for 127.0.0.1. `directives` go into its server block.
   explicit Nginx(bool ssl, const std::string& directives = "") : ssl_(ssl) {
     use_no_proxy();
     std::filesystem::create_directory(folder_.file("files"));
@@ -108,11 +108,11 @@ class Nginx {
     start();
   }
 
-  /// Ends it, with all connections.
+  /// Stops it and all connections.
   void end() { program_.reset(); }
-  /// Starts it again at the same address.
+  /// Restarts it at the same address.
   void start_again() { start(); }
-  /// Connections stand, and nothing comes over them, until resume().
+  /// Connections stay open, and nothing arrives over them, until resume().
   void freeze() const { program_->send(SIGSTOP); }
   void resume() const { program_->send(SIGCONT); }
 
@@ -122,7 +122,7 @@ class Nginx {
   std::string url(const std::string& name) const {
     return (ssl_ ? "https://127.0.0.1:" : "http://127.0.0.1:") + std::to_string(port_.number()) + "/" + name;
   }
-  /// A line for each request that is over: protocol, number of the connection, status, bytes of the body, range.
+  /// A line for each finished request: protocol, connection number, status, bytes of the body, range.
   std::vector<std::string> log() const {
     std::istringstream lines(text_of(folder_.file("access.log")));
     std::vector<std::string> all;

@@ -230,7 +230,7 @@ TEST_CASE("views that are too small from afar drop distances and say so") {
   CHECK(j["gate"]["conditions"][0]["measured"] == false);
 }
 
-TEST_CASE("a file without its end is refused with what is missing, a damaged one with the offset") {
+TEST_CASE("the error of a file without its end names the missing part, that of a damaged file the offset") {
   const auto size = fs::file_size(scene().levels);
   const std::string part = scene().file("part.rgs");
   fs::copy(scene().levels, part, fs::copy_options::overwrite_existing);

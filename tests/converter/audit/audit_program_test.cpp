@@ -1,4 +1,4 @@
-// audit_program_test.cpp - rgs-audit as a user and a pipeline run it, and its report in a browser.
+// audit_program_test.cpp - rgs-audit as users and pipelines run it, and its report in a browser.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <unistd.h>
@@ -34,7 +34,7 @@ using namespace rgs::test;
 
 namespace {
 
-// Pictures named like the cameras; what is in them does not matter.
+// Pictures named like the cameras; their content does not matter.
 void write_photos(const std::string& folder, int n, int width = 96, int height = 72) {
   fs::create_directories(folder);
   SplitMix random(3);
@@ -58,7 +58,7 @@ Image render(const Scene& scene, double z) {
   return image;
 }
 
-// A report with all that it can hold, of a file with a hostile name.
+// A report with everything that it can hold, of a file with a hostile name.
 ProgramResult full_report(const SceneFolder& scene, const std::string& page) {
   const std::string hostile = scene.file("<img src=x onerror=alert(1)> \"&'.ply");
   fs::copy(scene.ply, hostile);
@@ -69,7 +69,7 @@ ProgramResult full_report(const SceneFolder& scene, const std::string& page) {
 
 }  // namespace
 
-TEST_CASE("an audit measures sizes, attributes and pictures, and its JSON has what the document promises") {
+TEST_CASE("an audit measures sizes, attributes and pictures, and its JSON keeps the documented form") {
   const SceneFolder scene;
   const json j = scene.result();
   CHECK(j["schema"] == "rgs-audit/2");
@@ -88,7 +88,7 @@ TEST_CASE("an audit measures sizes, attributes and pictures, and its JSON has wh
   CHECK(j["rendered"]["views"][0]["psnr"] == j["rendered"]["worst_psnr"]);
   CHECK(j["rendered"]["views"][0]["psnr"].get<double>() <= j["rendered"]["views"][2]["psnr"].get<double>());
 
-  // The same numbers straight from the renderer and the comparison.
+  // The same numbers, directly from renderer and comparison.
   const Scene source = Scene::load(scene.cloud).value(), asset = Scene::load(scene.rgs).value();
   const json* view = nullptr;
   for (const json& v : j["rendered"]["views"])
@@ -116,7 +116,7 @@ TEST_CASE("the attribution has every step alone and all together") {
   CHECK(mse["sh"] < mse["together"]);
   CHECK(mse["geometry"] < mse["sh"]);
   CHECK(mse["sh"] + mse["geometry"] == doctest::Approx(mse["conversion"]).epsilon(0.3));
-  CHECK(mse["chunk_scales"] == doctest::Approx(mse["sh"]).epsilon(0.01));  // what the encoder did, done again
+  CHECK(mse["chunk_scales"] == doctest::Approx(mse["sh"]).epsilon(0.01));  // the encoder's work, repeated
   CHECK(mse["file_scales"] > mse["chunk_scales"]);
   CHECK(mse["exp"] > 1e-8);
   CHECK(scene.result({"--no-attribution"})["rendered"]["attribution"].empty());
@@ -156,7 +156,7 @@ TEST_CASE("the pages pass their own tests in a browser") {
   check_in_browser(scene, tables + "/index.html", "ok, 0 images, 0 sliders");
 }
 
-TEST_CASE("the report is one page, whatever the files are called") {
+TEST_CASE("the report is one page, whatever the files' names") {
   const SceneFolder scene;
   const std::string page = scene.file("report.html");
   const ProgramResult run = full_report(scene, page);
@@ -173,7 +173,7 @@ TEST_CASE("the report is one page, whatever the files are called") {
   check_in_browser(scene, page, "ok, 19 images, 1 sliders");
 }
 
-TEST_CASE("photographs stand beside the pictures of a report, and each view has the command that shows it") {
+TEST_CASE("a report shows photographs beside the pictures, and each view has the command that opens it") {
   const SceneFolder scene;
   const std::string photos = scene.file("photos"), page = scene.file("report.html");
   write_photos(photos, 3);
@@ -192,7 +192,7 @@ TEST_CASE("photographs stand beside the pictures of a report, and each view has 
   check_in_browser(scene, page, "ok, 19 images, 1 sliders");
 }
 
-TEST_CASE("commands are what a shell takes, or none") {
+TEST_CASE("commands are quoted for a shell, or omitted") {
   using audit::shell_word, audit::view_command;
   for (const std::string& text :
        {std::string("a b"), std::string("it's $HOME `id`; \"x\" & | > * ? ~ # !"), std::string("-rf"),
@@ -217,7 +217,7 @@ TEST_CASE("commands are what a shell takes, or none") {
   CHECK(audit::view_argument("--export=x") == " --view='--export=x'");
 }
 
-TEST_CASE("large noisy pictures stay within the report's size, photographs too") {
+TEST_CASE("large noisy pictures keep to the report's size, photographs too") {
   const TemporaryFolder folder;
   audit::Report report;
   report.render.emplace();
@@ -239,10 +239,10 @@ TEST_CASE("large noisy pictures stay within the report's size, photographs too")
   const std::string page = audit::audit_html(report);
   CHECK(page.size() < audit::kMaxReportBytes);
   CHECK(page.size() > 3'000'000);
-  CHECK(page.find("\"data:,\" ") == std::string::npos);  // no picture was left out
+  CHECK(page.find("\"data:,\" ") == std::string::npos);  // no picture was omitted
 }
 
-TEST_CASE("conditions that fail are exit code 5 and are named") {
+TEST_CASE("failed gates are exit code 5 and are named") {
   const SceneFolder scene;
   const ProgramResult run =
       run_audit({scene.ply, scene.rgs, "--cameras", scene.cameras, "--no-attribution", "--fail-below",
@@ -256,7 +256,7 @@ TEST_CASE("conditions that fail are exit code 5 and are named") {
             .exit_code == 0);
 }
 
-TEST_CASE("Gaussians that the conversion left out show in numbers, attribution and verdict") {
+TEST_CASE("Gaussians that the conversion dropped appear in numbers, attribution and verdict") {
   const SceneFolder scene;
   const SplatCloud part = [&] {
     SplatCloud out = scene.cloud;
@@ -276,7 +276,7 @@ TEST_CASE("Gaussians that the conversion left out show in numbers, attribution a
   CHECK(j["rendered"]["attribution"][0]["share"].get<double>() > 0.9);
   CHECK(j["verdict"]["detail"].get<std::string>().find("40 Gaussians of the source are missing from the asset") !=
         std::string::npos);
-  // A damaged source: what cannot be drawn is counted, not an error.
+  // A damaged source: Gaussians that cannot be drawn are counted, not an error.
   const std::string damaged = write_ply(scene.file("damaged.ply"), part);
   const ProgramResult with = run_audit({damaged, rgs, "--cameras", scene.cameras, "--json", "-", "--quiet"});
   REQUIRE(with.exit_code == 0);
@@ -314,7 +314,7 @@ TEST_CASE("photographs are found by name and compared with both sides") {
   CHECK(run_audit(command).exit_code == 4);
 }
 
-TEST_CASE("a far scene is audited as it would be at home") {
+TEST_CASE("a far scene is audited as it would be near the world's origin") {
   const SceneFolder scene;
   const Origin place{4.2e6, 1.7e5, 4.8e6};
   const std::string ply = write_ply(scene.file("far.ply"), scene.cloud, place), rgs = scene.file("far.rgs"),
@@ -331,10 +331,10 @@ TEST_CASE("a far scene is audited as it would be at home") {
   const json home = audited({scene.ply, scene.rgs, "--cameras", scene.cameras}),
              far = audited({ply, rgs, "--cameras", cameras});
   CHECK(far["rendered"]["psnr"].get<double>() == doctest::Approx(home["rendered"]["psnr"].get<double>()).epsilon(0.01));
-  // A circle around the scene sees it, too.
+  // A circle around the scene sees it too.
   const json around = audited({ply, rgs, "--views", "2", "--size", "64x48", "--no-attribution"});
   CHECK(around["rendered"]["psnr"].get<double>() > 30);
-  CHECK(around["rendered"]["psnr"].get<double>() < 90);  // null, if both were empty
+  CHECK(around["rendered"]["psnr"].get<double>() < 90);  // null if both were empty
 }
 
 TEST_CASE("views without cameras, other sizes and splits") {
@@ -349,7 +349,7 @@ TEST_CASE("views without cameras, other sizes and splits") {
   CHECK(run_audit({scene.ply, scene.rgs, "--cameras", scene.cameras, "--split", "train"}).exit_code == 2);
 }
 
-TEST_CASE("other files beside the asset: sizes always, quality where they can be read") {
+TEST_CASE("other assets: sizes always, quality if they can be read") {
   const SceneFolder scene;
   write_text(scene.file("scene.spz"), "some other format");
   const json j = scene.result({"--also", scene.ply, "--also", scene.file("scene.spz"), "--no-attribution"});
@@ -363,7 +363,7 @@ TEST_CASE("other files beside the asset: sizes always, quality where they can be
   CHECK(run_audit({scene.ply, scene.rgs, "--no-render", "--also", scene.file("absent.sog")}).exit_code == 3);
 }
 
-TEST_CASE("files of other formats are measured, as the asset too") {
+TEST_CASE("files of other formats are measured, also as the asset") {
   const SceneFolder scene;
   const std::string spz = scene.file("scene.spz"), packed_ply = scene.file("scene.compressed.ply");
   for (const std::string& file : {spz, packed_ply})
@@ -376,7 +376,7 @@ TEST_CASE("files of other formats are measured, as the asset too") {
     CHECK(also["measured"] == true);
     CHECK(also["bytes"] == fs::file_size(spz));
     CHECK(also["gaussians"] == 700);
-    CHECK(also["psnr"].get<double>() > 25);  // SPZ's other axes were turned back
+    CHECK(also["psnr"].get<double>() > 25);  // SPZ's axes were turned back
   }
   const ProgramResult run = run_audit({scene.ply, packed_ply, "--cameras", scene.cameras, "--json", "-", "--quiet"});
   REQUIRE(run.exit_code == 0);
@@ -385,7 +385,7 @@ TEST_CASE("files of other formats are measured, as the asset too") {
   CHECK(j["rendered"]["psnr"].get<double>() > 25);
 }
 
-TEST_CASE("an asset of another format is drawn as it declares, and the source with it") {
+TEST_CASE("an asset of another format is drawn as it declares, and the source too") {
   const SceneFolder scene;
   SplatCloud turned = scene.cloud;
   convert_axes(turned, kAxes3dgs, format_axes(SplatFormat::spz));
@@ -401,10 +401,10 @@ TEST_CASE("an asset of another format is drawn as it declares, and the source wi
               classic = Scene::load(scene.cloud).value();
   const double expected = difference(render(as_declared, 9), render(asset.scene, 9))->psnr;
   CHECK(json::parse(run.out)["rendered"]["psnr"].get<double>() == doctest::Approx(expected).epsilon(1e-6));
-  CHECK(difference(render(as_declared, 9), render(classic, 9))->psnr < 40);  // it matters
+  CHECK(difference(render(as_declared, 9), render(classic, 9))->psnr < 40);  // which matters
 }
 
-TEST_CASE("a source in other axes than those of 3DGS is compared with assets that are turned into them") {
+TEST_CASE("a source in axes other than 3DGS's is compared with assets turned to 3DGS's") {
   const SceneFolder scene;
   SplatCloud turned = scene.cloud;
   convert_axes(turned, kAxes3dgs, format_axes(SplatFormat::spz));
@@ -426,7 +426,7 @@ TEST_CASE("a source in other axes than those of 3DGS is compared with assets tha
   }
 }
 
-TEST_CASE("an anti-aliasing that the source states and the asset has lost is seen, and said") {
+TEST_CASE("an anti-aliasing that the source declares and the asset has lost is reported") {
   const SceneFolder scene;
   const auto bytes = encode_splats(scene.cloud.view(), SplatFormat::ply, {.aa_mode = AaMode::mip_splatting});
   REQUIRE(bytes);
@@ -466,7 +466,7 @@ TEST_CASE("a packed asset has the direct one's errors and pictures, in fewer byt
   CHECK(fs::file_size(packed) < fs::file_size(scene.rgs));
 }
 
-TEST_CASE("an archive's Gaussians are found again in spite of their moved means") {
+TEST_CASE("an archive's Gaussians are paired despite their moved means") {
   const SceneFolder scene;
   EncodeOptions options;
   options.profile = Profile::archive;
@@ -479,7 +479,7 @@ TEST_CASE("an archive's Gaussians are found again in spite of their moved means"
   CHECK(j["rendered"]["psnr"].get<double>() > 30);
 }
 
-TEST_CASE("usage, missing and damaged files have their exit codes, and outputs are kept") {
+TEST_CASE("bad usage, missing and damaged files have their exit codes, and outputs are kept") {
   const SceneFolder scene;
   CHECK(run_audit({}).exit_code == 2);
   CHECK(run_audit({scene.ply, scene.rgs, "--fail-below", "speed=3"}).exit_code == 2);
@@ -523,7 +523,7 @@ TEST_CASE("an empty scene is audited without a division by zero") {
   CHECK(read_text(folder.file("e.html")).find("nan") == std::string::npos);
 }
 
-TEST_CASE("two folders become a table that goes on where it was interrupted") {
+TEST_CASE("two folders become a table, and an interrupted run continues") {
   const TemporaryFolder folder;
   for (const char* name : {"ply", "rgs"}) fs::create_directory(folder.file(name));
   for (const char* name : {"one", "two", "three"}) {
@@ -538,7 +538,7 @@ TEST_CASE("two folders become a table that goes on where it was interrupted") {
       folder.file("ply"), folder.file("rgs"), "--report",        out, "--views", "2", "--size", "64x48",
       "--fail-below",     "psnr=30",          "--no-attribution"};
   const ProgramResult first = run_audit(command);
-  CHECK(first.exit_code == 3);  // of the first trouble: alone.ply has no partner
+  CHECK(first.exit_code == 3);  // of the first problem: alone.ply has no partner
   CHECK(first.err.find("alone") != std::string::npos);
   CHECK(first.err.find("three") != std::string::npos);
   const auto statuses = [&] {
@@ -553,7 +553,7 @@ TEST_CASE("two folders become a table that goes on where it was interrupted") {
   CHECK(std::count(csv.begin(), csv.end(), '\n') == 5);
   CHECK(fs::exists(out + "/one.html"));
 
-  // Mended: only what is new is done again.
+  // Repaired: only new work is done.
   fs::remove(folder.file("ply/alone.ply"));
   write_rgs(folder.file("rgs/three.rgs"), audit_cloud(200, 1, static_cast<std::uint64_t>('h')));
   fs::last_write_time(out + "/one.html", fs::file_time_type::clock::now() - std::chrono::hours(1));
@@ -566,7 +566,7 @@ TEST_CASE("two folders become a table that goes on where it was interrupted") {
   CHECK(fs::last_write_time(out + "/one.html") == written);
   CHECK(statuses()["three"] == "passed");
 
-  // A changed asset is not taken for the old one, nor is its result replaced unasked.
+  // A changed asset is new, and its result is not replaced without permission.
   EncodeOptions coarse;
   coarse.sh_degree = 0;
   write_rgs(folder.file("rgs/one.rgs"), audit_cloud(200, 1, static_cast<std::uint64_t>('n')), coarse);
@@ -577,13 +577,13 @@ TEST_CASE("two folders become a table that goes on where it was interrupted") {
   CHECK(third.exit_code == 0);
   CHECK(third.out.find("two: ") != std::string::npos);
   CHECK(fs::last_write_time(out + "/one.html") != written);
-  // Stricter conditions are other options.
+  // Stricter gates are other options.
   replace[9] = "psnr=300";
   CHECK(run_audit(replace).exit_code == 5);
   CHECK(run_audit({folder.file("ply"), folder.file("rgs")}).exit_code == 2);
 }
 
-TEST_CASE("a conversion that grows does not call its output smaller") {
+TEST_CASE("a conversion to a larger file does not call its output smaller") {
   const SceneFolder scene;
   const std::string small = scene.file("small.spz"), large = scene.file("large.ply");
   REQUIRE(run_program({RGS_CONVERT, scene.ply, small, "--quiet"}).exit_code == 0);
@@ -605,10 +605,10 @@ TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the 
   CHECK(run.out.find("bytes per Gaussian") != std::string::npos);
   CHECK(run.out.find("report: " + scene.file("made.audit.html")) != std::string::npos);
   CHECK(read_text(scene.file("made.audit.html")).starts_with("<!doctype html>"));
-  CHECK(run_program(command).exit_code == 3);  // both are there already
+  CHECK(run_program(command).exit_code == 3);  // both exist already
   CHECK(run_program({RGS_CONVERT, scene.ply, "-", "--to", "rgs", "--audit"}).exit_code == 2);
   CHECK(run_program({RGS_CONVERT, out, scene.file("back.ply"), "--audit"}).exit_code == 2);
-  // What it could not pair is refused before it converts; what is left out it reports.
+  // Unpairable outputs are refused before the conversion; dropped Gaussians are reported.
   const std::string again = scene.file("again.rgs");
   CHECK(run_program({RGS_CONVERT, out, again, "--audit", "--level-of-detail", "0"}).exit_code == 2);
   CHECK(run_program({RGS_CONVERT, scene.ply, again, "--audit", "--scale", "2"}).exit_code == 2);
@@ -618,7 +618,7 @@ TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the 
   CHECK(fs::exists(scene.file("again.audit.html")));
   CHECK(run_program({RGS_CONVERT, out, scene.file("from-rgs.rgs"), "--audit"}).exit_code == 0);
   CHECK(fs::exists(scene.file("from-rgs.audit.html")));
-  // Without its sibling the program says so before it converts anything.
+  // Without rgs-audit the program says so before it converts anything.
   fs::create_directory(scene.file("bin"));
   fs::copy(RGS_CONVERT, scene.file("bin/rgs-convert"));
   const ProgramResult alone =
@@ -628,7 +628,7 @@ TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the 
   CHECK_FALSE(fs::exists(scene.file("other.rgs")));
 }
 
-TEST_CASE("infinite logits and scales of 0 have finite errors, and nothing is left out") {
+TEST_CASE("infinite logits and scales of 0 have finite errors, and nothing is omitted") {
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
   const SceneFolder scene;
   SplatCloud cloud = scene.cloud;

@@ -1,4 +1,5 @@
-// batch_test.cpp - rgs-convert of folders and lists: what it makes, what it leaves, and how it goes on after whatever stopped it.
+// batch_test.cpp - rgs-convert of folders and lists: its outputs, the files it keeps, and reruns after any
+// interruption.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <fcntl.h>
@@ -69,7 +70,7 @@ std::string scene(const std::string& path, std::uint64_t seed, std::uint64_t n =
   return write_scene(path, golden_cloud(n, 1, seed));
 }
 
-// All files below a folder with their contents, but for the state.
+// All files below a folder with their contents, except the state.
 std::map<std::string, std::string> contents(const fs::path& folder) {
   std::map<std::string, std::string> files;
   for (const auto& entry : fs::recursive_directory_iterator(folder)) {
@@ -167,10 +168,10 @@ TEST_CASE("a folder of all formats becomes a folder of the same shape, byte for 
   CHECK(names(contents(f.file("small"))).contains("sub/deep/b.compressed.ply"));
 }
 
-TEST_CASE("an unzipped SOG is one scene, with its pictures") {
+TEST_CASE("an unzipped SOG is one scene, including its pictures") {
   const Folders f;
   const fs::path sog = data_folder() / "formats" / "crop.sog";
-  if (!fs::exists(sog)) return skip_without_data("there is no SOG among the test data");
+  if (!fs::exists(sog)) return skip_without_data("the test data has no SOG");
   const std::string meta = f.file("sog");
   REQUIRE(run_shell("python3 -m zipfile -e '" + sog.string() + "' '" + meta + "'").exit_code == 0);
   fs::copy(meta, f.in + "/one", fs::copy_options::recursive);
@@ -182,7 +183,7 @@ TEST_CASE("an unzipped SOG is one scene, with its pictures") {
   CHECK(convert_all(f.command()).count("kept") == 1);
 }
 
-TEST_CASE("what is done is kept by content: names and times decide nothing") {
+TEST_CASE("finished scenes are recognised by content, not by name or time") {
   const Folders f(4);
   REQUIRE(convert_all(f.command()).count("converted") == 4);
   const auto first = contents(f.out);
@@ -196,7 +197,7 @@ TEST_CASE("what is done is kept by content: names and times decide nothing") {
   };
   const Batch second = rerun();
   CHECK(second.count("kept") == 4);
-  CHECK(second.lines.at("a.ply")["output"]["gaussians"] == kSmall);  // the line says all that it said then
+  CHECK(second.lines.at("a.ply")["output"]["gaussians"] == kSmall);  // the line repeats what it said then
   CHECK(fs::last_write_time(f.out + "/a.rgs") == written);
 
   // Other times, the same bytes.
@@ -218,7 +219,7 @@ TEST_CASE("what is done is kept by content: names and times decide nothing") {
   CHECK(changed.lines.at("d.ply")["status"] == "converted");
   CHECK(contents(f.out).at("d.rgs") != first.at("d.rgs"));
 
-  // Outputs that are gone are made again; those that somebody has changed are somebody's.
+  // Missing outputs are made again; changed outputs belong to the user.
   const auto good = contents(f.out);
   fs::remove(f.out + "/a.rgs");
   fs::resize_file(f.out + "/b.rgs", 100);
@@ -234,7 +235,7 @@ TEST_CASE("what is done is kept by content: names and times decide nothing") {
   CHECK(rerun().count("converted") == 2);
   CHECK(contents(f.out) == good);
 
-  // Other options; and back, which is a conversion again, as the files are gone.
+  // Other options, then the first ones: a conversion again, because the files are gone.
   CHECK(rerun({"--profile", "direct"}).count("converted") == 4);
   CHECK(rerun({"--profile", "direct"}).count("kept") == 4);
   CHECK(rerun().count("converted") == 4);
@@ -242,7 +243,7 @@ TEST_CASE("what is done is kept by content: names and times decide nothing") {
   CHECK(rerun({"--overwrite"}).count("converted") == 4);
 }
 
-TEST_CASE("cameras count by what is in them") {
+TEST_CASE("cameras are compared by content") {
   const Folders f(1);
   const auto cameras = [&](double z) {
     write_text(f.file("cameras.json"),
@@ -271,7 +272,7 @@ TEST_CASE("an output that was not made here stays unless --overwrite is given") 
   CHECK(convert_all(f.command()).exit_code == 3);
   CHECK(convert_all(f.command({"--overwrite"})).count("converted") == 2);
   CHECK(convert_all(f.command()).count("kept") == 2);
-  // Nor does what follows a failed conversion belong to it.
+  // A file that appears after a failed conversion belongs to the user too.
   write_text(f.in + "/c.ply", "ply\nformat nonsense\n");
   CHECK(convert_all(f.command()).exit_code == 4);
   write_text(f.out + "/c.rgs", "mine");
@@ -280,7 +281,7 @@ TEST_CASE("an output that was not made here stays unless --overwrite is given") 
   CHECK(read_text(f.out + "/c.rgs") == "mine");
 }
 
-TEST_CASE("what was made of another input of the same name stays") {
+TEST_CASE("an output made from another input of the same name stays") {
   const Folders f(1);
   const std::string other = f.file("other"), copy = f.file("copy");
   scene(other + "/a.ply", 7);
@@ -293,13 +294,13 @@ TEST_CASE("what was made of another input of the same name stays") {
     CHECK(second.lines.at("a.ply")["error"]["code"] == "output_exists");
     CHECK(contents(f.out) == made);
   }
-  // A copy of the input finds it done, and does not take it over.
+  // A copy of the input finds it finished, but does not own it.
   fs::copy(f.in, copy, fs::copy_options::recursive);
   CHECK(convert_all({copy, f.out, "--to", "rgs"}).count("kept") == 1);
   scene(copy + "/a.ply", 8);
   CHECK(convert_all({copy, f.out, "--to", "rgs"}).lines.at("a.ply")["error"]["code"] == "output_exists");
   CHECK(contents(f.out) == made);
-  // Nor does a conversion of the one that was killed give what is there to the other.
+  // Converting the killed scene again does not make the file the other input's.
   const std::string state = f.out + "/.rgs-convert.jsonl";
   write_text(
       state,
@@ -313,8 +314,8 @@ TEST_CASE("what was made of another input of the same name stays") {
   CHECK(convert_all(f.command()).lines.at("a.ply")["error"]["code"] == "output_exists");
 }
 
-TEST_CASE("scenes for which no process can be started fail, and the program ends") {
-  if (kSanitized) return skip("sanitizers need files of their own");
+TEST_CASE("scenes whose process cannot start fail, and the program ends") {
+  if (kSanitized) return skip("sanitizers open files themselves");
   const Folders f(3);
   bool has_failed = false;
   for (rlim_t n_files = 4; n_files <= 9; ++n_files) {
@@ -327,13 +328,13 @@ TEST_CASE("scenes for which no process can be started fail, and the program ends
     has_failed = has_failed || end.out.find("cannot start a process for it") != end.out.npos;
   }
   CHECK(has_failed);
-  // What was never begun is nobody's.
+  // Scenes that never started belong to nobody.
   fs::remove_all(f.out + "/a.rgs");
   write_text(f.out + "/a.rgs", "mine");
   CHECK(convert_all(f.command()).lines.at("a.ply")["error"]["code"] == "output_exists");
 }
 
-TEST_CASE("a damaged scene stops no other, and the worst decides the exit code") {
+TEST_CASE("a damaged scene stops no other, and the worst error decides the exit code") {
   const Folders f(5);
   write_text(f.in + "/b.ply", read_text(f.in + "/b.ply").substr(0, 5000));
   write_text(f.in + "/empty.spz", "");
@@ -350,17 +351,17 @@ TEST_CASE("a damaged scene stops no other, and the worst decides the exit code")
   CHECK(run.lines.at("empty.spz")["exit_code"] == 4);
   CHECK(run.err.find("b.ply: byte 5000") != std::string::npos);
   CHECK(run.err.find("4 converted, 2 failed") != std::string::npos);
-  // A link to nowhere is a scene that cannot be read, and worse.
+  // A dangling link is a scene that cannot be read, which is worse.
   fs::create_symlink("nowhere", f.in + "/gone.ply");
   fs::create_symlink("nowhere", f.in + "/gone.txt");
   const Batch worse = convert_all(f.command());
   CHECK(worse.exit_code == 3);
   CHECK(worse.lines.at("gone.ply")["error"]["code"] == "open_failed");
   CHECK(worse.count("kept") == 4);
-  // Mended, it is converted; all else is kept.
+  // Repaired, it is converted; everything else is kept.
   scene(f.in + "/b.ply", 1);
   CHECK(convert_all(f.command()).lines.at("b.ply")["status"] == "converted");
-  // Where that is asked for, nothing is begun after the first failure.
+  // On request, nothing starts after the first failure.
   fs::remove(f.in + "/gone.ply");
   const Batch first = convert_all({f.in, f.file("other"), "--to", "rgs", "--no-keep-going", "--jobs", "1"});
   CHECK(first.exit_code == 4);
@@ -371,7 +372,7 @@ TEST_CASE("a damaged scene stops no other, and the worst decides the exit code")
   CHECK(stopped.n_lines == 1);
   CHECK(stopped.err.find("2 not begun") != std::string::npos);
   CHECK(convert_all(g.command({"--keep-going"})).count("converted") == 2);
-  // One that fails before there is work, too.
+  // The same if one fails before there is work.
   const Folders h(2);
   fs::create_symlink("nowhere", h.in + "/gone.ply");
   const Batch none = convert_all(h.command({"--no-keep-going"}));
@@ -379,7 +380,7 @@ TEST_CASE("a damaged scene stops no other, and the worst decides the exit code")
   CHECK(none.err.find("2 not begun") != std::string::npos);
 }
 
-TEST_CASE("what may not be read is reported and stops no other") {
+TEST_CASE("an unreadable input is reported and stops no other") {
   const Folders f(3);
   const std::string program = f.file("rgs-convert");
   fs::copy_file(RGS_CONVERT, program);  // a path that the other user can reach
@@ -395,7 +396,7 @@ TEST_CASE("what may not be read is reported and stops no other") {
     if (root && (::setgid(kNobody) != 0 || ::setuid(kNobody) != 0)) ::_exit(126);
   });
   fs::permissions(f.in + "/locked", fs::perms(0755));
-  if (run.exit_code == 126) return skip("root here cannot become another user");
+  if (run.exit_code == 126) return skip("root cannot become another user here");
   const std::string text = run.out;
   const Batch batch = lines_of(std::move(run), text);
   CHECK(batch.exit_code == 3);
@@ -404,7 +405,7 @@ TEST_CASE("what may not be read is reported and stops no other") {
   CHECK(batch.lines.at("locked")["exit_code"] == 3);
 }
 
-TEST_CASE("scenes that would have one output are named before anything is written") {
+TEST_CASE("scenes with the same output are named before anything is written") {
   const Folders f(1);
   fs::copy_file(f.in + "/a.ply", f.in + "/a.compressed.ply");
   for (const std::vector<std::string>& more : {std::vector<std::string>{}, {"--shard", "1/2"}, {"--shard", "2/2"}}) {
@@ -432,7 +433,7 @@ TEST_CASE("links, hidden files, unfinished outputs and a folder of outputs among
   CHECK(run.exit_code == 0);
   CHECK(names(contents(inside)) == std::set<std::string>{"a.rgs", "b.rgs", "folder/x.rgs", "link.rgs"});
   CHECK(run.err.find("self: a link to a folder that contains it") != std::string::npos);
-  CHECK(convert_all(command).count("kept") == 4);  // and no output has become an input
+  CHECK(convert_all(command).count("kept") == 4);  // and no output became an input
   // Not onto itself, by whatever name.
   for (const std::string& same : {f.in, f.in + "/.", f.in + "/self", f.file("elsewhere/../in")})
     CHECK(convert_all({f.in, same, "--to", "rgs"}).exit_code == 2);
@@ -461,14 +462,14 @@ TEST_CASE("a list names inputs, and outputs after a tab") {
   CHECK(run.lines.at("README.md")["exit_code"] == 4);
   CHECK(run.lines.at("missing.ply")["exit_code"] == 3);
   CHECK(convert_all(f.command({"--list", list})).count("kept") == 2);
-  // From where one stands, through a pipe; what lies outside loses its folders.
+  // Relative to the working folder, through a pipe; paths outside lose their folders.
   const ProgramResult piped = run_shell("cd '" + f.path().string() + "' && ls in/*.ply | '" + RGS_CONVERT +
                                         "' --no-sync -q --list - piped --to spz && echo \"$PWD/in/a.ply\" > one && '" +
                                         RGS_CONVERT + "' --no-sync -q --list one absolute --to ply");
   CHECK(piped.exit_code == 0);
   CHECK(names(contents(f.file("piped"))) == std::set<std::string>{"in/a.spz", "in/b.spz", "in/c.spz"});
   CHECK(names(contents(f.file("absolute"))) == std::set<std::string>{"a.ply"});
-  // Formats by name where --to does not say them.
+  // Formats by name if --to does not name them.
   write_text(list, "a.ply\tx.spz\nb.ply\ty.rgs\n");
   CHECK(convert_all({"--list", list, f.in, f.file("mixed")}).count("converted") == 2);
   CHECK(read_text(f.file("mixed/y.rgs")).substr(1, 3) == "RGS");
@@ -483,7 +484,7 @@ TEST_CASE("a list names inputs, and outputs after a tab") {
   CHECK(convert_all({"--list", f.file("absent"), f.in, f.file("none")}).exit_code == 3);
 }
 
-TEST_CASE("what makes no sense with many scenes is refused") {
+TEST_CASE("options that do not suit many scenes are refused") {
   const Folders f(1);
   CHECK(convert_all({f.in, f.out}).exit_code == 2);
   CHECK(convert_all({f.in, f.out, "--to", "ksplat"}).exit_code == 2);
@@ -513,7 +514,7 @@ TEST_CASE("what makes no sense with many scenes is refused") {
   CHECK(convert_all({f.in, f.file("file"), "--to", "rgs"}).exit_code == 3);
 }
 
-TEST_CASE("levels of detail, too, with memory divided") {
+TEST_CASE("levels of detail share the memory limit among processes") {
   const Folders f(2, 3000);
   const Batch run = convert_all(f.command({"--lod", "--memory", "256MiB", "--jobs", "2"}));
   INFO(run.err);
@@ -525,7 +526,7 @@ TEST_CASE("levels of detail, too, with memory divided") {
   CHECK(entries(f.out) == 3);  // and no scratch files
 }
 
-TEST_CASE("shards convert every scene exactly once, side by side into one folder") {
+TEST_CASE("shards convert every scene exactly once, concurrently into one folder") {
   const Folders f;
   for (int i = 0; i < 13; ++i)
     scene(f.in + "/s" + std::to_string(i) + ".ply", 1, kSmall * static_cast<std::uint64_t>(1 + i * i));
@@ -548,16 +549,16 @@ TEST_CASE("shards convert every scene exactly once, side by side into one folder
     }
   }
   CHECK(seen.size() == 13);
-  // The largest is what a shard is bound to have.
+  // A shard has at least the largest scene.
   CHECK(*std::ranges::max_element(bytes) < 2 * *std::ranges::min_element(bytes));
   const Batch all = convert_all(f.command());
   CHECK(all.count("kept") == 13);
   CHECK(convert_all(f.command({"--shard", "2/3"})).count("converted") == 0);
-  // More shards than scenes: some have nothing to do.
+  // More shards than scenes: some have no work.
   CHECK(convert_all(f.command({"--shard", "40/40"})).exit_code == 0);
 }
 
-TEST_CASE("two programs on one folder: the second is told") {
+TEST_CASE("of two programs on one folder the second is refused") {
   const Folders f(1);
   Program first(program(f.command({"-q"})), failpoint("scenes"));
   REQUIRE(first.stops());
@@ -568,7 +569,7 @@ TEST_CASE("two programs on one folder: the second is told") {
   CHECK(first.wait().exit_code == 0);
 }
 
-TEST_CASE("a report has a line for each scene, in their order, and replaces only reports") {
+TEST_CASE("a report has a line for each scene, in order, and replaces only reports") {
   const Folders f(3);
   const std::string report = f.file("report.jsonl");
   const Batch quiet = convert_all(f.command({"--report", report, "--jobs", "3"}));
@@ -580,7 +581,7 @@ TEST_CASE("a report has a line for each scene, in their order, and replaces only
     REQUIRE(std::getline(lines, line));
     CHECK(json::parse(line)["input_path"] == name);
   }
-  CHECK(convert_all(f.command({"--report", report})).exit_code == 0);  // goes on, so its report does too
+  CHECK(convert_all(f.command({"--report", report})).exit_code == 0);  // the folder continues, and so does its report
   CHECK(read_text(report).find("\"kept\"") != std::string::npos);
   write_text(report, "mine");
   CHECK(convert_all(f.command({"--report", report})).exit_code == 3);
@@ -588,7 +589,7 @@ TEST_CASE("a report has a line for each scene, in their order, and replaces only
   CHECK(convert_all(f.command({"--report", report, "--overwrite"})).exit_code == 0);
   CHECK(convert_all(f.command({"--report", f.in + "/a.ply"})).exit_code == 2);
   CHECK(convert_all(f.command({"--report", f.file("no/report")})).exit_code == 3);
-  // The folder of the outputs is made first; its state is no report.
+  // The folder of outputs is created first; its state is no report.
   const std::string fresh = f.file("fresh"), state = fresh + "/.rgs-convert.jsonl";
   CHECK(convert_all({f.in, fresh, "--to", "rgs", "--report", state}).exit_code == 2);
   CHECK_FALSE(fs::exists(fresh));
@@ -600,7 +601,7 @@ TEST_CASE("a report has a line for each scene, in their order, and replaces only
   CHECK(read_text(state) == before);
 }
 
-TEST_CASE("killed after any number of scenes, the rerun does only what is missing") {
+TEST_CASE("killed after any number of scenes, the rerun does only the missing ones") {
   constexpr std::size_t kScenes = 6;
   const Folders f(kScenes, 5000);
   const std::string whole = f.file("whole");
@@ -610,7 +611,7 @@ TEST_CASE("killed after any number of scenes, the rerun does only what is missin
     CAPTURE(n_done);
     fs::remove_all(f.out);
     {
-      // Children end when their parent does, and hold the pipe until then.
+      // Children end with their parent, and hold the pipe until then.
       int ends[2];
       REQUIRE(::pipe(ends) == 0);
       Program run(program(f.command({"--jobs", "2", "--level", "5", "-q"})),
@@ -642,7 +643,7 @@ TEST_CASE("killed after any number of scenes, the rerun does only what is missin
   CHECK(contents(f.out) == contents(whole));
 }
 
-TEST_CASE("what a killed process left unfinished is removed by the rerun") {
+TEST_CASE("the rerun removes unfinished files of a killed process") {
   const Folders f(2);
   REQUIRE(convert_all(f.command()).exit_code == 0);
   fs::remove(f.out + "/a.rgs");
@@ -662,12 +663,12 @@ TEST_CASE("what a killed process left unfinished is removed by the rerun") {
                              .dump() +
                          "\n");
   };
-  // Nothing was begun: whose it is nobody knows, and --overwrite is about outputs.
+  // Nothing started: the owner is unknown, and --overwrite concerns outputs.
   CHECK(convert_all(f.command({"--overwrite"})).count("converted") == 2);
   auto after = before;
   after.insert("a.rgs");
   CHECK(names(contents(f.out)) == after);
-  // Begun by a shard that is still at work.
+  // Started by a shard that is still running.
   fs::remove(f.out + "/a.rgs");
   begin(other, "");
   {
@@ -681,14 +682,14 @@ TEST_CASE("what a killed process left unfinished is removed by the rerun") {
     ::close(fd);
   }
   CHECK(names(contents(f.out)) == after);
-  // By one that is gone.
+  // Started by one that is gone.
   fs::remove(f.out + "/a.rgs");
   CHECK(convert_all(f.command()).count("converted") == 1);
   after.erase("a.rgs.tmp-abcde5");
   CHECK(names(contents(f.out)) == after);
 }
 
-TEST_CASE("what one shard has begun is not ended by what another says, in whatever order the states are read") {
+TEST_CASE("one shard's state does not end another's work, in whatever order the states are read") {
   for (const auto& [begun, ended] : {std::pair("1-of-2", "2-of-2"), std::pair("2-of-2", "1-of-2")}) {
     const Folders f(1);
     fs::create_directory(f.out);
@@ -709,7 +710,7 @@ TEST_CASE("what one shard has begun is not ended by what another says, in whatev
 
 TEST_CASE("on a terminal --quiet prints no lines") {
   const Folders f(1);
-  if (run_shell("command -v script").exit_code != 0) return skip("there is no program `script` for a terminal");
+  if (run_shell("command -v script").exit_code != 0) return skip("`script` is not installed (Debian: bsdutils)");
   const auto on_terminal = [&](const std::string& more) {
     fs::remove_all(f.out);
     return run_shell("script -qec '" RGS_CONVERT " --no-sync " + f.in + " " + f.out + " --to rgs " + more +
@@ -721,14 +722,14 @@ TEST_CASE("on a terminal --quiet prints no lines") {
   CHECK(on_terminal("-q --json").find("\"schema\"") != std::string::npos);
 }
 
-TEST_CASE("a state that is cut off or damaged costs no more than what it no longer says") {
+TEST_CASE("a truncated or damaged state costs only the lines that are lost") {
   const Folders f(3);
   REQUIRE(convert_all(f.command()).exit_code == 0);
   const std::string path = f.out + "/.rgs-convert.jsonl", state = read_text(path);
   for (std::size_t cut = state.size() - 1; cut > 0; cut = cut * 3 / 4) {
     CAPTURE(cut);
     write_text(path, state.substr(0, cut));
-    // An output that no line speaks of is not taken for ours.
+    // An output without a line does not count as ours.
     const Batch run = convert_all(f.command());
     CHECK(run.n_lines == 3);
     CHECK(run.count("kept") + run.count("converted") + run.count("failed") == 3);
@@ -740,11 +741,11 @@ TEST_CASE("a state that is cut off or damaged costs no more than what it no long
   CHECK(convert_all(f.command()).count("kept") == 3);
 }
 
-TEST_CASE("signals end all conversions, and leave neither half outputs nor a damaged state") {
+TEST_CASE("signals end all conversions, and leave no partial output and no damaged state") {
   for (const int signal_number : {SIGTERM, SIGINT, SIGHUP}) {
     CAPTURE(signal_number);
     const Folders f(4);
-    Program run(program(f.command({"--jobs", "2"})), failpoint("encode"));  // there each child stops
+    Program run(program(f.command({"--jobs", "2"})), failpoint("encode"));  // each child stops there
     while (!fs::exists(f.out) || !has_temporaries(f.out)) std::this_thread::yield();
     run.send(signal_number);
     const ProgramResult end = run.wait();
@@ -757,7 +758,7 @@ TEST_CASE("signals end all conversions, and leave neither half outputs nor a dam
   }
 }
 
-TEST_CASE("a conversion whose process is killed is a line, and the others go on") {
+TEST_CASE("a conversion whose process is killed is reported, and the others continue") {
   const Folders f(2);
   scene(f.in + "/large.ply", 3, 2 * kSmall);
   const Batch batch = convert_all(f.command(), failpoint("scan", 2 * kSmall, SIGKILL));
@@ -767,7 +768,7 @@ TEST_CASE("a conversion whose process is killed is a line, and the others go on"
   CHECK(convert_all(f.command()).count("kept") == 2);
 }
 
-TEST_CASE("a limit of file sizes fails the scenes that are too large, and no other") {
+TEST_CASE("a limit of file sizes fails only the scenes that exceed it") {
   const Folders f(2);
   scene(f.in + "/large.ply", 3, 20'000);
   const Batch run = convert_all(f.command(), [] {
@@ -781,7 +782,7 @@ TEST_CASE("a limit of file sizes fails the scenes that are too large, and no oth
   CHECK(convert_all(f.command()).count("kept") == 2);
 }
 
-TEST_CASE("a full disk fails what has no room, and the rerun goes on from there") {
+TEST_CASE("a full disk fails the scenes without room, and the rerun continues from there") {
   const Folders f(12, 5000);
   fs::create_directory(f.out);
   if (::mount("tmpfs", f.out.c_str(), "tmpfs", 0, "size=1m") != 0)
@@ -803,7 +804,7 @@ TEST_CASE("a full disk fails what has no room, and the rerun goes on from there"
   CHECK(rest.count("kept") + rest.count("converted") == 12);
 }
 
-TEST_CASE("names that are not UTF-8 are told apart") {
+TEST_CASE("names that are not UTF-8 stay distinct") {
   const Folders f;
   scene(f.in + "/\xfe.ply", 1);
   scene(f.in + "/\xff.ply", 2);

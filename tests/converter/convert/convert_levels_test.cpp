@@ -37,7 +37,7 @@ std::string write_file(const std::string& path, const Bytes& bytes) {
   return path;
 }
 
-// What was converted to `plain`, with levels.
+// The scene of `plain`, with levels.
 Bytes with_levels(const std::string& plain, Profile profile) {
   const Bytes bytes = read_bytes(plain);
   const auto view = FileView::open(bytes);
@@ -69,7 +69,7 @@ std::uint64_t size_of(const std::string& path) {
 
 }  // namespace
 
-TEST_CASE("leaving levels away gives the bytes of the conversion without them") {
+TEST_CASE("dropping levels gives the bytes of the conversion without them") {
   const TemporaryFolder folder;
   SplatCloud cloud = ordinary_cloud(3000, 3, 1);
   cloud.opacity_logit[5] = std::numeric_limits<float>::quiet_NaN();  // is dropped
@@ -93,11 +93,11 @@ TEST_CASE("leaving levels away gives the bytes of the conversion without them") 
       CAPTURE(run.err);
       REQUIRE(run.exit_code == 0);
       CHECK(read_bytes(back) == read_bytes(plain));
-      // The same asked for by its number, and another format.
+      // The same by number, and in another format.
       REQUIRE(rgs_convert({"--level-of-detail", "0", levels, folder.file("levels.ply")}).exit_code == 0);
       REQUIRE(rgs_convert({plain, folder.file("plain.ply")}).exit_code == 0);
       CHECK(read_bytes(folder.file("levels.ply")) == read_bytes(folder.file("plain.ply")));
-      // What changes the scene is told.
+      // Changes to the scene are reported.
       REQUIRE(convert(plain, folder.file("again.rgs")).exit_code == 0);
       std::vector<std::string> moved = options;
       moved.insert(moved.end(), {"--translate", "1,0,0", levels, back});
@@ -108,11 +108,11 @@ TEST_CASE("leaving levels away gives the bytes of the conversion without them") 
   }
 }
 
-TEST_CASE("--lod makes levels beside the Gaussians, which stay what they are without") {
+TEST_CASE("--lod adds levels to the Gaussians, which do not change") {
   const TemporaryFolder folder;
   SplatCloud cloud = ordinary_cloud(5000, 1, 9);
   cloud.opacity_logit[7] = std::numeric_limits<float>::quiet_NaN();  // is dropped
-  cloud.rotation[4 * 8] = std::numeric_limits<float>::quiet_NaN();   // is dropped or mended
+  cloud.rotation[4 * 8] = std::numeric_limits<float>::quiet_NaN();   // dropped or repaired
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), plain = folder.file("plain.rgs"),
                     levels = folder.file("levels.rgs"), back = folder.file("back.rgs");
   for (const std::vector<std::string>& options :
@@ -143,7 +143,7 @@ TEST_CASE("--lod makes levels beside the Gaussians, which stay what they are wit
   CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
 }
 
-TEST_CASE("tiles, each at its place, get levels without being in memory together") {
+TEST_CASE("tiles at their places get levels without being in memory together") {
   const TemporaryFolder folder;
   const std::string a = write_scene(folder.file("a.ply"), ordinary_cloud(4000, 1, 3)),
                     b = write_scene(folder.file("b.ply"), damaged(ordinary_cloud(3000, 2, 4), 700)),
@@ -188,9 +188,9 @@ TEST_CASE("tiles, each at its place, get levels without being in memory together
   CHECK(rgs_convert({"--scratch", folder.file(""), a, levels}).exit_code == 2);
 }
 
-TEST_CASE("--lod takes no more than --memory, leaves nothing in --scratch, and says what is wrong with it") {
-  if (kSanitized) return;  // sanitizers take memory of their own
-  // Gaussians of 92 bytes, 64 MB; the levels before took 2.4 times that and the mapped input on top.
+TEST_CASE("--lod takes no more than --memory, leaves --scratch empty, and refuses a missing one") {
+  if (kSanitized) return;  // sanitizers use more memory
+  // 64 MB of Gaussians, 92 bytes each.
   const TemporaryFolder folder, scratch;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(700'000, 1, 3)),
                     levels = folder.file("levels.rgs");
@@ -209,7 +209,7 @@ TEST_CASE("--lod takes no more than --memory, leaves nothing in --scratch, and s
   CHECK(std::filesystem::is_empty(scratch.path()));
 }
 
-TEST_CASE("--lod takes chunks of any size, and colours far beyond those of a picture") {
+TEST_CASE("--lod accepts chunks of any size, and colours far beyond those of a picture") {
   const TemporaryFolder folder;
   SplatCloud cloud = ordinary_cloud(70'000, 0, 5);
   for (std::size_t k = 0; k < 3000; ++k) cloud.sh[k] = k % 2 == 0 ? 2.7e26F : -1e5F;
@@ -219,7 +219,7 @@ TEST_CASE("--lod takes chunks of any size, and colours far beyond those of a pic
   CHECK(run.exit_code == 0);
 }
 
-TEST_CASE("more inputs are merged than a shell allows open files") {
+TEST_CASE("--merge takes more inputs than the shell's limit of open files") {
   constexpr rlim_t kOpen = 64, kEnough = 256;
   rlimit limit{};
   if (::getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_max < kEnough)
@@ -245,7 +245,7 @@ TEST_CASE("more inputs are merged than a shell allows open files") {
   }
 }
 
-TEST_CASE("--lod takes floaters at any distance") {
+TEST_CASE("--lod accepts floaters at any distance") {
   const TemporaryFolder folder;
   SplatCloud cloud = ordinary_cloud(5000, 1, 6);
   for (std::size_t i = 0; i < 300; ++i) cloud.mean[3 * i + i % 3] = 1e37F * (1 + 1e-3F * static_cast<float>(i));
@@ -262,7 +262,7 @@ TEST_CASE("--lod takes floaters at any distance") {
   CHECK(validate(*file));
 }
 
-TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any format") {
+TEST_CASE("any level, and the finest cut of a number of Gaussians, converts to any format") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 2)),
                     plain = folder.file("plain.rgs");
@@ -305,7 +305,7 @@ TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any for
   CHECK_FALSE(std::filesystem::exists(folder.file("no.ply")));
 }
 
-TEST_CASE("--max-count of a file with levels is of those that --crop and --min-opacity keep") {
+TEST_CASE("--max-count counts the Gaussians of a file with levels that --crop and --min-opacity keep") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(12000, 1, 7)),
                     plain = folder.file("plain.rgs"), out = folder.file("out.ply"), all = folder.file("all.ply");
@@ -320,7 +320,8 @@ TEST_CASE("--max-count of a file with levels is of those that --crop and --min-o
   std::nth_element(x.begin(), x.begin() + 4000, x.end());
   std::nth_element(opacity.begin(), opacity.begin() + 6000, opacity.end());
   const std::string middle = std::to_string(x[4000]), moved = std::to_string(x[4000] + 500);
-  // A third of the scene; the same where it was moved to, which is far enough for an origin, and turned upside down; a half by opacity.
+  // A third of the scene; the same after moving it far enough for an origin and turning it upside down; half by
+  // opacity.
   const std::vector<std::vector<std::string>> filters{
       {"--crop=-1e6,-1e6,-1e6," + middle + ",1e6,1e6"},
       {"--translate=500,0,0", "--crop=-1e6,-1e6,-1e6," + moved + ",1e6,1e6"},
@@ -336,7 +337,7 @@ TEST_CASE("--max-count of a file with levels is of those that --crop and --min-o
       REQUIRE(run.exit_code == 0);
       return size_of(to);
     };
-    // In this tree errors are those of levels: a cut is a level.
+    // In this tree errors depend on the level: a cut is a level.
     for (const char* level : {"0", "1"}) {
       const std::uint64_t n = convert({"--level-of-detail", level}, all);
       REQUIRE(n > 200);
@@ -346,7 +347,7 @@ TEST_CASE("--max-count of a file with levels is of those that --crop and --min-o
   }
 }
 
-TEST_CASE("pages of which nothing is kept are not read for a cut") {
+TEST_CASE("a cut does not read pages whose Gaussians are all dropped") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 8)),
                     plain = folder.file("plain.rgs"), out = folder.file("out.ply");
@@ -368,13 +369,13 @@ TEST_CASE("pages of which nothing is kept are not read for a cut") {
   }
   options.page_counts.pop_back();
   CHECK(read_splats(levels, options).error().code == Errc::bad_argument);
-  // All of the coarsest level is in the crop, and the error says which of them count.
+  // The crop holds the whole coarsest level, and the error says which Gaussians count.
   const ProgramResult none = rgs_convert({"--max-count", "10", "--crop=-1e6,-1e6,-1e6,1e6,1e6,1e6", levels, out});
   CHECK(none.exit_code == 2);
   CHECK(none.err.find("the coarsest level (--crop") != std::string::npos);
 }
 
-TEST_CASE("of a file whose end is missing only levels that are there are converted") {
+TEST_CASE("a file whose end is missing converts only the levels that are present") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 3)),
                     plain = folder.file("plain.rgs"), out = folder.file("out.ply");
@@ -391,7 +392,7 @@ TEST_CASE("of a file whose end is missing only levels that are there are convert
   CHECK(leaves.err.find("pages_missing") != std::string::npos);
   CHECK_FALSE(std::filesystem::exists(out));
   REQUIRE(rgs_convert({"--level-of-detail", "1", part, out}).exit_code == 0);
-  // A cut takes what is there.
+  // A cut uses the present pages.
   REQUIRE(rgs_convert({"--max-count", "2000", part, out}).exit_code == 0);
   CHECK(size_of(out) <= 2000);
   bytes.resize(whole->stored(0).offset + 1);

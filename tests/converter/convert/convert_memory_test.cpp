@@ -1,4 +1,4 @@
-// convert_memory_test.cpp - what a conversion holds of memory beside the mapped input.
+// convert_memory_test.cpp - a conversion's memory beside the mapped input.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <tbb/global_control.h>
@@ -15,10 +15,10 @@
 using namespace rgs;
 using namespace rgs::test;
 
-TEST_CASE("a conversion on two threads holds at most 16 MB + 48 bytes a Gaussian") {
-  if (!counts_memory()) return skip("a sanitizer has the allocator");
-  constexpr std::uint64_t kN = 400'000;  // their rows alone would take 94 MB
-  // Of 64 MB, which are promised beside it, the program and its stacks take the rest.
+TEST_CASE("a conversion on two threads holds at most 16 MB + 48 bytes per Gaussian") {
+  if (!counts_memory()) return skip("a sanitizer replaces the allocator");
+  constexpr std::uint64_t kN = 400'000;  // the rows alone would take 94 MB
+  // The documented limit is 64 MB beside the input; the program and its stacks take the rest.
   constexpr std::int64_t kMost = 16'000'000 + 48 * static_cast<std::int64_t>(kN);
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(kN, 3, 77));

@@ -44,7 +44,7 @@ Status convert_in_process(const std::string& ply_path, const std::string& output
   return convert_to_rgs(*ply, output, options).map([](const ConvertSummary&) {});
 }
 
-/// The bytes that encode() makes of the PLY file.
+/// The bytes of encode() for the PLY file.
 Bytes expected_rgs(const std::string& ply_path, EncodeOptions options, const std::string& name = "scene.ply") {
   options.provenance = provenance_of(read_bytes(ply_path), name);
   const auto file = encode(read_ply(ply_path).value().view(), options);
@@ -124,7 +124,7 @@ TEST_CASE("a streamed conversion writes the bytes of encode() on any number of t
   }
 }
 
-TEST_CASE("the program writes the bytes of encode() with the options it was given") {
+TEST_CASE("the program writes the bytes of encode() with its options") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(3000, 3, 5)), out = folder.file("out.rgs");
   struct Case {
@@ -186,7 +186,7 @@ TEST_CASE("the program writes the bytes of encode() with the options it was give
   }
 }
 
-TEST_CASE("one end of the depth range by hand leaves the other as it was found") {
+TEST_CASE("setting one end of the depth range keeps the other as found") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(500, 0, 5)), out = folder.file("out.rgs");
   const Bytes plain = expected_rgs(ply, {});
@@ -200,7 +200,7 @@ TEST_CASE("one end of the depth range by hand leaves the other as it was found")
   CHECK(found.depth_source == DepthSource::scene_extent);
 }
 
-TEST_CASE(".rgs to PLY to .rgs gives the same sections again") {
+TEST_CASE(".rgs to PLY to .rgs restores the same sections") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(5000, 2, 9)), one = folder.file("one.rgs"),
                     back = folder.file("back.ply"), two = folder.file("two.rgs");
@@ -213,7 +213,7 @@ TEST_CASE(".rgs to PLY to .rgs gives the same sections again") {
   }
 }
 
-TEST_CASE("a kept permutation gives the original order back, without what was dropped") {
+TEST_CASE("a kept permutation restores the original order, without dropped Gaussians") {
   const TemporaryFolder folder;
   const SplatCloud cloud = damaged(golden_cloud(9000, 0, 3), 11);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), rgs = folder.file("scene.rgs"),
@@ -276,7 +276,7 @@ TEST_CASE("pipes: standard input and output in both directions") {
   CHECK(read_bytes(rgs) == expected_rgs(ply, packed, "stdin"));
   const ProgramResult run = run_shell("cat " + rgs + " | " + program + "--to ply - - > " + back);
   REQUIRE(run.exit_code == 0);
-  CHECK(holds(run.err, "20,000 written"));  // the summary makes way for the data
+  CHECK(holds(run.err, "20,000 written"));  // the summary does not mix with the data
   REQUIRE(rgs_convert({rgs, named}).exit_code == 0);
   CHECK(read_bytes(back) == read_bytes(named));
   CHECK(run_shell(program + "- " + folder.file("empty.rgs") + " < /dev/null").exit_code == 4);
@@ -325,7 +325,7 @@ TEST_CASE("damaged Gaussians: each policy, its counts and its limit") {
   CHECK(json["repaired"] == 15);
   CHECK(json["output"]["gaussians"] == 995);
 
-  // Damaged are 0, 50, ...: move the first one so that the offset tells rows from bytes.
+  // Gaussians 0, 50, ... are damaged: move the first one so that the offset distinguishes rows from bytes.
   SplatCloud one = golden_cloud(1000, 3, 6);
   one.rotation[4 * 321 + 2] = std::numeric_limits<float>::infinity();
   const std::string ply = write_scene(folder.file("one.ply"), one);
@@ -337,7 +337,7 @@ TEST_CASE("damaged Gaussians: each policy, its counts and its limit") {
   CHECK(entries(folder.path()) == 5);  // four scenes, one output
 }
 
-TEST_CASE("--json agrees with the file; the text summary goes to standard output") {
+TEST_CASE("--json matches the file, and the text summary goes to standard output") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(1000, 3, 8)), rgs = folder.file("out.rgs");
   ProgramResult run = rgs_convert({"--json", "--quiet", "--chunk-size", "128", "--sh-degree", "2", ply, rgs});
@@ -383,10 +383,10 @@ TEST_CASE("--json agrees with the file; the text summary goes to standard output
   CHECK(run.exit_code == 0);
   CHECK(holds(run.out, "1,000 read, 1,000 written, 0 dropped"));
   CHECK(holds(run.err, "encode"));                                // progress
-  CHECK(rgs_convert({"--quiet", "--json", ply, rgs}).out == "");  // exists: nothing but an error
+  CHECK(rgs_convert({"--quiet", "--json", ply, rgs}).out == "");  // exists: only an error
 }
 
-TEST_CASE("a depth range from cameras is that of the means they see, in both JSON formats") {
+TEST_CASE("a depth range from cameras covers the means they see, in both JSON formats") {
   const TemporaryFolder folder;
   const SplatCloud cloud = golden_cloud(4000, 0, 12);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud);
@@ -432,7 +432,7 @@ TEST_CASE("a depth range from cameras is that of the means they see, in both JSO
   }
 }
 
-TEST_CASE("cameras that see nothing, are damaged or missing are refused without an output") {
+TEST_CASE("cameras that are damaged, missing or see nothing are refused without an output") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(100, 0, 12)), out = folder.file("out.rgs");
   const std::string cameras = folder.file("cameras.json");
@@ -506,7 +506,7 @@ TEST_CASE("wrong command lines exit with 2 and write nothing") {
   CHECK(holds(rgs_convert({"--help"}).out, "--keep-permutation"));
 }
 
-TEST_CASE("malformed inputs exit with 4, say where, and write nothing") {
+TEST_CASE("malformed inputs exit with 4, state the offset, and write nothing") {
   const TemporaryFolder folder;
   const std::string out = folder.file("out.rgs"), back = folder.file("back.ply"), bad = folder.file("bad");
   ProgramResult run = rgs_convert({RGS_SOURCE_DIR "/tests/fuzz/corpus/ply/two_scales_2dgs", out});
@@ -540,8 +540,8 @@ TEST_CASE("malformed inputs exit with 4, say where, and write nothing") {
   CHECK(entries(folder.path()) == 1);
 }
 
-TEST_CASE("once Gaussians are in order, their means leave the memory") {
-  if (!counts_live_memory()) return skip("a sanitizer that does not count has the allocator");
+TEST_CASE("means are freed once Gaussians are in order") {
+  if (!counts_live_memory()) return skip("the sanitizer replaces the allocator and counts nothing");
   const TemporaryFolder folder;
   constexpr std::int64_t kN = 400'000;
   const auto ply = PlyFile::open(write_scene(folder.file("a.ply"), golden_cloud(kN, 0, 1)));
@@ -556,5 +556,5 @@ TEST_CASE("once Gaussians are in order, their means leave the memory") {
   };
   REQUIRE(convert_to_rgs(*ply, folder.file("a.rgs"), options, observer));
   REQUIRE(after > 0);
-  CHECK(after - before < 12 * kN);  // 4 bytes of each for the order; its mean takes 12 more
+  CHECK(after - before < 12 * kN);  // 4 bytes each for the order; a mean takes 12 more
 }

@@ -1,5 +1,5 @@
-// faults_test.cpp - rgs-convert when things go wrong: full disks, missing rights, vanishing inputs, signals. Whatever
-// happens, the output's name holds what it held before or the complete new file.
+// faults_test.cpp - rgs-convert with full disks, missing permissions, vanishing inputs and signals. Whatever happens,
+// the output's name holds the old file or the complete new one.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <fcntl.h>
@@ -34,7 +34,7 @@ namespace {
 constexpr std::uint64_t kN = 20'000;
 constexpr const char* kOld = "the output of an earlier run";
 
-/// A scene and its conversion, made once; the files are hard-linked or copied into the folders of tests.
+/// A scene and its conversion, made once; tests hard-link or copy the files into their folders.
 struct Sample {
   explicit Sample(std::uint64_t n) : ply(folder.file("scene.ply")), rgs(folder.file("scene.rgs")) {
     write_scene(ply, golden_cloud(n, 3, 77));
@@ -76,14 +76,14 @@ ProgramResult overwrite(const std::string& input, const std::string& output,
   return run_program(overwriting(input, output), before_exec);
 }
 
-/// The beginning of a stage that reads `source`.
+/// The start of a stage that reads `source`.
 struct Reading {
   std::string source;
   const char *output, *stage;
 };
 const std::vector<Reading>& readings() {
   static const TemporaryFolder folder;
-  // The rows of a packed file may all have been read when the first one is written; those of a direct one are not.
+  // A packed file may have read all rows before it writes the first; a direct one has not.
   static const std::string direct = folder.file("direct.rgs");
   static const ProgramResult made =
       run_program({RGS_CONVERT, "--quiet", "--no-sync", "--profile", "direct", sample().ply, direct});
@@ -95,7 +95,7 @@ const std::vector<Reading>& readings() {
 
 }  // namespace
 
-TEST_CASE("headers that promise billions of Gaussians are refused in little memory") {
+TEST_CASE("headers that declare billions of Gaussians are refused in little memory") {
   const TemporaryFolder folder;
   const SplatCloud cloud = golden_cloud(50, 1, 3);
   struct Case {
@@ -122,7 +122,7 @@ TEST_CASE("a full disk leaves the old output and no temporary file") {
   const TemporaryFolder folder;
   const fs::path disk = folder.path() / "disk";
   fs::create_directory(disk);
-  // Without it the limit of file sizes stands in, in a case of its own.
+  // Without one, another case uses a limit of file sizes.
   if (::mount("tmpfs", disk.c_str(), "tmpfs", 0, "size=1m") != 0)
     return skip("a small file system cannot be mounted here (needs root)");
   struct Unmount {
@@ -146,7 +146,7 @@ TEST_CASE("a full disk leaves the old output and no temporary file") {
   }
 }
 
-TEST_CASE("a limit of file sizes is a reported error and not a death by signal") {
+TEST_CASE("a limit of file sizes is a reported error, not death by signal") {
   const TemporaryFolder folder;
   const std::string out = folder.file("out.rgs");
   write_text(out, kOld);
@@ -169,7 +169,7 @@ TEST_CASE("a full scratch disk fails the pipe and writes nothing") {
   CHECK(run.out == "");
 }
 
-TEST_CASE("a folder without the right to write is reported and left as it is") {
+TEST_CASE("a folder without write permission is reported and unchanged") {
   const TemporaryFolder folder;
   const fs::path locked = folder.path() / "locked";
   const std::string program = folder.file("rgs-convert"), input = folder.file("scene.ply"),
@@ -186,14 +186,14 @@ TEST_CASE("a folder without the right to write is reported and left as it is") {
     if (root && (::setgid(kNobody) != 0 || ::setuid(kNobody) != 0)) ::_exit(126);
   });
   fs::permissions(locked, fs::perms(0755));
-  if (run.exit_code == 126) return skip("root here cannot become another user");
+  if (run.exit_code == 126) return skip("root cannot become another user here");
   CHECK(is_old(out));
   CHECK(entries(locked) == 1);
   CHECK(run.exit_code == 3);
   CHECK(run.err.find("Permission denied") != std::string::npos);
 }
 
-TEST_CASE("an output that is the input, a folder, or in a folder that is missing is refused") {
+TEST_CASE("an output that is the input, a folder, or in a missing folder is refused") {
   const TemporaryFolder folder;
   const std::string ply = folder.file("scene.ply"), link = folder.file("link.rgs");
   fs::copy_file(sample().ply, ply);
@@ -221,14 +221,14 @@ TEST_CASE("an existing output stays unless --overwrite is given") {
   CHECK(same_contents(out, sample().rgs));
 }
 
-TEST_CASE("an input that is missing exits with 3, a folder without --to with 2") {
+TEST_CASE("a missing input exits with 3, a folder without --to with 2") {
   const TemporaryFolder folder;
   CHECK(overwrite(folder.file("none.ply"), folder.file("out.rgs")).exit_code == 3);
   CHECK(overwrite(folder.path().string(), folder.file("out.rgs")).exit_code == 2);
   CHECK(fs::is_empty(folder.path()));
 }
 
-TEST_CASE("an input that loses its name while it is read is converted to the end") {
+TEST_CASE("an input that is unlinked while it is read is converted to the end") {
   const TemporaryFolder folder;
   const std::string ply = folder.file("scene.ply"), out = folder.file("out.rgs");
   fs::copy_file(sample().ply, ply);
@@ -260,7 +260,7 @@ TEST_CASE("an input that is truncated while it is read exits with 3 and keeps th
     };
     CAPTURE(std::string(reading.stage));
     CHECK(error_of(4096).find("shrank") != std::string::npos);
-    // Less than a page raises no signal: what is missing reads as zeros.
+    // Less than a page raises no signal: the missing part reads as zeros.
     const std::string error = error_of(fs::file_size(reading.source) - 1);
     CHECK(error.find("input: byte ") != std::string::npos);
     CHECK(error.find("size changed") != std::string::npos);
@@ -270,8 +270,8 @@ TEST_CASE("an input that is truncated while it is read exits with 3 and keeps th
 TEST_CASE("an input that is rewritten in place while it is read exits with 3 and keeps the old output") {
   const TemporaryFolder folder;
   const std::string input = folder.file("input");
-  // As another program would write it: the same size, other values from some byte on. Through a mapping a file system may
-  // tell of the change late; setting the time back hides it from whoever looks at that time alone.
+  // Like another program's write: the same size, other values from some byte on. With a mapping, a file system may
+  // report the change late, and resetting the time hides it from a check of that time alone.
   enum class How { write, map, write_and_set_time };
   const auto rewrite = [&](How how, double from) {
     const std::uintmax_t size = fs::file_size(input);
@@ -347,7 +347,7 @@ TEST_CASE("--overwrite keeps permissions and owner, and follows a link to its ta
       CHECK(entries(real) == 1);
     }
   }
-  // Without --overwrite nothing behind a link is touched, and one that leads nowhere is filled.
+  // Without --overwrite nothing behind a link changes, and a dangling link's target is created.
   CHECK(run_program({RGS_CONVERT, "--no-sync", sample().ply, chain}).exit_code == 3);
   CHECK(run_program({RGS_CONVERT, "--quiet", "--no-sync", sample().ply, dangling}).exit_code == 0);
   CHECK(fs::is_symlink(dangling));
@@ -369,7 +369,7 @@ TEST_CASE("a signal that the caller ignores stays ignored") {
   CHECK(same_contents(out, sample().rgs));
 }
 
-TEST_CASE("a pipe that is closed under the progress ends the program by SIGPIPE and leaves nothing") {
+TEST_CASE("a pipe that closes during progress ends the program by SIGPIPE and leaves nothing") {
   const TemporaryFolder folder;
   int ends[2];
   REQUIRE(::pipe2(ends, O_CLOEXEC) == 0);
@@ -386,7 +386,7 @@ TEST_CASE("a pipe that is closed under the progress ends the program by SIGPIPE 
   CHECK(fs::is_empty(folder.path()));
 }
 
-TEST_CASE("SIGINT and SIGKILL leave the old output or none, wherever they come") {
+TEST_CASE("SIGINT and SIGKILL leave the old output or none, whenever they arrive") {
   const TemporaryFolder folder;
   const std::string out = folder.file("out.rgs");
   std::vector<std::pair<const char*, std::uint64_t>> points{{"scan", 0}, {"sort", 0}, {"commit", 0}};
@@ -426,7 +426,7 @@ TEST_CASE("SIGKILL while levels are built leaves the old output, and nothing in 
                      scratch.path().string(), ply, out},
                     failpoint(stage));
     REQUIRE(program.stops());
-    std::size_t n_open = 0;  // files of the scratch folder, which have no name
+    std::size_t n_open = 0;  // unlinked scratch files
     for (const auto& fd : fs::directory_iterator("/proc/" + std::to_string(program.id()) + "/fd"))
       n_open += fs::read_symlink(fd).string().starts_with(fs::canonical(scratch.path()).string()) ? 1U : 0U;
     CHECK(n_open > 0);

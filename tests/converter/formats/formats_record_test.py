@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """formats_record_test.py SOURCE_FOLDER
 
-docs/images/formats.svg is what scripts/plot_formats.py draws of docs/records/interchange_south.json; docs/records/MEASUREMENTS.md has
-its table; texts in the picture neither leave it nor cover each other.
+docs/images/formats.svg is scripts/plot_formats.py's picture of docs/records/interchange_south.json; docs/records/MEASUREMENTS.md has its
+table; texts stay inside the picture and do not overlap.
 """
 import itertools
 import json
@@ -38,9 +38,9 @@ def check(ok, words):
 failures = []
 record = json.loads((root / "docs/records/interchange_south.json").read_text())
 picture = (root / "docs/images/formats.svg").read_text()
-check(picture == plot_formats.svg(record), "docs/images/formats.svg is not what the record gives; plot_formats.py --svg")
+check(picture == plot_formats.svg(record), "docs/images/formats.svg differs from the record; run plot_formats.py --svg")
 lines = plot_formats.table(record)
-check(lines in (root / "docs/records/MEASUREMENTS.md").read_text(), f"MEASUREMENTS.md does not have the record's table:\n{lines}")
+check(lines in (root / "docs/records/MEASUREMENTS.md").read_text(), f"MEASUREMENTS.md lacks the record's table:\n{lines}")
 for words, (left, top, right, bottom) in boxes(picture):
     inside = 0 <= left and right <= plot_formats.WIDTH and 0 <= top and bottom <= plot_formats.HEIGHT
     check(inside, f"'{words}' reaches outside the picture")

@@ -265,7 +265,7 @@ Bytes many_instances(const SplatCloud& cloud, std::uint64_t n_nodes, std::uint64
 
 }  // namespace
 
-TEST_CASE("growth: .glb: reading is linear in what the nodes show") {
+TEST_CASE("growth: .glb: reading is linear in the Gaussians that nodes show") {
   const SplatCloud one = ordinary_cloud(1, 0, 4);
   const auto read = [](const Bytes& file) { CHECK(read_splats(file)); };
   CHECK(growth(

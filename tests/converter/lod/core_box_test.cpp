@@ -1,4 +1,4 @@
-// core_box_test.cpp - the core of a page ignores floaters and large faint Gaussians, and keeps what covers.
+// core_box_test.cpp - the core of a page ignores floaters and large faint Gaussians, and keeps Gaussians that cover.
 // SPDX-License-Identifier: Apache-2.0
 #include "core_box.hpp"
 

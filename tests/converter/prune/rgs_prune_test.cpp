@@ -1,4 +1,4 @@
-// rgs_prune_test.cpp - rgs-prune as a user runs it: what is kept, formats, refusals, exit codes and --json.
+// rgs_prune_test.cpp - rgs-prune as a user runs it: kept Gaussians, formats, refusals, exit codes and --json.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -33,7 +33,7 @@ void write_bytes(const std::string& path, std::span<const std::byte> bytes) {
       .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
 }
 
-/// A wall of 6x6 at depth 4, Gaussian 0 to 35, that hides one of 6x6 at depth 8, 36 to 71; 72 is behind the cameras.
+/// A wall of 6x6 at depth 4, Gaussians 0 to 35, that hides one of 6x6 at depth 8, 36 to 71; 72 is behind the cameras.
 SplatCloud two_walls() {
   std::vector<Splat> splats;
   for (const double z : {4.0, 8.0}) {
@@ -70,7 +70,7 @@ struct Stage {
 
 }  // namespace
 
-TEST_CASE("a far scene is pruned as it would be at home, and stays where it is") {
+TEST_CASE("a far scene is pruned as it would be near the world's origin, and stays where it is") {
   const Stage stage;
   const Origin place{4.2e6, 1.7e5, 4.8e6};
   const std::string far = stage.file("far.ply"), cameras = stage.file("far.json");
@@ -90,7 +90,7 @@ TEST_CASE("a far scene is pruned as it would be at home, and stays where it is")
   }
 }
 
-TEST_CASE("what hides is kept, in the order of the scene and unchanged; what is hidden goes") {
+TEST_CASE("the visible wall is kept unchanged in scene order, and the hidden one is dropped") {
   const Stage stage;
   const ProgramResult result = stage.run(stage.ply, stage.file("kept.ply"), {"--keep", "36", "--split", "train"});
   REQUIRE_MESSAGE(result.exit_code == 0, result.err);
@@ -154,7 +154,7 @@ TEST_CASE("cameras: split, view and size; scores: sum, max and a threshold") {
   CHECK(strong["output"]["gaussians"] < seen["output"]["gaussians"]);
 }
 
-TEST_CASE("scenes of other formats in, .rgs out with what its source declared") {
+TEST_CASE("other formats can be pruned to .rgs with their source's declarations") {
   const Stage stage;
   write_bytes(stage.file("scene.spz"), encode_splats(stage.cloud.view(), SplatFormat::splat).value());
   EncodeOptions options;
@@ -200,14 +200,14 @@ TEST_CASE("scenes of other formats in, .rgs out with what its source declared") 
       CHECK(s.mean[0] == stage.cloud.mean[3 * view->source_index(i)]);
     }
   }
-  // A PLY says it in words.
+  // A PLY states it in comments.
   REQUIRE(stage.run(stage.file("scene.rgs"), stage.file("words.ply"), {"--keep", "36"}).exit_code == 0);
   const auto words = read_splats(stage.file("words.ply"));
   REQUIRE(words);
   CHECK(words->aa_mode == AaMode::mip_splatting);
   CHECK(words->low_pass_px2 == 0.2F);
   CHECK(words->metres_per_unit == 0.5F);
-  // A PLY of it is in the axes of 3DGS: y and z are turned.
+  // Its PLY has 3DGS's axes: y and z are turned.
   REQUIRE(stage.run(stage.file("scene.rgs"), stage.file("turned.ply"), {"--keep", "36"}).exit_code == 0);
   const auto turned = read_ply(stage.file("turned.ply"));
   REQUIRE(turned);
@@ -233,7 +233,7 @@ TEST_CASE("an empty scene stays empty") {
   CHECK(read_ply(stage.file("out.ply"))->size() == 0);
 }
 
-TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input; outputs that exist are kept") {
+TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input; existing outputs are kept") {
   const Stage stage;
   const std::string out = stage.file("out.ply");
   const auto code = [&](const std::vector<std::string>& more) { return stage.run(stage.ply, out, more).exit_code; };
@@ -264,7 +264,7 @@ TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input; outputs that exist a
   CHECK(nan.err.find("(found 7)") != std::string::npos);
 }
 
-TEST_CASE("infinite logits are opacities of 1 and 0: the one is kept and hides, the other goes") {
+TEST_CASE("infinite logits are opacities of 1 and 0: one is kept and hides, the other is dropped") {
   const Stage stage;
   SplatCloud cloud = stage.cloud;
   for (std::size_t i = 0; i < 36; ++i) cloud.opacity_logit[i] = std::numeric_limits<float>::infinity();

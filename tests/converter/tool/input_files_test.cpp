@@ -1,4 +1,4 @@
-// input_files_test.cpp - which paths are one file, and which changes of a file are noticed.
+// input_files_test.cpp - identity of paths, and detection of changed files.
 // SPDX-License-Identifier: Apache-2.0
 #include "input_files.hpp"
 
@@ -22,7 +22,7 @@ TEST_CASE("names of one file clash, whether it exists or not, and others do not"
   const TemporaryFolder folder;
   const std::string a = folder.file("a"), b = folder.file("b"), link = folder.file("link");
   write_text(a, "a");
-  fs::create_symlink("b", link);  // which is still to be made
+  fs::create_symlink("b", link);  // not created yet
   InputFiles inputs;
   inputs.add(a);
   inputs.add("");
@@ -42,8 +42,7 @@ TEST_CASE("names of one file clash, whether it exists or not, and others do not"
   fs::current_path(before);
 }
 
-TEST_CASE(
-    "a COLMAP model's files, a SOG's pictures and a folder's photographs are inputs; what else lies there is not") {
+TEST_CASE("a COLMAP model's files, a SOG's pictures and a folder's photographs are inputs; other files there are not") {
   const TemporaryFolder folder;
   for (const char* name : {"sparse/0", "photos", "sog"}) fs::create_directories(folder.path() / name);
   for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG", "photos/report.html",
@@ -57,7 +56,7 @@ TEST_CASE(
                                       folder.file("sog/meta.json"), folder.file("sog/sh0.webp")});
 }
 
-TEST_CASE("a file that is rewritten, extended or replaced has changed; one that is gone has not") {
+TEST_CASE("a file that was rewritten, extended or replaced has changed; a removed one has not") {
   const TemporaryFolder folder;
   const std::string path = folder.file("a"), other = folder.file("other");
   const auto changed_by = [&](const auto& change) {

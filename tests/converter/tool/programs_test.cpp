@@ -1,5 +1,5 @@
-// programs_test.cpp - what all programs have in common: standard streams that are closed or full, names that would act on
-// a terminal, values that no option can mean, outputs that are inputs, inputs that change, little memory, messages as JSON, --help.
+// programs_test.cpp - behaviour of all programs: closed or full standard streams, names that would control a terminal,
+// invalid values, outputs that are inputs, changing inputs, little memory, messages as JSON, --help.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <sys/stat.h>
@@ -42,7 +42,7 @@ namespace {
 
 using Arguments = std::vector<std::string>;
 
-const Arguments kPrograms{RGS_PROGRAMS};  // paths, by CMake
+const Arguments kPrograms{RGS_PROGRAMS};  // paths, set by CMake
 
 std::string program(const std::string& name) {
   for (const std::string& path : kPrograms)
@@ -53,7 +53,7 @@ std::string program(const std::string& name) {
 constexpr const char* kCameras = R"([{"name":"a.jpg","split":"test","width":32,"height":24,"fx":30,"fy":30,)"
                                  R"("world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,8],[0,0,0,1]]}])";
 
-// A folder with a scene as PLY and as .rgs, and cameras.
+// A folder with a scene as PLY and .rgs, and cameras.
 struct Scene {
   explicit Scene(std::uint64_t n = 300)
       : ply(folder.file("scene.ply")), rgs(folder.file("scene.rgs")), cameras(folder.file("cameras.json")) {
@@ -68,7 +68,7 @@ struct Scene {
   std::string ply, rgs, cameras;
 
   std::string file(const std::string& name) const { return folder.file(name); }
-  // A run of each program that succeeds and prints to both streams; the output, if there is one, is `out`.
+  // A successful run of each program that prints to both streams; its output, if any, is `out`.
   std::vector<Arguments> runs(const std::string& out) const {
     std::vector<Arguments> all{
         {program("rgs-convert"), "--overwrite", "--no-sync", ply, out + ".rgs"},
@@ -82,10 +82,10 @@ struct Scene {
   }
 };
 
-// What would act on a terminal, mislead its reader, or is no text.
+// Text that controls a terminal, misleads its reader, or is not text.
 std::string harmful(const std::string& text) {
   std::string lines;
-  // Line ends are ours; everything else has to be as if escaped, which doubles backslashes.
+  // Line ends are ours; everything else must look escaped, with doubled backslashes.
   for (const char c : text)
     if (c != '\n' && c != '\\') lines += c;
   const std::string escaped = tool::escape_untrusted(lines, false, ~std::size_t{0});
@@ -104,7 +104,7 @@ std::function<void()> full(int stream) {
   return [stream] { ::dup2(::open("/dev/full", O_WRONLY), stream); };
 }
 
-// Options with values that a program's --help lists, with what stands beside them.
+// Options with values in a program's --help, with the text beside them.
 struct Option {
   std::string name, text;
 };
@@ -114,7 +114,7 @@ std::vector<Option> options_of(const std::string& path) {
   const std::regex line(R"(^\s+(?:-\w,)?(--[a-z-]+) (\S.*)$)");
   for (std::string text; std::getline(help, text);) {
     std::smatch found;
-    // A flag's text begins behind columns of spaces; a value's type or text right behind the name.
+    // A flag's text starts behind columns of spaces; a value's type or text directly behind the name.
     if (std::regex_match(text, found, line) && found[2].str().front() != ' ') options.push_back({found[1], found[2]});
   }
   return options;
@@ -126,7 +126,7 @@ std::set<std::string> names_in(const fs::path& folder) {
   return names;
 }
 
-// The lines of a program's standard error that are JSON, which must be all of them, by kind.
+// The JSON lines of a program's standard error, by kind; there may be no others.
 std::map<std::string, std::vector<Json>> messages_of(const ProgramResult& result) {
   std::map<std::string, std::vector<Json>> messages;
   std::istringstream lines(result.err);
@@ -142,7 +142,7 @@ std::map<std::string, std::vector<Json>> messages_of(const ProgramResult& result
 
 }  // namespace
 
-TEST_CASE("every --help lists the exit codes and what the program reads") {
+TEST_CASE("every --help lists the exit codes and the inputs") {
   for (const std::string& path : kPrograms) {
     CAPTURE(path);
     const ProgramResult help = run_program({path, "--help"});
@@ -159,7 +159,8 @@ TEST_CASE("every --help lists the exit codes and what the program reads") {
            {".rgs", " .ply", ".compressed.ply", ".sog", ".spz", ".splat", ".ksplat", ".glb"}) {
         CAPTURE(format);
         const bool is_shown = format != ".splat" && format != ".ksplat" && format != ".glb";
-        CHECK((help.out.find(format) != help.out.npos) == (is_shown || name != "rgs-view"));  // what its page shows
+        CHECK((help.out.find(format) != help.out.npos) ==
+              (is_shown || name != "rgs-view"));  // only those that its page shows
       }
     }
     const ProgramResult version = run_program({path, "--version"});
@@ -184,13 +185,13 @@ TEST_CASE("with RGS_MESSAGES=json progress and errors are lines of JSON") {
       REQUIRE(at.size() == 4);
       CHECK(at.at("stage").is_string());
       CHECK(at.at("unit").is_string());
-      // Within a stage it goes on, and not beyond the total that is known.
+      // Within a stage it grows, and not beyond the known total.
       if (last.is_object() && last.at("stage") == at.at("stage")) CHECK(at.at("done") >= last.at("done"));
       if (at.at("total") != 0) CHECK(at.at("done") <= at.at("total"));
       last = at;
     }
     CHECK((last.at("total") == 0 || last.at("done") == last.at("total")));
-    // Anything else in the variable is no wish for JSON.
+    // Other values of the variable do not request JSON.
     const ProgramResult plain = run_program(run, [] { ::setenv("RGS_MESSAGES", "JSON", 1); });
     CHECK(plain.exit_code == 0);
     CHECK(plain.err.find('{') == plain.err.npos);
@@ -211,14 +212,14 @@ TEST_CASE("with RGS_MESSAGES=json progress and errors are lines of JSON") {
     CHECK(wrong.at("system") == 0);
     CHECK_FALSE(wrong.at("message").get<std::string>().empty());
   }
-  // A name is the file's own, not as it would be printed; what is no UTF-8 of it is replaced, which keeps the line one.
+  // Names are the files' own, not the printed form; invalid UTF-8 is replaced, so the line stays valid.
   const std::string missing = scene.file("a \"b\"\n\x1b[2J\xff.ply");
   const Json absent = error_of({program("rgs-convert"), missing, scene.file("never.rgs")}, 3);
   CHECK(absent.at("code") == "open_failed");
   CHECK(absent.at("file") == scene.file("a \"b\"\n\x1b[2J\xef\xbf\xbd.ply"));
   CHECK(absent.at("system") == ENOENT);
   CHECK(absent.at("hint").get<std::string>().find("spelling") != std::string::npos);
-  // Numbers are numbers, in the place and in the text.
+  // Numbers are numbers, in the fields and in the text.
   const auto size = fs::file_size(scene.rgs);
   fs::resize_file(scene.rgs, size - 100);
   const Json cut = error_of({program("rgs-info"), "--verify", scene.rgs}, 4);
@@ -230,7 +231,7 @@ TEST_CASE("with RGS_MESSAGES=json progress and errors are lines of JSON") {
         0);
 }
 
-TEST_CASE("what cannot be written to a standard stream is exit code 3") {
+TEST_CASE("output that cannot be written to a standard stream is exit code 3") {
   const Scene scene;
   for (const Arguments& run : scene.runs(scene.file("out"))) {
     CAPTURE(run.front());
@@ -270,7 +271,7 @@ TEST_CASE("JSON that cannot be written is exit code 3") {
   }
 }
 
-TEST_CASE("messages never get into an output") {
+TEST_CASE("messages never mix with an output") {
   const Scene scene;
   const std::string out = scene.file("o");
   for (const Arguments& run : scene.runs(out)) {
@@ -278,7 +279,7 @@ TEST_CASE("messages never get into an output") {
     const auto content = [&] {
       std::string all;
       for (const char* end : {".rgs", ".html", ".ply", ".png"}) all += read_text(out + end);
-      // Reports state how long it took.
+      // Reports state the time taken.
       return fs::path(run.front()).filename() == "rgs-audit" ? std::string() : all;
     };
     REQUIRE(run_program(run).exit_code == 0);
@@ -306,7 +307,7 @@ TEST_CASE("an output to standard output that is closed or full is exit code 3") 
       3);
 }
 
-TEST_CASE("names and values from outside are printed without effect on a terminal") {
+TEST_CASE("names and values from outside are printed without controlling a terminal") {
   const Scene scene;
   const std::string hostile = scene.file(kHostile), link = scene.file("\x1b[31mrgs");
   const std::string absent = scene.file("no folder/" + kHostile);  // where nothing can be written either
@@ -328,20 +329,20 @@ TEST_CASE("names and values from outside are printed without effect on a termina
     check({absent + "1", absent + "2", absent + "3"});
     const bool makes = fs::path(path).filename() == "rgs-make-scene";
     for (const Option& option : options_of(path)) {
-      // Numbers are refused alike, and each run takes its time.
+      // Numbers share one check, and each run takes time.
       if (std::regex_search(option.text, std::regex("^U?INT|^FLOAT")) && option.name != "--threads") continue;
       CAPTURE(option.name);
-      // With all else as it should be, so that the value is looked at.
+      // Everything else is valid, so that the value is checked.
       Arguments run{scene.ply, scene.file("o.rgs"), option.name, absent};
       if (makes) run.erase(run.begin());
       if (option.name != "--cameras") run.insert(run.end(), {"--cameras", scene.cameras});
       check(run);
     }
     fs::remove(link);
-    fs::create_symlink(path, link);  // the name under which a program is called
+    fs::create_symlink(path, link);  // the program's argv[0]
     CHECK(check({"--no-such-option"}, link) == 2);
   }
-  // With files that are there, so that summaries print them.
+  // The files exist, so that summaries print their names.
   Scene other;
   fs::rename(other.ply, other.file(kHostile));
   other.ply = other.file(kHostile);
@@ -362,12 +363,12 @@ TEST_CASE("names and values from outside are printed without effect on a termina
   }
 }
 
-TEST_CASE("no option takes an empty value, and none that takes a number takes one that is not finite") {
+TEST_CASE("no option accepts an empty value, and no number that is not finite") {
   const Scene scene;
   int n_numbers = 0;
   for (const std::string& path : kPrograms) {
     CAPTURE(path);
-    // All options are treated alike here, and each run takes its time: one apart from its value, one with it.
+    // All options share one check, and each run takes time: one with a separate value, one with it attached.
     for (const bool apart : {false, true}) {
       const std::string name = options_of(path).at(apart ? 1 : 0).name;
       CAPTURE(name);
@@ -389,7 +390,7 @@ TEST_CASE("no option takes an empty value, and none that takes a number takes on
     CHECK(run_program({path, ""}).exit_code == 2);
   }
   CHECK(n_numbers > 10);
-  // Several numbers of one option.
+  // Several numbers in one option.
   for (const char* origin : {"nan,0,0", "0,-nan,0", "0,0,inf"}) {
     CAPTURE(origin);
     CHECK(run_program({program("rgs-make-scene"), scene.file("never.ply"), "--gaussians", "10", "--origin", origin})
@@ -449,12 +450,12 @@ TEST_CASE("an output that is an input or another output is refused, whatever its
       {bench, scene.rgs, "--cameras", scene.cameras, "--csv", scene.file("x"), "--svg", folder_link + "/x"},
       {bench, scene.rgs, "--cameras", scene.cameras, "--csv", "-", "--json", "-"},
   };
-  // A picture in place of the scene: its content decides what a scene is.
+  // A picture in the scene's place: content decides what a scene is.
   const std::string picture = scene.file("scene.png");
   fs::create_hard_link(scene.rgs, picture);
   runs.push_back({render, scene.rgs, "--out", picture, "--backend", "cpu"});
   runs.push_back({render, scene.rgs, "--out", scene.file("y.png"), "--depth", scene.file("y.exr"), "--cameras",
-                  scene.cameras, "--backend", "cpu"});  // the only one that is right
+                  scene.cameras, "--backend", "cpu"});  // the only valid one
   const std::string ply = read_text(scene.ply), rgs = read_text(scene.rgs);
   for (std::size_t i = 0; i < runs.size(); ++i) {
     Arguments run = runs[i];
@@ -487,7 +488,7 @@ TEST_CASE("a file behind a standard stream is an input or output like any other"
   CHECK(run_shell(quoted + "--to rgs - '" + scene.ply + "' <'" + scene.ply + "'").exit_code == 2);
   CHECK(run_shell(quoted + "--to rgs '" + scene.ply + "' - >>'" + scene.ply + "'").exit_code == 2);
   CHECK(read_text(scene.ply) == before);
-  // What is printed would get into it.
+  // Printed text would get into it.
   for (const Arguments& run : scene.runs(scene.file("out"))) {
     CAPTURE(run);
     std::string line;
@@ -505,7 +506,7 @@ TEST_CASE("a file behind a standard stream is an input or output like any other"
   CHECK(run_program({program("rgs-make-scene"), "-", "--gaussians", "0"}).out.ends_with("end_header\n"));
 }
 
-TEST_CASE("reports of folders write over none of their inputs") {
+TEST_CASE("reports of folders overwrite none of their inputs") {
   const Scene scene;
   const std::string sources = scene.file("ply"), assets = scene.file("rgs"), cameras = scene.file("views");
   for (const std::string& folder : {sources, assets, cameras}) fs::create_directory(folder);
@@ -522,7 +523,7 @@ TEST_CASE("reports of folders write over none of their inputs") {
   CHECK(read_text(cameras + "/garden.json") == kCameras);
   fs::copy_file(scene.ply, sources + "/index.ply");
   fs::copy_file(scene.rgs, assets + "/index.rgs");
-  CHECK(audit(scene.file("out")).exit_code == 2);  // the pair's page would be the table's
+  CHECK(audit(scene.file("out")).exit_code == 2);  // the pair's page would have the table's name
 }
 
 TEST_CASE("an input that changes or shrinks while it is read is exit code 3") {
@@ -595,7 +596,7 @@ TEST_CASE("a program that gets no more memory says so with exit code 3") {
   }
 }
 
-TEST_CASE("a refused value is answered with those that are right") {
+TEST_CASE("the error for a wrong value lists the valid ones") {
   const Scene scene;
   const auto refused = [&](const Arguments& arguments, const char* choice) {
     const ProgramResult result = run_program(arguments);

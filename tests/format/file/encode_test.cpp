@@ -268,7 +268,7 @@ TEST_CASE("a scene that was loaded and filtered keeps its file's declarations") 
     EncodeOptions again = keep_declarations({}, d);
     again.profile = profile;
     again.keep_permutation = true;
-    CHECK(encode(half.view(), again).error().code == Errc::bad_argument);  // numbers of what?
+    CHECK(encode(half.view(), again).error().code == Errc::bad_argument);  // without the sources' indices
     again.source_index = source_index;
     const auto kept = encode(half.view(), again);
     REQUIRE(kept);
@@ -373,7 +373,7 @@ TEST_CASE("each kind of damage is detected, then refused, dropped or repaired") 
   }
 }
 
-TEST_CASE("repair does what is documented") {
+TEST_CASE("repair follows its documentation") {
   Splat s;
   s.rotation[2] = kNaN;
   s.sh[5] = -kInfinity;

@@ -51,18 +51,18 @@ int g_umask_calls = 0;
 
 }  // namespace
 
-// In place of libc's, for this whole program: who asks for the umask this way sets it for all threads meanwhile.
+// Replaces libc's in this program: whoever queries the umask this way sets it for all threads meanwhile.
 extern "C" mode_t umask(mode_t mask) noexcept {
   ++g_umask_calls;
   return static_cast<mode_t>(::syscall(SYS_umask, mask));
 }
 
-TEST_CASE("an output has the mode that the umask gives, and the library never touches the umask") {
+TEST_CASE("an output has the umask's mode, and the library never touches the umask") {
   const TemporaryFolder folder;
   for (const mode_t mask : {0022U, 0027U, 0077U, 0002U}) {
     CAPTURE(mask);
     const std::string path = folder.file("out");
-    fs::remove(path);  // what is replaced would lend its mode
+    fs::remove(path);  // a replaced file would keep its mode
     const mode_t before = ::umask(mask);
     const int calls = g_umask_calls;
     auto file = AtomicFile::create(path, {.overwrite = true, .sync = false});
@@ -76,7 +76,7 @@ TEST_CASE("an output has the mode that the umask gives, and the library never to
   }
 }
 
-TEST_CASE("mapped file shows the bytes and tells empty from missing and folder inputs") {
+TEST_CASE("a mapped file shows the bytes, and distinguishes empty from missing and folder inputs") {
   const TemporaryFolder folder;
   std::ofstream(folder.file("a")) << "splat";
   std::ofstream(folder.file("empty"));
@@ -118,7 +118,7 @@ TEST_CASE("an output appears on commit and not before; without commit nothing st
   CHECK(entries(folder.path()) == 1);
 }
 
-TEST_CASE("an existing output is kept unless overwriting is asked for, also when it appears late") {
+TEST_CASE("an existing output is kept unless overwriting is requested, also when it appears late") {
   const TemporaryFolder folder;
   const std::string path = folder.file("out");
   auto late = AtomicFile::create(path, {});
@@ -209,7 +209,7 @@ TEST_CASE("an output whose input changed its size does not appear") {
   CHECK(contents(out) == "0123456789");
 }
 
-TEST_CASE("a mapped file knows whether it was written to, and bears the loss of a name") {
+TEST_CASE("a mapped file detects writes, and survives unlinking") {
   const TemporaryFolder folder;
   const std::string path = folder.file("in");
   const auto changed_by = [&](const auto& change) {
@@ -236,7 +236,7 @@ TEST_CASE("a mapped file knows whether it was written to, and bears the loss of 
   }));
 }
 
-TEST_CASE("no output has the number of a standard stream") {
+TEST_CASE("no output takes the descriptor of a standard stream") {
   for (const std::string name : {"out", "-"}) {
     const TemporaryFolder folder;
     const pid_t child = ::fork();
@@ -254,14 +254,14 @@ TEST_CASE("no output has the number of a standard stream") {
   }
 }
 
-TEST_CASE("links are followed to what they stand for") {
+TEST_CASE("links are followed to their targets") {
   const TemporaryFolder folder;
   const std::string target = folder.file("target"), one = folder.file("one"), two = folder.file("two");
   fs::create_symlink("target", one);
   fs::create_symlink(one, two);
   CHECK(rgs::follow_links(target) == target);
   CHECK(rgs::follow_links(one) == target);
-  CHECK(rgs::follow_links(two) == target);  // which is not there
+  CHECK(rgs::follow_links(two) == target);  // which does not exist
   fs::create_symlink("loop", folder.file("loop"));
   CHECK(rgs::follow_links(folder.file("loop")) == folder.file("loop"));
 }

@@ -361,7 +361,7 @@ TEST_CASE("each file with one defect causes the listed error at the listed offse
   }
 }
 
-TEST_CASE("validation in steps finds what validation at once finds") {
+TEST_CASE("validation in steps gives the result of validation at once") {
   std::size_t n_refused = 0;
   for (const fs::path& folder : {kGolden, kGolden / "reject"}) {
     for (const auto& entry : fs::directory_iterator(folder)) {

@@ -51,7 +51,7 @@ Result<FileView> open_from(std::span<const std::byte> file, std::uint64_t first_
       read(range);
     }
   }
-  FAIL("head_needs() does not end");
+  FAIL("head_needs() does not finish");
   return make_error(Errc::internal, 0, "");
 }
 

@@ -43,7 +43,7 @@ bool same_half(std::uint32_t bits) {
   const float value = std::bit_cast<float>(bits);
   const std::uint16_t ours = half_from_float(value), theirs = compiler_half(value);
   if (ours == theirs) return true;
-  MESSAGE("float bits " << bits << ": " << ours << " instead of " << theirs);
+  MESSAGE("float bits " << bits << ": " << ours << ", not " << theirs);
   return false;
 }
 

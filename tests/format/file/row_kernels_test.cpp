@@ -193,7 +193,7 @@ TEST_CASE("the quick check accepts no illegal norm, and every legal norm not wit
       rows.means.assign(16, rows.means[0]), rows.geometry.assign(16, row);
       RowSummary summary;
       const bool found = check(rows, summary), is_legal = is_unit_quaternion(row.data());
-      if (found && !is_legal) FAIL("found legal, and is not");
+      if (found && !is_legal) FAIL("accepted, but illegal");
       if (!found && is_legal) {
         ++n_open;
         CHECK(std::abs(stored - 1) > kStoredNormTolerance - 0x1p-20);

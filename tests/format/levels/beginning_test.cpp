@@ -59,7 +59,7 @@ Result<PagedFile> open_from(std::span<const std::byte> file, std::uint64_t first
       fetched.read(range);
     }
   }
-  FAIL("needs() does not end");
+  FAIL("needs() does not finish");
   return make_error(Errc::internal, 0, "");
 }
 

@@ -604,7 +604,7 @@ TEST_CASE("readers of one kind of file name the other") {
   CHECK(file.error().code == Errc::missing_section);
 }
 
-TEST_CASE("limits count the bytes present of a prefix, not those that its head declares") {
+TEST_CASE("limits count a prefix's present bytes, not those that its head declares") {
   SplatCloud equal;
   equal.resize(30'000, 3);
   SplitMix random(61);

@@ -97,7 +97,7 @@ TEST_CASE("a Gaussian that passes the quick test is inside by its exact extent, 
                is_enough = RoomInBox(box, exponent).is_enough(row.mean_bytes(), row.geometry_bytes());
     if (is_enough && !is_held) {
       CAPTURE(i);
-      FAIL("said to be held, and is not");
+      FAIL("passes, but is not inside");
     }
     n_yes += is_enough, n_no += !is_held, n_left += is_held && !is_enough;
   }
@@ -129,7 +129,7 @@ TEST_CASE("Gaussians that pass the quick test together are inside by their exact
           if (is_enough && !is_held) {
             CAPTURE(turn);
             CAPTURE(i);
-            FAIL("said to be held, and is not");
+            FAIL("passes, but is not inside");
           }
           n_yes += is_enough, n_no += !is_held, n_left += is_held && !is_enough;
           n_single += room.is_enough(row.mean_bytes(), row.geometry_bytes());
@@ -212,7 +212,7 @@ TEST_CASE("a Gaussian seen so edge-on that rounding dominates its extent does no
       const RoomInBox room(box, 0);
       const std::uint64_t enough = enough_together(room, group);
       const bool is_held = holds(box, e), is_enough = room.is_enough(group[0].mean_bytes(), group[0].geometry_bytes());
-      if ((enough != 0 || is_enough) && !is_held) FAIL("said to be held, and is not");
+      if ((enough != 0 || is_enough) && !is_held) FAIL("passes, but is not inside");
       n_no += !is_held, n_yes += enough != 0, n_single += is_enough;
     }
     CHECK(n_no > 9000);

@@ -497,7 +497,7 @@ TEST_CASE("Gaussians of many tiles are listed part by part, up to all tiles at 4
   }
 }
 
-TEST_CASE("blocks pass on to the tiles what exceeds their room") {
+TEST_CASE("blocks leave Gaussians beyond their room to the tiles") {
   if (!device_answers()) return;
   Random random(808);
   std::vector<Splat> splats;
@@ -509,7 +509,7 @@ TEST_CASE("blocks pass on to the tiles what exceeds their room") {
   check(DeviceAttributes(wide.view().value()).get(), wide.view().value(), front_camera_of_tiles(1920, 1080));
 }
 
-TEST_CASE("blocks pass on to the tiles what lies too far apart") {
+TEST_CASE("blocks leave Gaussians that lie too far apart to the tiles") {
   if (!device_answers()) return;
   Random random(813);
   std::vector<Splat> splats;

@@ -1,4 +1,4 @@
-// cameras_file_test.cpp - every camera format gives the same camera; damaged files give an error with its place.
+// cameras_file_test.cpp - every camera format describes the same camera; damaged files cause an error with its place.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -25,7 +25,7 @@ void replace(std::string& text, const std::string& from, const std::string& to) 
   text.replace(at, from.size(), to);
 }
 
-// The camera that all fixtures describe in their own way.
+// The camera of all fixtures.
 void check_fixture_camera(const Camera& camera) {
   CHECK(camera.width == 640);
   CHECK(camera.height == 480);
@@ -121,7 +121,7 @@ TEST_CASE("transforms.json: field of view instead of focal lengths, values per f
   CHECK(parse_camera_json(no_size).error().code == Errc::bad_syntax);
 }
 
-TEST_CASE("the error of a JSON camera tells its index and the byte where it starts") {
+TEST_CASE("the error of a JSON camera states its index and its byte offset") {
   const std::string good = camera_list();
   const std::uint64_t second = good.find('{', 1 + good.find('{'));
   struct Case {
@@ -149,7 +149,7 @@ TEST_CASE("the error of a JSON camera tells its index and the byte where it star
   check_error(parse_camera_json(nested), Errc::bad_syntax, nested.size() - 2);
 }
 
-TEST_CASE("broken JSON: byte offset of the fault") {
+TEST_CASE("broken JSON: the error has the byte offset") {
   check_error(parse_camera_json("[1, @]"), Errc::bad_syntax, 4);
   check_error(parse_camera_json("[]"), Errc::bad_value, 0);
   check_error(parse_camera_json("{}"), Errc::bad_syntax, 0);
@@ -178,7 +178,7 @@ TEST_CASE("every prefix of every format is refused without reading past its end"
     REQUIRE_FALSE(result);
     CHECK(result.error().code == Errc::truncated);
   }
-  // Text may end anywhere between words and still be complete: an answer, never a crash.
+  // Text may end between words and still be complete: a result, never a crash.
   const std::string cameras_txt = colmap_cameras_txt(), images_txt = colmap_images_txt();
   for (std::size_t size = 0; size < cameras_txt.size(); ++size)
     (void)parse_colmap_text(ExactCopy(cameras_txt, size).text(), images_txt);
@@ -208,7 +208,7 @@ TEST_CASE("every single changed byte gives cameras or an error") {
   mutate(images_txt, [&](const ExactCopy& c) { return parse_colmap_text(cameras_txt, c.text()); });
 }
 
-TEST_CASE("COLMAP binary: counts that the file cannot hold, trailing bytes, unknown ids, lens models") {
+TEST_CASE("COLMAP binary: counts beyond the file's size, trailing bytes, unknown ids, lens models") {
   const std::string good_cameras = colmap_cameras_bin(), good_images = colmap_images_bin();
   const auto parse = [](const std::string& cameras, const std::string& images) {
     const ExactCopy c(cameras), i(images);
@@ -252,7 +252,7 @@ TEST_CASE("COLMAP binary: counts that the file cannot hold, trailing bytes, unkn
   CHECK(parse(good_cameras, Bytes().put(std::uint64_t{0}).str()).error().code == Errc::bad_value);
 }
 
-TEST_CASE("COLMAP text: the byte offset of what is wrong") {
+TEST_CASE("COLMAP text: the error has the byte offset") {
   const std::string images = colmap_images_txt();
   check_error(parse_colmap_text("1 OPENCV 4 4 1 1 1 1 0 0 0 0\n", images), Errc::unsupported_feature, 0);
   const auto radial = parse_colmap_text("1 PINHOLE 4 4 1 1 1 1\n2 RADIAL 4 4 1 1 1 0 0\n", images);
@@ -279,7 +279,7 @@ TEST_CASE("without a declared split every eighth camera in name order is a test 
   for (std::size_t i = 0; i < 17; ++i) CHECK((set->split[i] == Split::test) == ((16 - i) % 8 == 0));
 }
 
-TEST_CASE("a split that is declared of some cameras is one, and the others are for training") {
+TEST_CASE("a split declared of some cameras makes the others training cameras") {
   std::string text = camera_list();
   const std::string declared = "\"split\":\"train\",";
   REQUIRE(text.find(declared) != std::string::npos);
@@ -290,7 +290,7 @@ TEST_CASE("a split that is declared of some cameras is one, and the others are f
   CHECK(set->split == std::vector{Split::test, Split::train});
 }
 
-TEST_CASE("read_cameras finds out what it was given") {
+TEST_CASE("read_cameras detects the format") {
   const TemporaryFolder folder;
   write(folder.file("anything.txt"), "\xef\xbb\xbf \n" + camera_list());
   CHECK(read_cameras(folder.file("anything.txt")).value().size() == 2);

@@ -1,4 +1,4 @@
-// cameras_fixture.hpp - small camera files in every format, written by the tests themselves.
+// cameras_fixture.hpp - small camera files in every format, written by the tests.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -25,7 +25,7 @@ inline std::string camera_list() {
   return "[" + list_camera("a", "test") + ",\n " + list_camera("b", "train") + "]\n";
 }
 
-/// The same camera as 3DGS training programs write it: columns of `rotation` are the camera's axes.
+/// The same camera in the form of 3DGS training programs: columns of `rotation` are the camera's axes.
 inline std::string training_camera(const std::string& name) {
   return R"({"id":0,"img_name":")" + name +
          R"(","width":640,"height":480,"position":[1,2,3],"rotation":[[0,0,1],[0,1,0],[-1,0,0]],)"
@@ -42,7 +42,7 @@ inline std::string transforms() {
 {"file_path":"b","transform_matrix":[[0,0,-1,1],[0,-1,0,2],[-1,0,0,3]]}]})";
 }
 
-/// Little-endian bytes, put together field by field.
+/// Little-endian bytes, assembled field by field.
 class Bytes {
  public:
   template <class T>
@@ -97,7 +97,7 @@ inline std::string colmap_images_txt() {
          "2 1.4142135623730951 0 -1.4142135623730951 0 3 -2 -1 7 a.jpg\n1.5 2.5 -1 1.5 2.5 -1\n";
 }
 
-/// A copy of the first `size` bytes on the heap with nothing behind them, so that AddressSanitizer sees an overread.
+/// A heap copy of the first `size` bytes without slack, so that AddressSanitizer detects any overread.
 class ExactCopy {
  public:
   ExactCopy(const std::string& source, std::size_t size) : data_(new std::byte[size]), size_(size) {

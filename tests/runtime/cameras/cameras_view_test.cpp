@@ -57,7 +57,7 @@ TEST_CASE("validate accepts a view and names what is wrong with every damaged on
   }
 }
 
-TEST_CASE("a camera from GLM's matrices has their motion, in OpenCV's axes and in OpenGL's") {
+TEST_CASE("a camera from GLM's matrices has their motion, in OpenCV's and OpenGL's axes") {
   const glm::dvec3 eye{1, -2, -5}, target{0.5, 0, 1};
   const Camera expected = some_camera();
   const Intrinsics lens{expected.width, expected.height, expected.fx, expected.fy, expected.cx, expected.cy};
@@ -78,11 +78,11 @@ TEST_CASE("a camera from GLM's matrices has their motion, in OpenCV's axes and i
     CHECK(glm::distance(from_floats->world_to_camera[k], expected.world_to_camera[k]) < 2e-6);
   }
   CHECK_FALSE(make_camera(glm::scale(expected.world_to_camera, glm::dvec3(1.01)), lens));
-  CHECK_FALSE(make_camera(glm::transpose(expected.world_to_camera), lens));  // rows taken for columns
+  CHECK_FALSE(make_camera(glm::transpose(expected.world_to_camera), lens));  // rows mistaken for columns
   CHECK_FALSE(make_camera(glm::perspective(1.0, 1.5, 0.1, 100.0), lens));
 }
 
-TEST_CASE("matrices go row by row and back") {
+TEST_CASE("matrices go by rows and back") {
   std::array<double, 16> rows;
   for (std::size_t i = 0; i < 16; ++i) rows[i] = static_cast<double>(i);
   const glm::dmat4 matrix = from_row_major(rows);
@@ -101,7 +101,7 @@ TEST_CASE("points are the coordinates themselves") {
   CHECK(as_points({}).empty());
 }
 
-TEST_CASE("up and bounds are those that a file declares") {
+TEST_CASE("up and bounds are the file's declarations") {
   Declarations declared;
   declared.robust = {{-1, -2, -3}, {4, 5, 6}};
   CHECK(declared_bounds(declared).low == glm::dvec3(-1, -2, -3));
@@ -141,7 +141,7 @@ TEST_CASE("look_at puts the target in the middle and up above it") {
     CHECK(middle[0] == doctest::Approx(320));
     CHECK(middle[1] == doctest::Approx(240));
     CHECK(middle[2] == doctest::Approx(glm::distance(eye, target)));
-    CHECK(glm::dot(camera_axis(camera, 1), up) < 0);  // image down is against up
+    CHECK(glm::dot(camera_axis(camera, 1), up) < 0);  // image down is opposite to up
     CHECK(std::abs(glm::dot(camera_axis(camera, 0), up)) < 1e-9);
     CHECK(2 * std::atan(320 / camera.fx) * 180 / std::numbers::pi == doctest::Approx(75));
   }
@@ -169,7 +169,7 @@ TEST_CASE("robust bounds ignore floaters and non-finite points") {
   CHECK(robust_bounds(one).high[1] == 2);
 }
 
-TEST_CASE("bounds lie where the scene's origin puts them") {
+TEST_CASE("bounds lie at the scene's origin") {
   const std::vector<float> one{1, 2, 3};
   const Origin origin{4.2e6 + 0.1, 0, -1};
   CHECK(robust_bounds(one, origin).low == glm::dvec3(4.2e6 + 0.1 + 1, 2, 2));
@@ -181,7 +181,7 @@ TEST_CASE("bounds lie where the scene's origin puts them") {
   CHECK(declared_bounds(declared).high == glm::dvec3(4.2e6 + 0.1 + 4, 5, 5));
 }
 
-TEST_CASE("a camera stands where its matrix says, also far away with a rotation of five decimals") {
+TEST_CASE("a camera's centre follows from its matrix, also far away with a rotation of five decimals") {
   Camera camera = look_at({4.2e6 + 3, 1.7e5 - 2, 4.8e6 + 1}, {4.2e6, 1.7e5, 4.8e6}, kWorldUp);
   CHECK(glm::distance(camera_centre(camera), {4.2e6 + 3, 1.7e5 - 2, 4.8e6 + 1}) < 1e-8);
   for (int column = 0; column < 3; ++column) {
@@ -222,7 +222,7 @@ TEST_CASE("default view and orbit see all corners of the box from above") {
   CHECK(orbit({}, 0).empty());
 }
 
-TEST_CASE("mean up is the direction that the cameras agree on") {
+TEST_CASE("mean up is the cameras' common direction") {
   const auto cameras = orbit({{-1, -1, -1}, {1, 1, 1}}, 12, {}, {0, 0, 1});
   const glm::dvec3 up = mean_up(cameras);
   CHECK(up[2] == doctest::Approx(1));
@@ -271,5 +271,5 @@ TEST_CASE("paths of one key, equal keys, opposite views and no frames") {
   const std::vector<Camera> opposite{look_at({0, 0, 0}, {0, 0, 1}, kWorldUp), look_at({0, 0, 0}, {0, 0, -1}, kWorldUp)};
   const auto turn = interpolated_path(opposite, 5);
   for (const Camera& camera : turn) REQUIRE(validate(camera));
-  CHECK(std::abs(camera_axis(turn[2], 2)[2]) < 1e-9);  // half way round, although nothing moved
+  CHECK(std::abs(camera_axis(turn[2], 2)[2]) < 1e-9);  // half way round, although nothing moves
 }

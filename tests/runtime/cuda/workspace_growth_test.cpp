@@ -1,4 +1,4 @@
-// workspace_growth_test.cpp - how workspaces grow, on memory of a given size.
+// workspace_growth_test.cpp - growth of workspaces in limited memory.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/workspace_growth.hpp"
 
@@ -10,7 +10,7 @@ using namespace rgs;
 using rgs::detail::reserve_growing;
 using rgs::detail::with_room_to_grow;
 
-TEST_CASE("a workspace grows by half, by the need if that is more, and up to its limit") {
+TEST_CASE("a workspace grows by half, or by the need if that is more, up to its limit") {
   CHECK(with_room_to_grow(101, 100, 1000) == 150);
   CHECK(with_room_to_grow(400, 100, 1000) == 400);
   CHECK(with_room_to_grow(901, 900, 1000) == 1000);
@@ -19,8 +19,8 @@ TEST_CASE("a workspace grows by half, by the need if that is more, and up to its
   CHECK(with_room_to_grow(2, 1, 1000) == 2);
 }
 
-TEST_CASE("where memory is short the workspace grows by the need alone, and other errors are final") {
-  // Two arrays of equal size in `memory` units, as a frame needs them: all or nothing.
+TEST_CASE("with little memory the workspace grows by the need alone, and other errors are final") {
+  // Two arrays of equal size in `memory` units, which a frame needs together.
   std::vector<std::uint64_t> asked;
   const auto grow = [&asked](std::uint64_t needed, std::uint64_t held, std::uint64_t memory, Errc refusal) {
     asked.clear();
@@ -36,7 +36,7 @@ TEST_CASE("where memory is short the workspace grows by the need alone, and othe
   CHECK(asked == std::vector<std::uint64_t>{150, 110});
   const auto refused = grow(110, 100, 219, Errc::device_out_of_memory);
   REQUIRE_FALSE(refused);
-  CHECK(refused.error().expected == 110);  // what the frame needs, not what was asked for first
+  CHECK(refused.error().expected == 110);  // the frame's need, not the first request
   CHECK(asked == std::vector<std::uint64_t>{150, 110});
   CHECK_FALSE(grow(110, 100, 0, Errc::device_failed));
   CHECK(asked == std::vector<std::uint64_t>{150});

@@ -1,4 +1,4 @@
-// file_source_test.cpp - files read by ranges: right bytes, ends, files that change, cancelling.
+// file_source_test.cpp - files read by ranges: right bytes, ends, changing files, cancelling.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <fcntl.h>
@@ -25,7 +25,7 @@ using test::write_bytes;
 TEST_CASE("a file is read by ranges, and not beyond its end") {
   const test::TemporaryFolder folder;
   const std::string path = folder.file("scene.rgs");
-  constexpr std::uint64_t kSize = 9'000'001;  // more than one piece
+  constexpr std::uint64_t kSize = 9'000'001;  // more than one part
   write_bytes(path, kSize);
   const auto source = open_source(path).value();
   CHECK(source->size() == kSize);
@@ -74,7 +74,7 @@ TEST_CASE("several threads read one file") {
   CHECK(wrong == std::array<int, 4>{});
 }
 
-TEST_CASE("what is no file is not opened") {
+TEST_CASE("a path that is no regular file is refused") {
   const test::TemporaryFolder folder;
   const std::string fifo = folder.file("fifo");
   REQUIRE(::mkfifo(fifo.c_str(), 0600) == 0);
@@ -87,7 +87,7 @@ TEST_CASE("what is no file is not opened") {
   CHECK(open_file_source(folder.file("absent")).error().system == ENOENT);
 }
 
-TEST_CASE("a file that shrinks, grows or is written to is an error of the next read, and one of a new name is not") {
+TEST_CASE("a file that shrinks, grows or is written to fails the next read; a renamed one does not") {
   const test::TemporaryFolder folder;
   const std::string path = folder.file("scene.rgs");
   std::vector<std::byte> bytes(1000);
@@ -104,7 +104,7 @@ TEST_CASE("a file that shrinks, grows or is written to is an error of the next r
   CHECK(read_after(shrink(50500)).error().code == Errc::read_failed);
   CHECK(read_after(shrink(50500)).error().offset == 50500);
   CHECK(read_after(shrink(0)).error().code == Errc::read_failed);
-  CHECK(read_after(shrink(99999)).error().code == Errc::read_failed);  // beyond what is read
+  CHECK(read_after(shrink(99999)).error().code == Errc::read_failed);  // beyond the read range
   CHECK(read_after(shrink(100001)).error().code == Errc::read_failed);
   CHECK(read_after(overwrite).error().code == Errc::read_failed);
   CHECK(read_after([&] {
@@ -114,7 +114,7 @@ TEST_CASE("a file that shrinks, grows or is written to is an error of the next r
         })
             .error()
             .code == Errc::read_failed);
-  // The old file is there until it is closed.
+  // The old file exists until it is closed.
   CHECK(read_after([&] { std::filesystem::remove(path); }));
   CHECK(are_bytes_from(50000, bytes));
   CHECK(read_after([&] {
@@ -137,7 +137,7 @@ TEST_CASE("a cancelled source reads nothing more") {
   CHECK(source->size() == 1000);
 }
 
-TEST_CASE("addresses are told from paths") {
+TEST_CASE("addresses and paths are distinguished") {
   for (const char* name : {"http://a", "https://a/b.rgs", "HTTPS://A", "Http://x"}) CHECK(is_url(name));
   for (const char* name :
        {"", "h", "http", "http:", "http:/a", "https:/", "ftp://a", "file:///a", "./http://a", "ahttp://a", " http://a"})

@@ -1,4 +1,4 @@
-// nginx_test.cpp - files behind a real web server: HTTP/2 over TLS, certificates, files that are replaced.
+// nginx_test.cpp - files on a real web server: HTTP/2 over TLS, certificates, replaced files.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -32,7 +32,7 @@ constexpr std::uint64_t kSize = 3'000'000;
 
 bool without_nginx() {
   if (Nginx::is_installed()) return false;
-  test::skip_without_tool(std::string("there is no ") + Nginx::kProgram);
+  test::skip_without_tool(std::string(Nginx::kProgram) + " is not installed");
   return true;
 }
 
@@ -43,7 +43,7 @@ bool reads_right(ByteSource& source, std::uint64_t offset, std::size_t n) {
   return read && are_bytes_from(offset, bytes);
 }
 
-// How many of 6 threads, of 20 reads each, read something wrong.
+// How many of 6 threads, with 20 reads each, read a wrong byte.
 int wrong_readers(ByteSource& source) {
   std::array<int, 6> wrong{};
   std::vector<std::thread> threads;
@@ -85,7 +85,7 @@ TEST_CASE("nginx: ranges") {
   CHECK(absent.error().found == 404);
 }
 
-TEST_CASE("nginx: one connection of HTTP/2 over TLS, and a certificate that is not trusted unless named") {
+TEST_CASE("nginx: one connection of HTTP/2 over TLS, and an untrusted certificate is refused unless named") {
   if (without_nginx()) return;
   const Nginx nginx(true);
   write_bytes(nginx.file("scene.rgs"), kSize);
@@ -98,7 +98,7 @@ TEST_CASE("nginx: one connection of HTTP/2 over TLS, and a certificate that is n
   REQUIRE_FALSE(untrusted);
   CHECK(untrusted.error().code == Errc::open_failed);
   CHECK(std::string(untrusted.error().what).find("certificate") != std::string::npos);
-  // Trusted, and of another name.
+  // Trusted, but for another name.
   std::string other = nginx.url("scene.rgs");
   other.replace(other.find("127.0.0.1"), 9, "localhost");
   const auto misnamed = open_source(other, options);
@@ -130,14 +130,14 @@ TEST_CASE("nginx: never from https to http") {
   CHECK(reads_right(*open_source(safe.url("here"), options).value(), 5, 1'000'000));
 }
 
-TEST_CASE("nginx: a file that is replaced or removed") {
+TEST_CASE("nginx: a replaced or removed file is an error") {
   if (without_nginx()) return;
   const Nginx nginx(false);
   std::vector<std::byte> bytes(1000);
   write_bytes(nginx.file("scene.rgs"), kSize);
   auto source = open_source(nginx.url("scene.rgs")).value();
   CHECK(reads_right(*source, 1'000'000, 1000));
-  // Of the same size; nginx's tag is of the second in which it was written.
+  // Of the same size; nginx's tag has the second of the write.
   write_bytes(nginx.file("new"), kSize);
   std::filesystem::last_write_time(nginx.file("new"),
                                    std::filesystem::last_write_time(nginx.file("new")) + std::chrono::seconds(5));
@@ -156,7 +156,7 @@ TEST_CASE("nginx: a file that is replaced or removed") {
 
 namespace {
 
-/// Connections to a port over which something has come that its program has not read.
+/// Connections to a port with received bytes that its program has not read.
 int n_unread(int port) {
   std::ifstream table("/proc/net/tcp");
   int n = 0;
@@ -172,7 +172,7 @@ int n_unread(int port) {
 
 }  // namespace
 
-TEST_CASE("nginx: a server that freezes, starts again, or is gone") {
+TEST_CASE("nginx: a server that freezes, restarts, or is gone") {
   if (without_nginx()) return;
   for (const bool ssl : {false, true}) {
     CAPTURE(ssl);
@@ -191,7 +191,7 @@ TEST_CASE("nginx: a server that freezes, starts again, or is gone") {
       time.advance(0);
       time.advance(86400);
       time.advance(0.25);
-      test::await([&] { return n_unread(nginx.port()) == 2; });  // once more, over another connection
+      test::await([&] { return n_unread(nginx.port()) == 2; });  // again, over another connection
       nginx.resume();
       CHECK(reading.get());
     }

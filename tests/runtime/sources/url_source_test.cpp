@@ -1,4 +1,4 @@
-// url_source_test.cpp - files behind web servers that do everything wrong: the right bytes or the right error.
+// url_source_test.cpp - files on web servers that misbehave in every way: the right bytes or the right error.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -32,11 +32,11 @@ using test::UrlTime;
 namespace {
 
 constexpr std::uint64_t kSize = 300000;      // of the server's files
-constexpr std::uint64_t kBeginning = 65536;  // what opening asks for
+constexpr std::uint64_t kBeginning = 65536;  // the range that opening requests
 constexpr std::uint64_t kFrom = 100000;      // of the reads below
 constexpr std::size_t kBytes = 100000;
 
-// Nothing is late, however slow the machine is.
+// No time limit applies, however slow the machine.
 UrlOptions patient() {
   UrlOptions options;
   options.retries = 1;
@@ -56,7 +56,7 @@ bool reads_right(ByteSource& source, std::uint64_t offset, std::size_t n) {
   return read && are_bytes_from(offset, bytes);
 }
 
-// Opens, then reads: the error of the one or the other; none if the bytes are right.
+// Opens, then reads: the first error; none if the bytes are right.
 struct Outcome {
   bool opened = false;
   Status status;
@@ -104,7 +104,7 @@ TEST_CASE("Content-Range is read strictly") {
   }
 }
 
-TEST_CASE("a file behind a server is read by ranges, its beginning once") {
+TEST_CASE("a file on a server is read by ranges, and its first bytes only once") {
   const HostileServer server;
   const auto source = open_source(server.url("/plain"), patient()).value();
   CHECK(source->size() == kSize);
@@ -128,7 +128,7 @@ TEST_CASE("a file behind a server is read by ranges, its beginning once") {
     CHECK(read.error().offset == offset);
   }
   CHECK(server.requests() == 4);
-  // What the server gets to know of us.
+  // What the server learns about us.
   CHECK(server.requests(" auth= agent=roofgs/" RGS_VERSION " encoding=identity cookie= if-range=") == 4);
 }
 
@@ -141,14 +141,14 @@ TEST_CASE("small and empty files") {
     CHECK((*source)->size() == size);
     CHECK(reads_right(**source, 0, size));
   }
-  // 416, or the whole of it.
+  // 416, or the whole file.
   const auto empty = open_url_source(server.url("/status?code=416&range=bytes+*/0"), patient());
   REQUIRE(empty);
   CHECK((*empty)->size() == 0);
   CHECK(open_url_source(server.url("/no-ranges?size=0"), patient()).value()->size() == 0);
 }
 
-TEST_CASE("many threads read one file, with a few requests in flight") {
+TEST_CASE("many threads read one file with a few requests in flight") {
   const HostileServer server;
   UrlOptions options = patient();
   options.reads_at_once = 3;
@@ -171,7 +171,7 @@ TEST_CASE("many threads read one file, with a few requests in flight") {
   CHECK_FALSE(has(server.log(), "at work 4\n"));
 }
 
-TEST_CASE("a server that cannot do ranges is an error, unless the file is small") {
+TEST_CASE("a server without ranges is an error unless the file is small") {
   const HostileServer server;
   for (const char* path : {"/no-ranges", "/no-ranges-chunked", "/no-ranges-unknown-length",
                            "/no-ranges-chunked?size=1000", "/no-ranges-unknown-length?size=1000"}) {
@@ -185,13 +185,13 @@ TEST_CASE("a server that cannot do ranges is an error, unless the file is small"
   const auto small = open_url_source(server.url("/no-ranges?size=1000"), patient());
   REQUIRE(small);
   CHECK(reads_right(**small, 0, 1000));
-  // It breaks off, and comes whole again: from its first byte. For ever it may not.
+  // It breaks off and restarts from the first byte, a limited number of times.
   const auto broken = open_url_source(server.url("/no-ranges-broken?size=1000&breaks=1&etag=a"), patient());
   REQUIRE(broken);
   CHECK(reads_right(**broken, 0, 1000));
   CHECK_FALSE(open_url_source(server.url("/no-ranges-broken?size=1000&breaks=1000"), patient()));
   CHECK(server.requests("/no-ranges-broken?size=1000&breaks=1000 ") == 2);
-  // Another file, of another length, is none of it.
+  // Another file, of another length, does not continue it.
   CHECK_FALSE(open_url_source(server.url("/no-ranges-broken?size=1000&grows=1&breaks=1"), patient()));
   // Ranges that end in the middle.
   const Outcome later = read_from(server.url("/no-ranges?from=2"));
@@ -201,7 +201,7 @@ TEST_CASE("a server that cannot do ranges is an error, unless the file is small"
   CHECK(server.requests("/no-ranges?from=2 ") == 2);
 }
 
-TEST_CASE("a status that will not pass is an error at once") {
+TEST_CASE("a permanent status is an error at once") {
   const HostileServer server;
   for (const int code : {400, 401, 403, 404, 405, 410, 416, 451, 501, 505, 204, 201, 304, 300, 999}) {
     for (const int from : {1, 2}) {
@@ -217,11 +217,11 @@ TEST_CASE("a status that will not pass is an error at once") {
       CHECK(server.requests(path + " ") == from);
     }
   }
-  // The body of an error is not waited for.
+  // The body of an error is not awaited.
   CHECK_FALSE(read_from(server.url("/endless-error?code=404")).status);
 }
 
-TEST_CASE("a status that may pass is tried again, as often as said") {
+TEST_CASE("a temporary status is retried as often as configured") {
   const HostileServer server;
   UrlOptions options = patient();
   options.retries = 2;
@@ -236,12 +236,12 @@ TEST_CASE("a status that may pass is tried again, as often as said") {
   REQUIRE_FALSE(outcome.status);
   CHECK(outcome.status.error().found == 503);
   CHECK(server.requests(path + " ") == 4);
-  CHECK(read_from(server.url("/status?code=503&times=2"), options).status);  // when it is opened too
+  CHECK(read_from(server.url("/status?code=503&times=2"), options).status);  // also on opening
   options.retries = 0;
   CHECK_FALSE(read_from(server.url("/status?from=2&times=1&code=503&none"), options).status);
 }
 
-TEST_CASE("what breaks off is gone on with where it ended") {
+TEST_CASE("an interrupted body is continued where it ended") {
   const HostileServer server;
   for (const char* kind : {"truncated", "truncated-chunked", "reset"}) {
     CAPTURE(std::string(kind));
@@ -252,9 +252,9 @@ TEST_CASE("what breaks off is gone on with where it ended") {
     CHECK(server.requests(path + " range=bytes=150000-199999 ") == 1);
     CHECK(read_from(server.url(std::string("/") + kind + "?times=1")).status);  // the first
   }
-  // Bytes come each time: that is slow, and no failure.
+  // Some bytes arrive each time: slow, but no failure.
   CHECK(read_from(server.url("/truncated?from=2&times=4")).status);
-  // None come: it is one.
+  // None arrive: a failure.
   for (const char* kind : {"reset-at-once", "hang-up", "head-alone"}) {
     CAPTURE(std::string(kind));
     const std::string path = std::string("/") + kind + "?from=2";
@@ -267,7 +267,7 @@ TEST_CASE("what breaks off is gone on with where it ended") {
   }
 }
 
-TEST_CASE("ranges that are not what was asked for are refused") {
+TEST_CASE("ranges other than the requested one are refused") {
   const HostileServer server;
   for (const char* path :
        {"/other-range", "/lying-range?range=bytes+0-9/300000", "/lying-range?range=bytes+0-65534/300000",
@@ -298,7 +298,7 @@ TEST_CASE("ranges that are not what was asked for are refused") {
   }
 }
 
-TEST_CASE("more than was asked for is not received") {
+TEST_CASE("bytes beyond the request are not received") {
   const HostileServer server;
   for (const char* path : {"/longer", "/longer?from=2", "/endless", "/endless?from=2", "/old", "/early-hints"}) {
     CAPTURE(std::string(path));
@@ -306,7 +306,7 @@ TEST_CASE("more than was asked for is not received") {
   }
 }
 
-TEST_CASE("heads that are long, or none") {
+TEST_CASE("headers may be long, but not endless or missing") {
   const HostileServer server;
   for (const std::string path :
        {"/long-line?", "/many-lines?", "/many-lines?n=100&", "/many-informations?", "/garbage?"}) {
@@ -325,7 +325,7 @@ namespace {
 
 constexpr double kStall = 20;  // seconds
 
-// A source by a time of its own, and the server that answers it by hand.
+// A source with a clock of its own, and its server, which the test answers by hand.
 struct Timed {
   explicit Timed(int retries) {
     UrlOptions options = patient();
@@ -365,7 +365,7 @@ struct Timed {
     peer = server.accept();
     CHECK(peer->asks(range));
   }
-  // What was asked for is late, and is asked for again over another connection.
+  // A late answer is requested again over another connection.
   void stall(const std::string& range, double after = kStall) {
     time.advance(after);
     time.advance(0.25);
@@ -381,7 +381,7 @@ struct Timed {
 
 }  // namespace
 
-TEST_CASE("a slow server is no stalled one, and a stalled answer is gone on with where it ended") {
+TEST_CASE("a slow server is not a stalled one, and a stalled answer is continued where it ended") {
   Timed timed(1);
   timed.send(Timed::head(100000, 200000) + Timed::bytes(100000, 101000));
   for (std::uint64_t begin = 101000; begin < 101500; begin += 100) {
@@ -393,7 +393,7 @@ TEST_CASE("a slow server is no stalled one, and a stalled answer is gone on with
   CHECK(timed.reading.get());
 }
 
-TEST_CASE("a server that says nothing, or never ends a head, is asked again as often as said") {
+TEST_CASE("a silent server, or one that never ends a header, is retried as often as configured") {
   for (const bool has_lines : {false, true}) {
     CAPTURE(has_lines);
     Timed timed(1);
@@ -412,7 +412,7 @@ TEST_CASE("a server that says nothing, or never ends a head, is asked again as o
   }
 }
 
-TEST_CASE("pauses between attempts grow, and are no shorter than the server says") {
+TEST_CASE("pauses between attempts grow, and are at least as long as the server says") {
   Timed timed(3);
   const auto comes_after = [&](double least, double most, const std::string& fields) {
     timed.send("HTTP/1.1 503 whatever\r\nContent-Length: 0\r\n" + fields + "\r\n");
@@ -421,7 +421,7 @@ TEST_CASE("pauses between attempts grow, and are no shorter than the server says
     timed.time.advance(most - 0.99 * least);
     timed.expect_again("bytes=100000-199999");
   };
-  // Of three quarters up to the whole, so that not all come back together.
+  // Between three quarters and all of the pause, so that clients do not return together.
   comes_after(0.75 * 0.25, 0.25, "");
   comes_after(0.75 * 0.5, 0.5, "");
   comes_after(3, 3, "Retry-After: 3\r\n");
@@ -429,7 +429,7 @@ TEST_CASE("pauses between attempts grow, and are no shorter than the server says
   CHECK(timed.reading.get());
 }
 
-TEST_CASE("a file that changes is an error, and no mixture") {
+TEST_CASE("a file that changes is an error, never a mixture") {
   const HostileServer server;
   struct Change {
     const char* options;
@@ -442,7 +442,7 @@ TEST_CASE("a file that changes is an error, and no mixture") {
                                {"etag=W/\"a\"&etag2=W/\"b\"", true},
                                {"size2=299999", true},
                                {"size2=300001&etag=\"a\"", true},
-                               {"size2=70000", true},  // the range is not there any more
+                               {"size2=70000", true},  // the range no longer exists
                                {"etag=\"a\"&etag2=", true},
                                {"etag=\"a\"&etag2=\"a\"", false},
                                {"etag=\"a\"&etag2=W/\"a\"", false},
@@ -465,7 +465,7 @@ TEST_CASE("a file that changes is an error, and no mixture") {
   CHECK(outcome.status);
 }
 
-TEST_CASE("redirects are followed, as many as allowed, to where it is safe, and asked for once") {
+TEST_CASE("redirects are followed up to a limit, only to safe places, and resolved once") {
   const HostileServer server, other;
   UrlOptions options = patient();
   for (const int code : {301, 302, 303, 307, 308}) {
@@ -497,7 +497,7 @@ TEST_CASE("redirects are followed, as many as allowed, to where it is safe, and 
   CHECK(read_from(server.url("/redirect?from=2&to=/plain?moved")).status);  // in the middle
 }
 
-TEST_CASE("where a redirect led may end: the first address is asked again") {
+TEST_CASE("if a redirect's target expires, the first address is requested again") {
   const HostileServer server;
   const std::string path = "/redirect?to=/status?code=403%26from=3%26times=1";
   const auto source = open_url_source(server.url(path), patient()).value();
@@ -511,7 +511,7 @@ TEST_CASE("where a redirect led may end: the first address is asked again") {
   CHECK(server.requests("/status?code=403&from=2 ") == 3);
 }
 
-TEST_CASE("another host is told no password") {
+TEST_CASE("another host gets no password") {
   const HostileServer server, other;
   const auto with_user = [&](const std::string& path) { return "http://me:secret@" + server.host() + path; };
   CHECK(read_from(with_user("/plain")).status);
@@ -524,7 +524,7 @@ TEST_CASE("another host is told no password") {
   CHECK(server.requests("auth=Basic") == 3);
 }
 
-TEST_CASE("the proxy of the environment is asked") {
+TEST_CASE("the environment's proxy is used") {
   const HostileServer proxy;
   ::setenv("http_proxy", proxy.url("").c_str(), 1);
   const Outcome outcome = read_from("http://roofgs.invalid/plain");
@@ -533,7 +533,7 @@ TEST_CASE("the proxy of the environment is asked") {
   CHECK(proxy.requests("GET http://roofgs.invalid/plain range=") == 2);
 }
 
-TEST_CASE("cancelling wakes who reads, at whatever stage") {
+TEST_CASE("cancelling wakes readers at every stage") {
   const HostileServer server;
   for (const char* path :
        {"/stall?from=2", "/silent?from=2", "/status?from=2&code=503", "/slow?rate=1", "/slow-head?from=2"}) {
@@ -550,7 +550,7 @@ TEST_CASE("cancelling wakes who reads, at whatever stage") {
         code = read ? Errc::internal : read.error().code;
       });
     }
-    test::await([&] { return server.requests(path) >= 3; });  // two are at work
+    test::await([&] { return server.requests(path) >= 3; });  // two are in flight
     source->cancel();
     for (std::thread& reader : readers) reader.join();
     for (const Errc code : codes) CHECK(code == Errc::cancelled);
@@ -562,7 +562,7 @@ TEST_CASE("cancelling wakes who reads, at whatever stage") {
   }
 }
 
-TEST_CASE("a request to stop ends the opening, at whatever stage, and reads") {
+TEST_CASE("a request to stop ends opening and reads at every stage") {
   const HostileServer server;
   const auto stopped = [](const Result<std::unique_ptr<ByteSource>>& source) {
     return !source && source.error().code == Errc::cancelled;
@@ -578,7 +578,7 @@ TEST_CASE("a request to stop ends the opening, at whatever stage, and reads") {
     });
     CHECK(stopped(open_url_source(server.url(path), options)));
     stopper.join();
-    CHECK(stopped(open_url_source(server.url(path + "again=1"), options)));  // stopped before it begins
+    CHECK(stopped(open_url_source(server.url(path + "again=1"), options)));  // stopped before it starts
   }
   std::stop_source stop;
   UrlOptions options;
@@ -591,7 +591,7 @@ TEST_CASE("a request to stop ends the opening, at whatever stage, and reads") {
   CHECK(server.requests("again") == 0);
 }
 
-TEST_CASE("what is no server or no address is said at once") {
+TEST_CASE("an address without a server, and an invalid one, fail at once") {
   const auto code_of = [](const std::string& url, const UrlOptions& options = {}) {
     const auto source = open_url_source(url, options);
     REQUIRE_FALSE(source);
@@ -610,7 +610,7 @@ TEST_CASE("what is no server or no address is said at once") {
   CHECK(code_of("https://" + nobody, patient()) == Errc::open_failed);
   const HostileServer server;
   UrlOptions impatient = patient();
-  impatient.connect_seconds = 0.1;  // the server, which waits for the rest of a request, does not know TLS
+  impatient.connect_seconds = 0.1;  // the server, which waits for the rest of a request, does not speak TLS
   CHECK(code_of("https://" + server.host() + "/plain", impatient) == Errc::open_failed);
   const auto with = [&](auto UrlOptions::*field, auto value) {
     UrlOptions options;
@@ -629,7 +629,7 @@ TEST_CASE("what is no server or no address is said at once") {
   CHECK(server.requests() == 0);
 }
 
-TEST_CASE("sources come and go without leaving anything behind") {
+TEST_CASE("sources leave nothing behind") {
   const HostileServer server;
   const auto open_files = [] {
     return std::distance(std::filesystem::directory_iterator("/proc/self/fd"), std::filesystem::directory_iterator());

@@ -1,4 +1,4 @@
-// url_time.hpp - time that goes on when the test says so, and a web server that the test answers by hand.
+// url_time.hpp - a clock that the test moves, and a web server that the test answers by hand.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -38,7 +38,8 @@ class UrlTime {
             },
             std::chrono::milliseconds(1)};
   }
-  /// So much later, 0 too: returns when the source has made a whole turn at that time, and so read all that had come before.
+  /// Advances the clock, or not (0), and returns after a whole turn of the source at that time, which has then read
+  /// everything that had arrived.
   void advance(double seconds) {
     std::unique_lock lock(mutex_);
     now_ += std::chrono::nanoseconds(std::llround(seconds * 1e9));
@@ -52,7 +53,7 @@ class UrlTime {
   std::uint64_t n_turns_ = 0;
 };
 
-/// A connection, seen from the server.
+/// A connection on the server's side.
 class Peer {
  public:
   explicit Peer(int fd) : fd_(fd) {}
@@ -70,9 +71,9 @@ class Peer {
     received_.erase(0, end);
     return head.find("\r\nRange: " + range + "\r\n") != head.npos;
   }
-  /// Whether the client closes the connection instead of asking for more.
+  /// Whether the client closes the connection instead of requesting more.
   bool is_left() { return !receive(); }
-  /// Returns when all of it has come to the client's machine.
+  /// Returns when all of it has arrived at the client's socket.
   void send(std::string_view text) const {
     while (!text.empty()) {
       const ssize_t n = ::send(fd_, text.data(), text.size(), MSG_NOSIGNAL);
@@ -105,7 +106,7 @@ class HandServer {
     if (::listen(port_.socket(), 8) != 0) throw std::runtime_error("cannot listen");
   }
   std::string url() const { return "http://127.0.0.1:" + std::to_string(port_.number()) + "/"; }
-  /// Whether one waits to be accepted.
+  /// Whether a connection waits to be accepted.
   bool has_connection() const {
     pollfd wanted{port_.socket(), POLLIN, 0};
     return ::poll(&wanted, 1, 0) > 0;

@@ -1,5 +1,5 @@
-// device_order_test.cpp - pages on their way to a device and in its slots: nothing is drawn before it is there, and nothing is written while it
-// is drawn. On a device that does what it is told as late as it may, or at any time.
+// device_order_test.cpp - pages in flight to a device and in its slots: nothing is drawn before it is resident, and
+// nothing is overwritten while it is drawn. The fake device works as late as allowed, or at any time.
 // SPDX-License-Identifier: Apache-2.0
 #include <cuda_runtime_api.h>
 #include <doctest/doctest.h>
@@ -26,7 +26,7 @@ namespace {
 
 constexpr FakeCuda::Pace kPaces[] = {FakeCuda::Pace::late, FakeCuda::Pace::any_time};
 constexpr ByteSource::Traits kTraits{.reads_at_once = 3, .most_bytes = 64 << 10, .gap_bytes = 4096};
-/// One thread, which brings many groups one after the other.
+/// One thread, which sends many groups in turn.
 constexpr ByteSource::Traits kLongRuns{.reads_at_once = 1, .most_bytes = 256 << 10, .gap_bytes = 4096};
 
 Renderer device_renderer() {
@@ -41,7 +41,7 @@ StreamPool device_pool(std::uint64_t device_memory, std::uint64_t host_memory = 
   return *std::move(pool);
 }
 
-/// A page of a file, decoded.
+/// A decoded page of a file.
 struct OnePage {
   OnePage(const PagedFile& file, std::uint32_t page) : memory(file.decoded_bytes(page)) {
     const auto decoded = PageDecoder(file).decode(page, file.bytes(page), memory);
@@ -60,7 +60,7 @@ std::uint32_t smallest_page(const PagedFile& file) {
 
 }  // namespace
 
-TEST_CASE("on a device, too, a refined picture is that of the whole file, byte for byte, in every profile") {
+TEST_CASE("on a device, too, a complete picture equals the whole file's, byte for byte, in every profile") {
   for (const FakeCuda::Pace pace : kPaces) {
     for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
       for (const int sh_degree : {0, 3}) {
@@ -96,7 +96,7 @@ TEST_CASE("on a device, too, a refined picture is that of the whole file, byte f
   }
 }
 
-TEST_CASE("frames of what is there, while pages come and go: no page is drawn that is on its way") {
+TEST_CASE("frames of resident pages while others come and go: no page in flight is drawn") {
   const Bytes bytes = town({.n = 30000});
   for (const FakeCuda::Pace pace : kPaces) {
     for (const std::uint64_t device_memory : {std::uint64_t{120} << 10, std::uint64_t{400} << 10}) {
@@ -133,7 +133,7 @@ TEST_CASE("frames of what is there, while pages come and go: no page is drawn th
   }
 }
 
-TEST_CASE("a pool that is smaller than a view gives a coarser picture, and the same one again") {
+TEST_CASE("a pool smaller than a view gives a coarser picture, and the same one again") {
   const Bytes bytes = town({.n = 30000});
   FakeCuda cuda(FakeCuda::Pace::late);
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
@@ -155,7 +155,7 @@ TEST_CASE("a pool that is smaller than a view gives a coarser picture, and the s
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("two scenes share a pool's slots, and the last one gives the memory back") {
+TEST_CASE("two scenes share a pool's slots, and the last one frees the memory") {
   const Bytes bytes = town({.n = 20000}), others = town({.n = 20000, .seed = 18}),
               unlike = town({.n = 3000, .sh_degree = 2});
   for (const FakeCuda::Pace pace : kPaces) {
@@ -181,7 +181,7 @@ TEST_CASE("two scenes share a pool's slots, and the last one gives the memory ba
       CHECK(cuda.n_allocations == 1);
       one.reset();
       CHECK(pool.device_bytes() == cuda.device_bytes);
-      // What the first had is the second's, whose pages take more than half of the pool.
+      // The second scene takes over the first one's slots: its pages fill more than half of the pool.
       const Camera over = camera_at({0, 30, 40}, {0, 0, 0});
       CHECK(b.refine(two, over, kLong, at_detail(0)) == true);
       CHECK(two.stats().pages_resident * 5504 > pool.device_bytes() / 2);
@@ -221,7 +221,7 @@ TEST_CASE("one scene serves several renderers at once on a device") {
   }
 }
 
-TEST_CASE("a pool is of the device that was current when its first scene came, and leaves callers theirs") {
+TEST_CASE("a pool belongs to the device that was current for its first scene, and leaves the caller's device alone") {
   const Bytes bytes = town(), others = town({.seed = 18});
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
   FakeCuda cuda(FakeCuda::Pace::any_time);
@@ -237,7 +237,7 @@ TEST_CASE("a pool is of the device that was current when its first scene came, a
     std::optional<StreamedScene> one = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
     CHECK(current() == 1);
     CHECK(cuda.n_on_second == 1);
-    // Another device is the caller's from now on.
+    // The caller now uses another device.
     REQUIRE(cudaSetDevice(0) == cudaSuccess);
     CHECK(renderer.refine(*one, camera, kLong, at_detail(0.5F)) == true);
     CHECK(current() == 0);
@@ -247,7 +247,7 @@ TEST_CASE("a pool is of the device that was current when its first scene came, a
     CHECK(renderer.refine(*two, camera, kLong, at_detail(0.5F)) == true);
     CHECK(renderer.refine(*one, camera, kLong, at_detail(0)) == true);
     CHECK(current() == 0);
-    // Threads that bring pages have the device once and for all: the first device gets no context of theirs.
+    // Threads that send pages set the device once: the first device gets no context from them.
     CHECK(cuda.n_set_device - n_set <= 2 * kTraits.reads_at_once);
     CHECK(one->stats().pages_resident + two->stats().pages_resident > 50);
     one.reset();
@@ -260,7 +260,7 @@ TEST_CASE("a pool is of the device that was current when its first scene came, a
   CHECK(cuda.pinned_bytes == 0);
 }
 
-TEST_CASE("a writer's launches are of its device, whatever device is the caller's") {
+TEST_CASE("a writer's launches use its own device, whatever the caller's") {
   const Bytes bytes = town();
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
@@ -279,7 +279,7 @@ TEST_CASE("a writer's launches are of its device, whatever device is the caller'
       int device = -1;
       return cudaGetDevice(&device) == cudaSuccess && device == 0 && cuda.n_faults == 0;
     };
-    // Where there is no room for a page, write() sends what was taken.
+    // When a page finds no room, write() sends what was staged.
     for (std::uint32_t slot = 0; cuda.n_batches == 0; ++slot) {
       REQUIRE(slot < kSlots);
       REQUIRE(writer->write(page.rows, slot));
@@ -297,7 +297,7 @@ TEST_CASE("a writer's launches are of its device, whatever device is the caller'
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("a device that the build has no code for is named as such when a pool's first scene opens") {
+TEST_CASE("a device without code in the build is named when a pool's first scene opens") {
   const Bytes bytes = town();
   FakeCuda cuda(FakeCuda::Pace::late);
   cuda.device_without_code = 1;
@@ -313,7 +313,7 @@ TEST_CASE("a device that the build has no code for is named as such when a pool'
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("what has no room but for a frame at work waits for it, on the host and on a device") {
+TEST_CASE("a page that only a frame in flight leaves no room for waits for it, on the host and on a device") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
   for (const std::uint64_t device_memory : {std::uint64_t{0}, std::uint64_t{8} << 20}) {
     CAPTURE(device_memory);
@@ -327,12 +327,12 @@ TEST_CASE("what has no room but for a frame at work waits for it, on the host an
       REQUIRE(opened.refine(over(), coarse, 1) == true);
       std::optional<detail::StreamFrame> held = opened.frame(over(), coarse, 1);
       {
-        // The rest is taken, but for what another view takes of the host.
+        // Fills the rest, except for another view's host memory.
         const std::scoped_lock lock(pool.mutex);
         (pool.is_on_device() ? pool.slots_held : pool.held) +=
             pool.left_for_pages() - (pool.is_on_device() ? 0 : opened.state->least_view_bytes());
       }
-      // Close to the ground less is in view, and with a larger error.
+      // Close to the ground the view has fewer pages, and a larger error.
       const Camera near = camera_at({0, 1, 0}, {10, 1, 0});
       float detail = 1024;
       while (opened.frame(near, detail, 2).cut().missing == 0) {
@@ -357,7 +357,7 @@ TEST_CASE("what has no room but for a frame at work waits for it, on the host an
   }
 }
 
-TEST_CASE("a copy that fails is made again, a damaged page is not, and its slot is others'") {
+TEST_CASE("a failed copy is repeated, a damaged page is not, and its slot is reused") {
   const Bytes bytes = town();
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
@@ -367,7 +367,7 @@ TEST_CASE("a copy that fails is made again, a damaged page is not, and its slot 
     CAPTURE(static_cast<int>(pace));
     FakeCuda cuda(pace);
     {
-      // The first one, and some of groups that others are sent before.
+      // The first one, and some from groups that precede others.
       int most_sent = 0;
       for (const int n_before : {0, 12, 33, 70, 120}) {
         CAPTURE(n_before);
@@ -382,11 +382,11 @@ TEST_CASE("a copy that fails is made again, a damaged page is not, and its slot 
         CHECK(scene.status());
         CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0)), draw(reference, all, camera, at_detail(0))));
       }
-      if (pace == FakeCuda::Pace::late) CHECK(most_sent >= 1);  // and not told yet
+      if (pace == FakeCuda::Pace::late) CHECK(most_sent >= 1);  // and not reported yet
       const StreamPool pool = device_pool(8 << 20);
       Renderer renderer = device_renderer();
 
-      // The last of its siblings: the others are on their way when it is found.
+      // The last of its siblings: the others are in flight when it is found.
       const lod::Page& above = file->pages()[file->pages()[file->n_pages() - file->n_pages() / 3].parent];
       REQUIRE(above.n_children > 1);
       const StoredPage& stored = file->stored(above.first_child + above.n_children - 1);
@@ -402,9 +402,7 @@ TEST_CASE("a copy that fails is made again, a damaged page is not, and its slot 
   }
 }
 
-TEST_CASE(
-    "a device that fails when it is asked what has come, or waited for: what is not known to be there is brought once "
-    "more") {
+TEST_CASE("after a failed event query or wait, pages not known to be resident are sent again") {
   const Bytes bytes = town({.n = 30000});
   const Scene all = whole(bytes);
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
@@ -413,7 +411,7 @@ TEST_CASE(
     FakeCuda cuda(FakeCuda::Pace::late);
     const StreamedScene scene =
         streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kLongRuns});
-    // The first run is of one group.
+    // The first run has one group.
     cuda.sync_passes_next = 1;
     (is_asked ? cuda.query_fails_next : cuda.sync_fails_next) = 1;
     Renderer renderer = device_renderer(), reference = cpu_renderer(1);
@@ -426,7 +424,7 @@ TEST_CASE(
   }
 }
 
-TEST_CASE("a writer keeps what is on its way, waits where it has no room, and every byte gets to its slot") {
+TEST_CASE("a writer keeps what is in flight, waits without room, and every byte gets to its slot") {
   for (const int sh_degree : {0, 3}) {
     const Bytes bytes = town({.n = 20000, .sh_degree = sh_degree});
     const auto file = PagedFile::open(bytes);
@@ -458,7 +456,7 @@ TEST_CASE("a writer keeps what is on its way, waits where it has no room, and ev
             detail::SlotWriter::Ticket last = 0;
             for (std::uint32_t page = 0; page < n; ++page) {
               REQUIRE(writer->write(rows_of(page), n - 1 - page));
-              std::ranges::fill(memory, std::byte{0x5A});  // nothing of it is read any more
+              std::ranges::fill(memory, std::byte{0x5A});  // nobody reads it any more
               if (page % n_together != 0) continue;
               const auto ticket = writer->send();
               REQUIRE(ticket);
@@ -497,7 +495,7 @@ TEST_CASE("a writer keeps what is on its way, waits where it has no room, and ev
   }
 }
 
-TEST_CASE("small pages, of which a ring holds many: no more go together than one call has room for") {
+TEST_CASE("small pages, of which a ring holds many: no more are sent together than one call has room for") {
   const Bytes bytes = town({.n = 20000});
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
@@ -513,7 +511,7 @@ TEST_CASE("small pages, of which a ring holds many: no more go together than one
     REQUIRE(writer);
     const OnePage page(*file, least);
     for (std::uint32_t slot = 0; slot < kSlots; ++slot) REQUIRE(writer->write(page.rows, slot));
-    CHECK(cuda.n_pending() > detail::kStagedPages * 5);  // more than there would be room for of large ones
+    CHECK(cuda.n_pending() > detail::kStagedPages * 5);  // more than would fit if they were large
     REQUIRE(writer->finish());
     for (std::uint32_t slot = 0; slot < kSlots; ++slot)
       CHECK(std::equal(page.rows.means.begin(), page.rows.means.end(), (*slots)->at(0, slot)));
@@ -521,7 +519,7 @@ TEST_CASE("small pages, of which a ring holds many: no more go together than one
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("what was sent is there once the device has done it, and asking waits for nothing") {
+TEST_CASE("a sent page is resident once the device has copied it, and asking does not wait") {
   const Bytes bytes = town();
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
@@ -534,7 +532,7 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     REQUIRE(writer);
     const OnePage page(*file, 0);
     REQUIRE(writer->write(page.rows, 1));
-    CHECK(cuda.n_pending() == 0);  // taken, and not sent
+    CHECK(cuda.n_pending() == 0);  // staged, but not sent
     const auto ticket = writer->send();
     REQUIRE(ticket);
     CHECK(cuda.n_pending() == 5);
@@ -549,7 +547,7 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     REQUIRE(writer->finish());
     CHECK(cuda.n_pending() == 0);
     CHECK(writer->is_done(*ticket) == true);
-    // A copy that is refused is of this send() alone.
+    // A refused copy concerns this send() alone.
     REQUIRE(writer->write(page.rows, 2));
     cuda.passes_next = 2;
     cuda.fails_next = 1;
@@ -567,7 +565,7 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("so many sends are on their way at most: one more waits for the first") {
+TEST_CASE("the number of sends in flight is limited: one more waits for the first") {
   const Bytes bytes = town();
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
@@ -599,11 +597,11 @@ TEST_CASE("so many sends are on their way at most: one more waits for the first"
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("groups of a run that have arrived are drawn while the last one is still being read") {
+TEST_CASE("arrived groups of a run are drawn while the last one is still being read") {
   const Bytes bytes = town({.n = 30000});
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
-  // The last page of the third level comes damaged, and is read once more alone.
+  // The last page of the third level arrives damaged, and is read again alone.
   const std::vector<lod::Page>& pages = file->pages();
   const lod::Page& above = pages[pages[0].first_child + pages[0].n_children - 1];
   REQUIRE(above.n_children > 0);
@@ -634,7 +632,7 @@ TEST_CASE("groups of a run that have arrived are drawn while the last one is sti
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("groups go to the device with a call each, and are drawn from while their threads decode on") {
+TEST_CASE("each group is sent with one call, and drawn while its thread decodes on") {
   const Bytes bytes = town({.n = 60000});
   FakeCuda cuda(FakeCuda::Pace::any_time);
   {
@@ -649,7 +647,7 @@ TEST_CASE("groups go to the device with a call each, and are drawn from while th
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("pages that many threads send at once, in rings of any size, are those of the file") {
+TEST_CASE("pages that many threads send at once, in rings of any size, equal the file's") {
   const Bytes bytes = town({.n = 20000, .sh_degree = 1});
   const Scene all = whole(bytes);
   const Camera camera = camera_at({0, 30, 40}, {0, 0, 0});
@@ -675,7 +673,7 @@ TEST_CASE("pages that many threads send at once, in rings of any size, are those
   }
 }
 
-TEST_CASE("of pages that are given up nothing is on its way any more: their slots are others'") {
+TEST_CASE("evicted pages have nothing in flight: their slots can be reused") {
   const Bytes bytes = town({.n = 500});
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
@@ -692,7 +690,7 @@ TEST_CASE("of pages that are given up nothing is on its way any more: their slot
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("what a pool lacks on a device is said, with the bytes that it takes, and nothing stays taken") {
+TEST_CASE("a device's lack of memory is reported with the bytes required, and nothing stays allocated") {
   const Bytes bytes = town();
   {
     // No device at all.
@@ -732,7 +730,7 @@ TEST_CASE("what a pool lacks on a device is said, with the bytes that it takes, 
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("a scene is drawn where its pages are, and the other renderer says so") {
+TEST_CASE("a scene is drawn by the renderer of its pages' device, and the other renderer says so") {
   const Bytes bytes = town({.n = 3000});
   FakeCuda cuda(FakeCuda::Pace::late);
   {
@@ -750,16 +748,16 @@ TEST_CASE("a scene is drawn where its pages are, and the other renderer says so"
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("a pool with a device holds no more of the host than its budget, by the count of every allocation") {
+TEST_CASE("a pool with a device holds no more host memory than its budget, counting every allocation") {
   if (!counts_memory()) return;
-  // Threads, and the copies that the test's device has in its queues.
+  // Threads, and copies in the fake device's queues.
   constexpr std::int64_t kBeside = 96 << 10;
   const std::vector<Camera> views = town_cameras(31, 12);
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
     const Bytes bytes = town({.profile = profile, .n = 40000, .sh_degree = 3});
     const std::uint64_t device_memory = 2 << 20;
     FakeCuda cuda(FakeCuda::Pace::late);
-    // The least that it opens with, and room for lists of views.
+    // The minimum to open, and room for views' lists.
     std::uint64_t least = 1;
     for (;;) {
       const auto scene = try_streaming(bytes, std::make_shared<Script>(),
@@ -792,12 +790,12 @@ TEST_CASE("a pool with a device holds no more of the host than its budget, by th
   }
 }
 
-TEST_CASE("one thread gives up page-locked memory for its budget first, and reads as much as ever") {
+TEST_CASE("a single thread releases page-locked memory first, and reads as much as ever") {
   const Bytes bytes = town();
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
   const std::uint64_t page = detail::staging_bytes(detail::SlotShape::of(*file), 1);
-  constexpr std::uint64_t kReadersShare = 8;  // of the budget, that threads may take
+  constexpr std::uint64_t kReadersShare = 8;  // of the budget, for threads
   FakeCuda cuda(FakeCuda::Pace::late);
   for (const std::uint32_t n_staged : {detail::kStagedPages, detail::kStagedPages / 2, detail::kLeastStagedPages}) {
     CAPTURE(n_staged);
@@ -810,7 +808,7 @@ TEST_CASE("one thread gives up page-locked memory for its budget first, and read
   CHECK(cuda.n_faults == 0);
 }
 
-TEST_CASE("page-locked memory and tables are of the host's budget") {
+TEST_CASE("page-locked memory and tables count towards the host's budget") {
   const Bytes bytes = town({.n = 30000});
   FakeCuda cuda(FakeCuda::Pace::any_time);
   {
@@ -823,17 +821,17 @@ TEST_CASE("page-locked memory and tables are of the host's budget") {
     CHECK(cuda.pinned_bytes >= detail::kLeastStagedPages * page);
     CHECK(cuda.pinned_bytes <= kTraits.reads_at_once * detail::kStagedPages * page);
     {
-      // With room for it each thread has the most.
+      // With room for it each thread has the maximum.
       const std::uint64_t before = cuda.pinned_bytes;
       const StreamedScene roomy = streamed(bytes, std::make_shared<Script>(),
                                            {.pool = device_pool(8 << 20, std::uint64_t{1} << 30), .traits = kTraits});
       CHECK(cuda.pinned_bytes - before == kTraits.reads_at_once * detail::kStagedPages * page);
     }
-    // The same scene without a device takes less for its tables and threads, by the page-locked memory at least.
+    // Without a device the scene's tables and threads take less, at least by the page-locked memory.
     const auto host_pool = StreamPool::create({.host_memory = host_memory});
     REQUIRE(host_pool);
     const StreamedScene on_host = streamed(bytes, std::make_shared<Script>(), {.pool = *host_pool, .traits = kTraits});
-    const std::uint64_t root = on_host.stats().bytes_decoded * 2;  // at most: FP32 in place of what is stored
+    const std::uint64_t root = on_host.stats().bytes_decoded * 2;  // at most: FP32 in place of the stored form
     CHECK(pool.host_bytes() + root >= host_pool->host_bytes() + cuda.pinned_bytes);
     const std::uint64_t before = pool.host_bytes();
     Renderer renderer = device_renderer();

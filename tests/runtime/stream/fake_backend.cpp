@@ -1,4 +1,4 @@
-// fake_backend.cpp - the CUDA backend on the fake device: slots are read as kernels read them, and drawn by the CPU renderer.
+// fake_backend.cpp - a CUDA backend on the fake device: reads slots like the kernels, and draws with the CPU renderer.
 // SPDX-License-Identifier: Apache-2.0
 #include <array>
 #include <cmath>
@@ -24,12 +24,12 @@ T read(const std::byte* from) {
   return value;
 }
 
-// FP32 attributes of what is drawn.
+// FP32 attributes of the drawn Gaussians.
 struct Drawn {
   std::vector<float> mean, rotation, scale, opacity, sh;
 };
 
-// Row `row` of all slots, by PagedAttributes; nothing where it fills up a chunk.
+// Row `row` of all slots, by PagedAttributes; nothing for a chunk's padding.
 void add_row(const SlotDraw& draw, std::uint64_t row, Drawn& out) {
   const SlotShape& shape = draw.slots.plan().shape;
   const std::uint64_t chunk = row / shape.chunk_size;
@@ -78,7 +78,7 @@ Result<FrameStats> CudaBackend::render(const Scene&, const Camera&, const Render
   return make_error(Errc::unavailable, Error::kNone, "the test's device draws streamed scenes alone");
 }
 
-// What is drawn is read slowly: nobody may write it meanwhile.
+// Drawn pages are read slowly: nobody may write them meanwhile.
 Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
                                        const RenderOptions& options) {
   test::FakeCuda& cuda = *test::FakeCuda::current();

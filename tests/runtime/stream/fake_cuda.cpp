@@ -1,4 +1,4 @@
-// fake_cuda.cpp - streams as queues, memory as memory.
+// fake_cuda.cpp - streams are queues, and device memory is host memory.
 // SPDX-License-Identifier: Apache-2.0
 #include "fake_cuda.hpp"
 
@@ -27,7 +27,7 @@ struct CUstream_st {
   bool is_at_once = false;
   mutable std::mutex mutex;
   std::condition_variable done_one;
-  std::deque<Work> queue;  // the first is at work if is_busy
+  std::deque<Work> queue;  // the first is running if is_busy
   bool is_busy = false;
   std::uint64_t n_queued = 0, n_done = 0;
 
@@ -41,14 +41,14 @@ struct CUstream_st {
     if (is_at_once) finish(ticket);
     return ticket;
   }
-  // Each ends with an event, which is no copy.
+  // Each send ends with an event, which is no copy.
   int n_sent() const {
     const std::scoped_lock lock(mutex);
     int n = 0;
     for (const Work& work : queue) n += work.bytes == 0;
     return n;
   }
-  // The work itself is done without the lock: what races with it is seen to.
+  // The work runs without the lock, so that sanitizers see its races.
   bool do_one() {
     std::function<void()> run;
     {
@@ -90,13 +90,13 @@ namespace {
 FakeCuda* the_device = nullptr;
 thread_local int the_current = 0;
 constexpr int kDevices = 2;
-constexpr int kPoison = 0xFB;  // of memory that nobody has written: no number
+constexpr int kPoison = 0xFB;  // unwritten memory is not a number
 
 bool overlap(const std::byte* a, std::size_t n, const std::byte* b, std::size_t m) {
   return a < b + m && b < a + n;
 }
 
-// False: it was at 0 already.
+// False: it was 0 already.
 bool count_down(std::atomic<int>& n) {
   for (int now = n; now > 0;) {
     if (n.compare_exchange_weak(now, now - 1)) return true;
@@ -112,7 +112,7 @@ void note_most(std::atomic<std::uint64_t>& most, std::uint64_t now) {
 }  // namespace
 
 struct FakeCuda::Impl {
-  mutable std::mutex mutex;  // of what follows
+  mutable std::mutex mutex;  // of the members below
   struct Block {
     std::size_t bytes;
     int device;
@@ -136,7 +136,7 @@ struct FakeCuda::Impl {
       {
         const std::scoped_lock lock(mutex);
         if (is_stopping) return;
-        // With the lock: a stream that is destroyed is none of these.
+        // Under the lock, so that no stream is destroyed meanwhile.
         if (!streams.empty() && random() % 4 != 0) streams[random() % streams.size()]->do_one();
       }
       std::this_thread::yield();
@@ -281,7 +281,7 @@ cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaM
   }
   auto* const target = static_cast<std::byte*>(to);
   const auto* const source = static_cast<const std::byte*>(from);
-  // What is on its way to a slot comes first, also where streams would have it so: nobody else knows that it is.
+  // Copies to a slot must not overlap, even where stream order allows it: the scheduler alone knows what is in flight.
   bool is_sound = kind == cudaMemcpyHostToDevice && cuda.is_allocated(target, bytes) && !cuda.is_written(target, bytes);
   {
     const std::scoped_lock lock(cuda.impl->mutex);
@@ -301,7 +301,7 @@ rgs::Status rgs::cuda::check_device_code() {
   return make_error(Errc::unavailable, Error::kNone, "the test's build has no code for this device");
 }
 
-// In any order among themselves: the last comes first here.
+// In any order: here the last comes first.
 rgs::Status rgs::cuda::launch_copy_pieces(const Pieces& pieces, Stream stream) {
   FakeCuda& cuda = *FakeCuda::current();
   ++cuda.n_batches;
@@ -330,7 +330,7 @@ cudaError_t cudaStreamCreateWithPriority(cudaStream_t* stream, unsigned, int) {
   FakeCuda::current()->impl->streams.push_back(*stream);
   return cudaSuccess;
 }
-// Work that is queued is done all the same.
+// Queued work still runs.
 cudaError_t cudaStreamDestroy(cudaStream_t stream) {
   {
     const std::scoped_lock lock(FakeCuda::current()->impl->mutex);

@@ -1,4 +1,5 @@
-// fake_cuda.hpp - a CUDA runtime without a device: copies happen as late as their streams' order allows, or at any time, on a thread.
+// fake_cuda.hpp - a CUDA runtime without a device: copies run as late as stream order allows, or at any time, on a
+// thread.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -9,13 +10,14 @@
 
 namespace rgs::test {
 
-/// Two devices, while it is there; without one there is none. One at a time. Each thread has a current device, the first as it begins.
+/// Two devices during its lifetime; without one there is none. One at a time. Each thread's current device starts as
+/// the first.
 class FakeCuda {
  public:
   enum class Pace : std::uint8_t {
-    late,      ///< what is queued is done when somebody waits for it, and not before
-    any_time,  ///< a thread does it, now of one stream, now of another
-    at_once,   ///< it is done as it is queued
+    late,      ///< queued work runs when somebody waits for it, and not before
+    any_time,  ///< a thread runs it, switching between streams
+    at_once,   ///< queued work runs at once
   };
   explicit FakeCuda(Pace pace, std::uint64_t device_memory = std::uint64_t{1} << 30, unsigned seed = 1);
   FakeCuda(const FakeCuda&) = delete;
@@ -24,29 +26,29 @@ class FakeCuda {
 
   static FakeCuda* current();
 
-  /// Whether a copy to these bytes of the device is on its way.
+  /// Whether a copy to these bytes of the device is in flight.
   bool is_written(const std::byte* from, std::size_t bytes) const;
-  /// Copies that are on their way.
+  /// Copies in flight.
   std::size_t n_pending() const;
-  /// Whether they are the first device's or the second's, allocated.
+  /// Whether these bytes are allocated on either device.
   bool is_allocated(const std::byte* from, std::size_t bytes) const;
 
   std::atomic<std::uint64_t> device_bytes{0}, most_device_bytes{0}, pinned_bytes{0}, most_pinned_bytes{0};
-  std::atomic<int> n_allocations{0};  ///< of the device's memory, ever
-  /// Of the caller: bytes that are nobody's, memory freed while it is in use, a stream or an event of another device, a launch while another
-  /// device is current.
+  std::atomic<int> n_allocations{0};  ///< of device memory, in all
+  /// Faults of the caller: unallocated bytes, memory freed while in use, a stream or an event of another device, a
+  /// launch while another device is current.
   std::atomic<int> n_faults{0};
-  std::atomic<int> passes_next{0};           ///< so many copies are not refused first
-  std::atomic<int> fails_next{0};            ///< then so many are
-  std::atomic<int> query_fails_next{0};      ///< so many questions after events
-  std::atomic<int> sync_passes_next{0};      ///< so many waits for a stream end well first
-  std::atomic<int> sync_fails_next{0};       ///< then so many end with an error, the stream's work done
-  std::atomic<int> n_sent_at_failure{0};     ///< sends that were on their way when a copy or a wait failed last
-  std::atomic<int> device_without_code{-1};  ///< by its number
-  std::atomic<int> n_batches{0};             ///< launches that bring pages
-  std::atomic<int> n_seen_done{0}, n_seen_at_work{0};  ///< answers about events
+  std::atomic<int> passes_next{0};                     ///< copies that succeed first
+  std::atomic<int> fails_next{0};                      ///< copies that then fail
+  std::atomic<int> query_fails_next{0};                ///< event queries that fail
+  std::atomic<int> sync_passes_next{0};                ///< waits for a stream that succeed first
+  std::atomic<int> sync_fails_next{0};                 ///< waits that then fail after the stream's work
+  std::atomic<int> n_sent_at_failure{0};               ///< sends in flight at the last failure of a copy or a wait
+  std::atomic<int> device_without_code{-1};            ///< by number
+  std::atomic<int> n_batches{0};                       ///< launches that copy pages
+  std::atomic<int> n_seen_done{0}, n_seen_at_work{0};  ///< results of event queries
   std::atomic<int> n_set_device{0};                    ///< calls of cudaSetDevice()
-  std::atomic<int> n_on_second{0};                     ///< allocations of the second device's memory, ever
+  std::atomic<int> n_on_second{0};                     ///< allocations on the second device, in all
 
   struct Impl;
   std::unique_ptr<Impl> impl;

@@ -1,10 +1,11 @@
-// measure_choosing.cpp - how many pages a second a streamed scene's threads choose and place where reading and decoding take no processor
-// time, only a sleep: what the pool's lock, the order of wants and waiting for pages above leave of so many cores. Prints figures of docs/records/EXPERIMENTS.md.
+// measure_choosing.cpp - pages per second that a streamed scene's threads choose and commit when reading and decoding
+// only sleep: what the pool's lock, the order of wants and waiting for ancestors leave of the cores. Prints figures of
+// docs/records/EXPERIMENTS.md.
 // SPDX-License-Identifier: Apache-2.0
 //
 //   rgs_measure_choosing GAUSSIANS US_A_PAGE THREADS...
 //
-// Pages of 32 Gaussians, so that decoding them takes next to nothing.
+// Pages have 32 Gaussians, so that decoding takes next to no time.
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
@@ -33,8 +34,8 @@ using Clock = std::chrono::steady_clock;
 using Bytes = std::vector<std::byte>;
 
 constexpr float kDetail = 0.5F;                           // px
-constexpr int kTurns = 3;                                 // of which the best counts
-constexpr auto kFrame = std::chrono::microseconds(2500);  // that a renderer takes
+constexpr int kTurns = 3;                                 // the best counts
+constexpr auto kFrame = std::chrono::microseconds(2500);  // a renderer's frame time
 
 /// A ground of 400 x 400 with `n` Gaussians.
 Bytes make_town(int n) {
@@ -64,7 +65,7 @@ Bytes make_town(int n) {
   return bytes;
 }
 
-/// Takes its time for each byte of a page, in its sleep.
+/// Sleeps for each byte of a page.
 class SlowSource final : public ByteSource {
  public:
   SlowSource(std::span<const std::byte> bytes, std::uint64_t first_page, double us_a_byte, Traits traits)
@@ -98,7 +99,7 @@ struct Arrival {
   double ms = 1e9, pages = 0;
 };
 
-// Until a view is complete, as one who waits sees it or as frames do.
+// Until a view is complete: waiting, or frame by frame.
 Arrival arrive(const std::shared_ptr<detail::StreamedState>& state, const Camera& camera, float detail_px, bool waits) {
   const auto settings = value_or_stop(
       detail::resolve(detail::with_levels({.detail_px = detail_px}, detail_px), state->declarations, Backend::cpu),
@@ -153,7 +154,7 @@ int main(int argc, char** argv) {
                 pool),
             "open");
         {
-          // Runs as of a file of large pages, read a few pages at a time: the sleeps are where decoding would be.
+          // Reads as for a file of large pages, a few pages at a time: the sleeps replace decoding.
           const std::scoped_lock lock(pool->mutex);
           state->traits.most_bytes = static_cast<std::uint64_t>(36 * page_bytes);
         }

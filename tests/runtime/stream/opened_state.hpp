@@ -1,4 +1,4 @@
-// opened_state.hpp - a streamed scene from within: its pool and views, refine() and frames without a renderer.
+// opened_state.hpp - a streamed scene's internals: its pool and views, refine() and frames without a renderer.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,7 +18,7 @@
 namespace rgs::test {
 
 struct Opened {
-  /// A time at which the pool's clock stands; 0: it goes.
+  /// The time of the pool's stopped clock; 0: it runs.
   std::shared_ptr<std::atomic<detail::StreamClock::rep>> stopped =
       std::make_shared<std::atomic<detail::StreamClock::rep>>(0);
   std::shared_ptr<detail::StreamPoolState> pool;
@@ -65,9 +65,9 @@ struct Opened {
       return condition();
     });
   }
-  /// The clock stands, as long ago as said.
+  /// The clock stops, this long ago.
   void stop(detail::StreamClock::duration ago = {}) { *stopped = (pool->now() - ago).time_since_epoch().count(); }
-  /// The camera is at one place, and at another a quarter of a second later, when the clock stands.
+  /// The camera is at one position, and at another a quarter of a second later, when the clock stops.
   void move(const Camera& from, const Camera& to, float detail_px) {
     using namespace std::chrono_literals;
     stop();
@@ -77,7 +77,7 @@ struct Opened {
   }
 };
 
-/// Sees all of a town.
+/// Sees the whole town.
 inline Camera over() {
   return camera_at({0, 30, 60}, {0, 0, 0});
 }

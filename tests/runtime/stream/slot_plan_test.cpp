@@ -1,4 +1,4 @@
-// slot_plan_test.cpp - how many pages fit in a device's budget, and where they are.
+// slot_plan_test.cpp - how many slots fit in a device's budget, and their offsets.
 // SPDX-License-Identifier: Apache-2.0
 #include "stream/slot_plan.hpp"
 
@@ -30,14 +30,14 @@ TEST_CASE("a slot has room for the largest page: its rows, and a step set and an
   }
 }
 
-TEST_CASE("what is staged of a page begins at multiples of 256 and fits where the largest page does") {
+TEST_CASE("staged sections start at multiples of 256 and fit where the largest page does") {
   CHECK(staged_section_bytes(1) == 256);
   CHECK(staged_section_bytes(512) == 512);
   CHECK(staged_bytes({1, 256, 257, 48, 384}) == 256 + 256 + 512 + 256 + 512);
   CHECK(staged_bytes(kShape.section_bytes()) == staging_bytes(kShape, 1));
 }
 
-TEST_CASE("a ring gives places that nobody has, in one piece, and refuses only what has no room") {
+TEST_CASE("a ring returns free contiguous ranges and refuses only without room") {
   std::mt19937 random(3);
   for (const std::uint64_t bytes : {std::uint64_t{1024}, std::uint64_t{2560}, std::uint64_t{40 * 256}}) {
     CAPTURE(bytes);
@@ -53,7 +53,7 @@ TEST_CASE("a ring gives places that nobody has, in one piece, and refuses only w
       if (!at) {
         ++n_refused;
         REQUIRE(!held.empty());
-        // Counted byte by byte, no gap is large enough; or bytes were lost at the ring's end.
+        // Checked byte by byte, no gap is large enough; or bytes were lost at the ring's end.
         std::uint64_t largest = 0;
         std::vector<bool> is_held(bytes / 256);
         for (const Taken& each : held)
@@ -74,7 +74,7 @@ TEST_CASE("a ring gives places that nobody has, in one piece, and refuses only w
       for (const Taken& each : held) REQUIRE((*at + n <= each.at || each.at + each.n <= *at));
       n_first += *at == 0;
       held.push_back({*at, n, ring.taken()});
-      if (random() % 64 == 0) {  // all of it, as after finish()
+      if (random() % 64 == 0) {  // all, as after finish()
         given = ring.taken();
         ring.release_up_to(given);
         held.clear();
@@ -85,7 +85,7 @@ TEST_CASE("a ring gives places that nobody has, in one piece, and refuses only w
   }
 }
 
-TEST_CASE("a plan takes all of a budget but less than a slot, and never more") {
+TEST_CASE("a plan uses the budget up to less than a slot, and never more") {
   for (const SlotShape shape : {kShape, SlotShape{32, 4, 1}, SlotShape{64, 1, 0}, SlotShape{256, 1024, 2}}) {
     for (const std::uint64_t budget :
          {shape.bytes() + 5 * 256, 3 * shape.bytes(), 100 * shape.bytes() + 17, std::uint64_t{1} << 33}) {
@@ -96,14 +96,14 @@ TEST_CASE("a plan takes all of a budget but less than a slot, and never more") {
       CHECK(plan->n_slots >= 1);
       CHECK(plan->bytes <= budget);
       CHECK(plan->n_slots * plan->slot_bytes() <= plan->bytes);
-      // One more would not fit, or could not be numbered.
+      // Another slot would not fit or could not be numbered.
       const std::uint64_t more = plan->n_slots + std::uint64_t{1};
       CHECK((more * plan->slot_bytes() + 5 * 255 > budget || more * shape.rows() > (1u << 31) - 1));
     }
   }
 }
 
-TEST_CASE("slots lie side by side in each section, none in another's place, all within the allocation") {
+TEST_CASE("slots are adjacent in each section, do not overlap, and lie within the allocation") {
   const auto plan = plan_slots(SlotShape{32, 3, 1}, 100000);
   REQUIRE(plan);
   REQUIRE(plan->n_slots > 3);
@@ -115,12 +115,12 @@ TEST_CASE("slots lie side by side in each section, none in another's place, all 
     const std::uint64_t end = plan->at(k, plan->n_slots - 1) + sizes[k];
     CHECK(end <= (k + 1 < sizes.size() ? plan->begin[k + 1] : plan->bytes));
   }
-  // Row and chunk numbers over all slots are those of a scene that is there as a whole.
+  // Row and chunk numbers over all slots follow a fully resident scene's.
   CHECK(plan->first_chunk(2) == 6);
   CHECK((plan->at(0, 2) - plan->begin[0]) / 12 == 2 * 96);
 }
 
-TEST_CASE("a budget that holds no page is refused with what one takes, and that is enough") {
+TEST_CASE("a budget below one page is refused with the minimum, which then suffices") {
   for (const std::uint64_t budget : {std::uint64_t{0}, std::uint64_t{1}, kShape.bytes() - 1}) {
     const auto plan = plan_slots(kShape, budget);
     REQUIRE(!plan);
@@ -133,7 +133,7 @@ TEST_CASE("a budget that holds no page is refused with what one takes, and that 
   }
 }
 
-TEST_CASE("more memory than rows can be numbered in is not used") {
+TEST_CASE("memory beyond the numbers of rows is not used") {
   const SlotShape shape{32, 1, 0};
   const auto plan = plan_slots(shape, std::numeric_limits<std::uint64_t>::max() / 2);
   REQUIRE(plan);

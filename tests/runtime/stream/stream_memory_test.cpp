@@ -1,4 +1,4 @@
-// stream_memory_test.cpp - a pool's budget against what the program really holds, and flights that go on for long.
+// stream_memory_test.cpp - a pool's budget against the program's memory, and long flights.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -13,7 +13,7 @@ using namespace rgs::test;
 
 namespace {
 
-/// What a scene holds beside its budget: threads, and what grows neither with the file nor with a view.
+/// A scene's memory beyond its budget: threads, and what grows neither with the file nor with a view.
 constexpr std::int64_t kBeside = 64 << 10;
 
 std::vector<Camera> flight(unsigned seed, int n) {
@@ -22,7 +22,7 @@ std::vector<Camera> flight(unsigned seed, int n) {
   glm::dvec3 eye(-25, 3, -25);
   double turn = 0;
   for (int i = 0; i < n; ++i) {
-    // On, and now and then elsewhere at once.
+    // Onwards, with a jump now and then.
     if (i % 40 == 39) eye = {random.uniform(-30, 30), random.uniform(1, 30), random.uniform(-30, 30)};
     turn += random.uniform(-0.2, 0.25);
     eye += glm::dvec3(std::cos(turn), 0.1 * std::sin(3 * turn), std::sin(turn));
@@ -33,7 +33,7 @@ std::vector<Camera> flight(unsigned seed, int n) {
 
 }  // namespace
 
-TEST_CASE("a pool never holds more than its budget, by the count of every allocation, whatever is flown through") {
+TEST_CASE("a pool never exceeds its budget, counting every allocation, on any flight") {
   if (!counts_memory()) return;
   const std::vector<Camera> cameras = flight(7, 160);
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
@@ -44,7 +44,7 @@ TEST_CASE("a pool never holds more than its budget, by the count of every alloca
       Renderer renderer = cpu_renderer();
       std::vector<Frame> frames(1, Frame::of(cameras.front()));
       {
-        // The renderer's own memory is as large as it will be.
+        // The renderer's own memory has reached its size.
         const Scene all = whole(bytes);
         for (const Camera& camera : cameras) {
           for (const float detail : {0.0F, 0.02F, 0.3F, 1.0F, 4.0F, 1e9F})
@@ -87,7 +87,7 @@ TEST_CASE("a pool never holds more than its budget, by the count of every alloca
   }
 }
 
-TEST_CASE("a long random flight with a pool that is far too small: no growth, no error, no hole in memory") {
+TEST_CASE("a long random flight with a pool that is far too small: no growth, no error, no leak") {
   const char* const wanted = std::getenv("RGS_SOAK_FLIGHTS");
   const int n_flights = wanted == nullptr ? 6 : std::atoi(wanted);
   const Bytes bytes = town({.profile = Profile::packed, .n = 60000, .sh_degree = 1});
@@ -99,7 +99,7 @@ TEST_CASE("a long random flight with a pool that is far too small: no growth, no
   std::uint64_t n_frames = 0;
   for (int flown = 0; flown < n_flights; ++flown) {
     {
-      // Two scenes come and go in one pool; of one, reads fail now and then.
+      // Two scenes come and go in one pool; reads of one sometimes fail.
       const auto script = std::make_shared<Script>();
       const StreamedScene scene = streamed(bytes, script, {.pool = *pool, .traits = traits});
       const StreamedScene other = streamed(bytes, std::make_shared<Script>(), {.pool = *pool, .traits = traits});
@@ -120,7 +120,7 @@ TEST_CASE("a long random flight with a pool that is far too small: no growth, no
     }
     CHECK(pool->host_bytes() == 0);
     if (flown == 0) {
-      // The renderer's own memory is as large as it will be.
+      // The renderer's own memory has reached its size.
       const Scene all = whole(bytes);
       for (int k = 0; k < n_flights; ++k) {
         for (const Camera& camera : flight(static_cast<unsigned>(80 * k + 1), 80)) draw(renderer, all, camera);

@@ -1,4 +1,4 @@
-// streamed_scene_test.cpp - scenes that are drawn while they are read: complete pictures, coarse ones, and what goes wrong on the way.
+// streamed_scene_test.cpp - scenes drawn while they are read: complete pictures, coarse ones, and failures.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -15,7 +15,7 @@
 using namespace rgs;
 using namespace rgs::test;
 
-TEST_CASE("a refined picture is that of the whole file, byte for byte, in every profile and at every detail") {
+TEST_CASE("a complete picture equals the whole file's, byte for byte, in every profile and at every detail") {
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
     CAPTURE(static_cast<int>(profile));
     const Bytes bytes = town({.profile = profile});
@@ -49,7 +49,7 @@ TEST_CASE("a refined picture is that of the whole file, byte for byte, in every 
   }
 }
 
-TEST_CASE("before anything is read the picture is the root, and it has no holes until it is complete") {
+TEST_CASE("the first picture is the root, and there are no holes until the picture is complete") {
   const Bytes bytes = town();
   const Scene all = whole(bytes);
   const auto script = std::make_shared<Script>();
@@ -79,14 +79,14 @@ TEST_CASE("before anything is read the picture is the root, and it has no holes 
   int n_between = 0;
   std::uint64_t n_seen = first.stats.stream.pages_resident;
   for (bool is_done = false; !is_done;) {
-    // A read more, or several for large pages.
+    // One more read, or several for large pages.
     await([&] {
       script->let_one_go();
       return scene.stats().pages_resident > n_seen;
     });
     const Frame frame = draw(renderer, scene, camera, options);
     n_seen = frame.stats.stream.pages_resident;
-    // Still camera: the error only falls, and every place stays covered by what is drawn in its stead.
+    // Still camera: the error only falls, and drawn ancestors keep every place covered.
     CHECK(frame.stats.stream.detail_reached_px <= before);
     CHECK(covered(frame) > 0.8 * static_cast<double>(std::min(covered(first), covered(complete))));
     before = frame.stats.stream.detail_reached_px;
@@ -98,8 +98,7 @@ TEST_CASE("before anything is read the picture is the root, and it has no holes 
   CHECK(before <= 0.5);
 }
 
-TEST_CASE(
-    "what has the largest projected error is read first, what lies side by side at once, and several reads at a time") {
+TEST_CASE("the largest projected error is read first, adjacent pages together, and several reads at a time") {
   const Bytes bytes = town({.n = 40000});
   const auto script = std::make_shared<Script>();
   const ByteSource::Traits traits{.reads_at_once = 3, .most_bytes = 64 << 10, .gap_bytes = 4096};
@@ -124,7 +123,7 @@ TEST_CASE(
   CHECK(stats.bytes_uploaded == 0);
 }
 
-TEST_CASE("a pool that is smaller than a view gives a coarser picture, says how coarse, and comes to rest") {
+TEST_CASE("a pool smaller than a view gives a coarser picture, reports its error, and comes to rest") {
   const Bytes bytes = town({.n = 60000});
   const Scene all = whole(bytes);
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
@@ -152,11 +151,11 @@ TEST_CASE("a pool that is smaller than a view gives a coarser picture, says how 
     // At rest: the same picture is drawn again, and nothing is read for it.
     const int n_reads = script->n_reads;
     for (int i = 0; i < 5; ++i) {
-      CHECK(renderer.refine(scene, camera, kLong, at_detail(0)) == *complete);  // once threads have looked again
+      CHECK(renderer.refine(scene, camera, kLong, at_detail(0)) == *complete);  // once threads have checked again
       CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0)), frame));
     }
     CHECK(script->n_reads == n_reads);
-    // Elsewhere, what was seen here gives its room.
+    // Elsewhere, this view's pages make room.
     const Camera elsewhere = camera_at({18, 2, 18}, {30, 0, 30});
     CHECK(renderer.refine(scene, elsewhere, kLong, at_detail(2)));
     CHECK(pool->host_bytes() <= memory);
@@ -164,7 +163,7 @@ TEST_CASE("a pool that is smaller than a view gives a coarser picture, says how 
   CHECK(most > 0);
 }
 
-TEST_CASE("a scene in a pool that cannot hold it is refused with what it takes, and opens in one that can") {
+TEST_CASE("a scene too large for a pool is refused with the bytes required, and opens in a sufficient one") {
   const Bytes bytes = town();
   CHECK(StreamPool::create({.host_memory = 0}).error().code == Errc::bad_argument);
   for (const std::uint64_t memory : {std::uint64_t{1}, std::uint64_t{100} << 10, std::uint64_t{400} << 10}) {
@@ -184,14 +183,14 @@ TEST_CASE("a scene in a pool that cannot hold it is refused with what it takes, 
     CHECK(draw(renderer, *scene, camera).stats.pages >= 1);
     CHECK(renderer.refine(*scene, camera, kLong));
   }
-  // What was taken for a scene that did not open is there again.
+  // The memory of a scene that failed to open is free again.
   const auto pool = StreamPool::create({.host_memory = 300 << 10});
   REQUIRE(pool);
   CHECK(!try_streaming(bytes, std::make_shared<Script>(), {.pool = *pool}));
   CHECK(pool->host_bytes() == 0);
 }
 
-TEST_CASE("what is no file with levels, or is damaged before its pages, does not open") {
+TEST_CASE("files without levels, and files damaged before their pages, do not open") {
   const Bytes bytes = town({.n = 3000});
   const auto code_of = [](const Bytes& damaged) {
     const auto scene = try_streaming(damaged, std::make_shared<Script>());
@@ -219,7 +218,7 @@ TEST_CASE("what is no file with levels, or is damaged before its pages, does not
   CHECK(try_streaming(bytes, script).error().code == Errc::read_failed);
 }
 
-TEST_CASE("a damaged page is never drawn: what is above it stays, status() names it, and all else is there") {
+TEST_CASE("a damaged page is never drawn: its ancestor stays, status() names it, and all other pages arrive") {
   const Bytes bytes = town();
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
@@ -243,10 +242,10 @@ TEST_CASE("a damaged page is never drawn: what is above it stays, status() names
   CHECK(script->n_flipped == 2);  // once more, and never again
   CHECK(!renderer.refine(scene, camera, kLong, at_detail(0)));
   CHECK(script->n_flipped == 2);
-  // Where it does not matter a view is complete.
+  // A view that does not need it is complete.
   CHECK(renderer.refine(scene, camera, kLong, at_detail(100)) == true);
 
-  // Damaged on its way, once: read again.
+  // Damaged once in transit: read again.
   const auto once = std::make_shared<Script>();
   once->flip_from = stored.offset + 40, once->flip_to = stored.offset + 41;
   once->flips_once = true;
@@ -258,8 +257,7 @@ TEST_CASE("a damaged page is never drawn: what is above it stays, status() names
   CHECK(is_same_picture(draw(renderer, mended, camera, at_detail(0)), draw(reference, all, camera, at_detail(0))));
 }
 
-TEST_CASE(
-    "a source that fails sometimes is asked again, one that fails always is a status, and both draw what is there") {
+TEST_CASE("a source that sometimes fails is retried, one that always fails is a status, and both draw resident pages") {
   const Bytes bytes = town();
   const Scene all = whole(bytes);
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
@@ -269,7 +267,7 @@ TEST_CASE(
       streamed(bytes, sometimes, {.traits = {.reads_at_once = 2, .most_bytes = 64 << 10, .gap_bytes = 4096}});
   sometimes->fails_every = 9;
   CHECK(renderer.refine(scene, camera, kLong, at_detail(0.5F)) == true);
-  CHECK(scene.status());  // trouble that is over is none
+  CHECK(scene.status());  // past failures are no failures
   CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0.5F)), draw(reference, all, camera, at_detail(0.5F))));
 
   const auto never = std::make_shared<Script>();
@@ -298,7 +296,7 @@ TEST_CASE("refine() waits no longer than it is told to") {
   CHECK(renderer.refine(scene, camera, 0, at_detail(0.5F)) == true);
 }
 
-TEST_CASE("scenes go while their source reads, and with them what they hold") {
+TEST_CASE("scenes close while their source reads, and release their memory") {
   const Bytes bytes = town();
   const auto pool = StreamPool::create({.host_memory = 64 << 20});
   REQUIRE(pool);
@@ -318,7 +316,7 @@ TEST_CASE("scenes go while their source reads, and with them what they hold") {
   }
 }
 
-TEST_CASE("one that cancels the source gets a status, and the scene goes on with what it has") {
+TEST_CASE("cancelling the source gives a status, and the scene continues with its resident pages") {
   const Bytes bytes = town();
   const auto script = std::make_shared<Script>();
   auto source = std::make_unique<ScriptedSource>(bytes, script);
@@ -336,7 +334,7 @@ TEST_CASE("one that cancels the source gets a status, and the scene goes on with
   CHECK(draw(renderer, *scene, camera, at_detail(0.5F)).stats.pages >= 1);
 }
 
-TEST_CASE("a file that changes under a scene is a status, and pages of the old one stay") {
+TEST_CASE("a file that changes under a scene is a status, and old pages stay") {
   const Bytes bytes = town();
   const TemporaryFolder folder;
   const auto path = folder.path() / "town.rgs";
@@ -358,8 +356,7 @@ TEST_CASE("a file that changes under a scene is a status, and pages of the old o
   CHECK(is_same_picture(draw(renderer, *scene, camera, at_detail(4)), before));
 }
 
-TEST_CASE(
-    "two scenes share a pool: what shows the larger error has room, and each gets what the other no longer needs") {
+TEST_CASE("two scenes share a pool: the larger error has priority, and each gets what the other no longer needs") {
   const Bytes first = town({.n = 60000, .seed = 1}), second = town({.n = 60000, .seed = 2});
   const Scene all_second = whole(second);
   const auto pool = StreamPool::create({.host_memory = std::uint64_t{3} << 20});
@@ -372,7 +369,7 @@ TEST_CASE(
   CHECK(renderer.refine(a, near, kLong, at_detail(0)) == false);  // all that it can get
   const double alone = draw(renderer, a, near, at_detail(0)).stats.stream.detail_reached_px;
   CHECK(pool->host_bytes() <= pool->host_memory());
-  // The other comes, and only it is looked at from then on: in a while the first no longer counts.
+  // From now on only the other one is viewed: after a while the first no longer counts.
   await([&] { return renderer.refine(b, near, kLong, at_detail(0)).has_value() && a.stats().bytes_evicted > 0; });
   CHECK(renderer.refine(b, near, kLong, at_detail(0)));
   CHECK(a.stats().bytes_evicted > 0);
@@ -412,7 +409,7 @@ TEST_CASE("several renderers draw one scene at once, each its own view, while it
   CHECK(n_wrong == 0);
 }
 
-TEST_CASE("options that a streamed scene cannot be drawn with are refused before anything is read") {
+TEST_CASE("options that streaming does not support are refused before anything is read") {
   const Bytes bytes = town({.n = 3000});
   const StreamedScene scene = streamed(bytes);
   Renderer renderer = cpu_renderer();
@@ -441,7 +438,7 @@ TEST_CASE("options that a streamed scene cannot be drawn with are refused before
   RenderTarget small = frame.target();
   small.rgb = small.rgb.first(3);
   CHECK(renderer.render(scene, camera, small).error().code == Errc::bad_argument);
-  // Every way of drawing gives the whole file's picture.
+  // Every pipeline draws the whole file's picture.
   const Scene all = whole(bytes);
   Renderer reference = cpu_renderer();
   for (RenderOptions options : {baseline_options(), paper_options(), turbo_options()}) {
@@ -454,7 +451,7 @@ TEST_CASE("options that a streamed scene cannot be drawn with are refused before
   }
 }
 
-TEST_CASE("of a long table of pages as much is read as views need, and a damaged one ends where it is known") {
+TEST_CASE("a long table is read as far as views need it, and a damaged one ends where it is known") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
@@ -474,7 +471,7 @@ TEST_CASE("of a long table of pages as much is read as views need, and a damaged
   CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0)), draw(reference, all, camera, at_detail(0))));
   CHECK(scene.status());
 
-  // A bit of a record that comes late, and one that no record's check can find, but the hash of all.
+  // A bit of a late record, and one that only the hash of the whole table reveals.
   for (const std::uint64_t at :
        {table.offset + 64 + 112 * (file->n_pages() - 9) + 20, table.offset + 64 + 112 * (file->n_pages() / 2) + 44}) {
     CAPTURE(at - table.offset);
@@ -482,7 +479,7 @@ TEST_CASE("of a long table of pages as much is read as views need, and a damaged
     flipping->flip_from = at, flipping->flip_to = at + 1;
     const StreamedScene damaged = streamed(bytes, flipping, {.traits = traits});
     const auto complete = renderer.refine(damaged, camera, kLong, at_detail(0));
-    REQUIRE(!complete);  // whatever it shows
+    REQUIRE(!complete);  // wherever it is
     CHECK(exit_code(complete.error().code) == 4);
     const Frame frame = draw(renderer, damaged, camera, at_detail(0));
     CHECK(frame.stats.pages >= 1);
@@ -492,7 +489,7 @@ TEST_CASE("of a long table of pages as much is read as views need, and a damaged
   }
 }
 
-TEST_CASE("of a file whose end is missing what is there is drawn, and status() says it") {
+TEST_CASE("a file whose end is missing is drawn as far as it goes, and status() says so") {
   const Bytes bytes = town();
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
@@ -509,7 +506,7 @@ TEST_CASE("of a file whose end is missing what is there is drawn, and status() s
   CHECK(frame.stats.stream.pages_missing > 0);
   CHECK(!scene.status());
   CHECK(renderer.refine(scene, camera, kLong, at_detail(100)) == true);
-  // All that is there: the children of every page that are whole, where those above are.
+  // Present pages: the children of every complete group whose ancestors are present.
   const Camera over = camera_at({0, 60, 120}, {0, 0, 0});
   for (const double share : {0.3, 0.7, 0.95}) {
     CAPTURE(share);

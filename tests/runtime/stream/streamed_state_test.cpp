@@ -1,4 +1,4 @@
-// streamed_state_test.cpp - frames that are held open, lists that find no room, failures that are one, and cameras that move on.
+// streamed_state_test.cpp - frames held open, lists without room, combined failures, and moving cameras.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -18,11 +18,11 @@ using detail::StreamedState;
 using detail::StreamFrame;
 using detail::StreamPoolState;
 
-TEST_CASE("while a frame is held open its view is looked at again, and afterwards nothing stays pinned") {
+TEST_CASE("while a frame is held open its view is chosen again, and afterwards nothing stays pinned") {
   const Bytes bytes = town({.n = 200000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes);
   StreamedState& s = *opened.state;
-  // A coarser picture, of more pages than a list of wants takes.
+  // A coarser picture, with more pages than a list of wants holds.
   float coarse = 4096;
   for (;; coarse /= 1.3F) {
     REQUIRE(opened.refine(over(), coarse) == true);
@@ -41,7 +41,7 @@ TEST_CASE("while a frame is held open its view is looked at again, and afterward
     opened.script->open_gate();
     std::uint64_t n_pages = s.file->n_pages_in_all();
     opened.await([&] { return s.residency->n_resident() == n_pages; });
-    // Another frame and a refine() of the view meanwhile.
+    // Another frame and a refine() of the view in the meantime.
     CHECK(opened.refine(over(), 0) == true);
     CHECK(opened.frame(over(), 0).parts().size() > n);
     CHECK(held.parts().size() == n);
@@ -63,7 +63,7 @@ TEST_CASE("a frame whose list of pages finds no room is not called complete") {
   const StreamFrame all = opened.frame(over(), 0, 2);
   REQUIRE(all.parts().size() > 600);
   CHECK(all.cut().missing == 0);
-  // All that is there is pinned, and the rest of the pool taken.
+  // All resident pages are pinned, and the rest of the pool is used.
   const std::uint64_t taken = opened.pool->left() - opened.state->least_view_bytes();
   {
     const std::scoped_lock lock(opened.pool->mutex);
@@ -84,7 +84,7 @@ TEST_CASE("a frame whose list of pages finds no room is not called complete") {
   CHECK(opened.frame(over(), 0, 1).parts().size() == all.parts().size());
 }
 
-TEST_CASE("an outage that ends many reads at once is one failure, and one that is over is none") {
+TEST_CASE("an outage that ends many reads at once is one failure, and a past one is none") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes, false, 6, 1);
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
@@ -107,13 +107,13 @@ TEST_CASE("an outage that ends many reads at once is one failure, and one that i
   CHECK(dead.state->status());
 }
 
-TEST_CASE("a range that cannot be read keeps nothing else from being read") {
+TEST_CASE("an unreadable range does not keep anything else from being read") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes, false, 2);
   StreamedState& s = *opened.state;
   REQUIRE(opened.refine(over(), 0) == true);
   const std::uint64_t n_all = s.residency->n_resident();
-  std::uint32_t group = 0;  // in the middle, its children leaves
+  std::uint32_t group = 0;  // in the middle, with leaves as children
   while (group < s.residency->n_groups() && s.file->pages()[group].level != 1) ++group;
   group += (s.residency->n_groups() - group) / 2;
   const auto range = s.file->stored(s.file->pages()[group].first_child);
@@ -129,7 +129,7 @@ TEST_CASE("a range that cannot be read keeps nothing else from being read") {
   CHECK(lossy.refine(over(), 0) == true);
 }
 
-TEST_CASE("a view whose pages cannot be read fails, whatever is read for another one meanwhile") {
+TEST_CASE("a view whose pages cannot be read fails, whatever is read for another view meanwhile") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes, false, 2);
   StreamedState& s = *opened.state;
@@ -137,7 +137,7 @@ TEST_CASE("a view whose pages cannot be read fails, whatever is read for another
   float coarse = 4096;
   while (opened.frame(over(), coarse, 2).n_pages() < 60) coarse /= 1.5F;
   const auto eye = opened.rule(coarse).eye(over());
-  // What the coarse view wants and has nothing below it that it wants, and what only the other one wants.
+  // Pages that the coarse view wants without descendants, and pages that only the other view wants.
   std::uint32_t lost = 0, others = 0;
   const auto is_below = [&](std::uint32_t page, std::uint32_t above) {
     while (page > above) page = s.file->pages()[page].parent;
@@ -165,7 +165,7 @@ TEST_CASE("a view whose pages cannot be read fails, whatever is read for another
   lossy.await([&] { return t.residency->can_evict(others) && t.residency->n_failed(lost) > 0; });
   auto complete = std::async(std::launch::async, [&] { return lossy.refine(over(), coarse, 1); });
   const auto is_over = [&] { return complete.wait_for(0s) == std::future_status::ready; };
-  // Each time that the other view's pages are there they go.
+  // Each time the other view's pages are resident they are evicted.
   int n_read = 0;
   test::await([&] {
     lossy.frame(over(), 0, 2);
@@ -183,13 +183,13 @@ TEST_CASE("a view whose pages cannot be read fails, whatever is read for another
   CHECK(lossy.refine(over(), coarse, 1) == true);
 }
 
-TEST_CASE("ranges that cannot be read, however many and however wanted, leave time and room for everything else") {
+TEST_CASE("unreadable ranges, however many and however wanted, leave time and room for everything else") {
   const Bytes bytes = town({.n = 300000, .sh_degree = 0, .page_chunks = 1});
   Opened sound(bytes);
   REQUIRE(sound.refine(over(), 0) == true);
   const PagedFile& file = *sound.state->file;
   const std::vector<lod::Page>& pages = file.pages();
-  // Of level 2 the first half, and of level 1 all but every tenth: more than a list of wants takes.
+  // The first half of level 2, and nine tenths of level 1: more than a list of wants holds.
   for (const std::uint16_t level : {std::uint16_t{2}, std::uint16_t{1}}) {
     CAPTURE(level);
     std::vector<std::uint32_t> groups;
@@ -222,7 +222,7 @@ namespace {
 
 using State = detail::Residency::State;
 
-/// Groups in a state; with the lock.
+/// Groups in a state; under the lock.
 std::uint64_t count(const StreamedState& s, State state) {
   std::uint64_t n = 0;
   for (std::uint32_t group = 0; group < s.residency->n_groups(); ++group) n += s.residency->state(group) == state;
@@ -236,7 +236,7 @@ FileRange range_of(const StreamedState& s, std::uint32_t group) {
   return {first.offset, last.offset + last.stored_bytes - first.offset};
 }
 
-/// No read has pages of two.
+/// No read has pages of two groups.
 void read_by_group(Opened& opened) {
   const std::scoped_lock lock(opened.pool->mutex);
   opened.state->traits.most_bytes = 1;
@@ -244,7 +244,7 @@ void read_by_group(Opened& opened) {
 
 }  // namespace
 
-TEST_CASE("what is below a page is read beside it, and drawn only after it") {
+TEST_CASE("descendants are read beside their ancestor, and drawn only after it") {
   const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes, false, 4);
   StreamedState& s = *opened.state;
@@ -253,7 +253,7 @@ TEST_CASE("what is below a page is read beside it, and drawn only after it") {
   opened.script->shut_from = top.offset, opened.script->shut_to = top.offset + top.bytes;
   opened.script->is_shut = true;
   CHECK(opened.frame(over(), 0).n_pages() == 1);
-  // All else comes: three threads are enough for it.
+  // Everything else arrives: three threads suffice.
   opened.await([&] { return count(s, State::arrived) + 1 == s.residency->n_groups(); });
   {
     const StreamFrame frame = opened.frame(over(), 0);
@@ -268,7 +268,7 @@ TEST_CASE("what is below a page is read beside it, and drawn only after it") {
   CHECK(opened.frame(over(), 0).cut().in_flight == 0);
 }
 
-TEST_CASE("what waits for a page that does not come gives its room back, and comes again after it") {
+TEST_CASE("pages that wait for a missing ancestor make room, and come again after it") {
   const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
   for (const bool is_damaged : {false, true}) {
     CAPTURE(is_damaged);
@@ -278,7 +278,7 @@ TEST_CASE("what waits for a page that does not come gives its room back, and com
       pool = opened.pool;
       StreamedState& s = *opened.state;
       read_by_group(opened);
-      const std::uint32_t lost = 2;  // the second of the root's children
+      const std::uint32_t lost = 2;  // the root's second child
       const FileRange range = range_of(s, lost);
       Script& script = *opened.script;
       script.shut_from = range.offset, script.shut_to = range.offset + range.bytes;
@@ -328,7 +328,7 @@ TEST_CASE("what waits for a page that does not come gives its room back, and com
   }
 }
 
-TEST_CASE("lists of wants are what a new look at the view finds, whatever comes, fails and goes") {
+TEST_CASE("lists of wants match a new choice for the view, whatever arrives, fails or is evicted") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 2});
   Opened opened(bytes, true, 3);
   StreamedState& s = *opened.state;
@@ -378,7 +378,7 @@ TEST_CASE("lists of wants are what a new look at the view finds, whatever comes,
   opened.pool->held -= taken;
 }
 
-TEST_CASE("what has no room is looked at again once another scene's pages are there, and may go") {
+TEST_CASE("a group without room is tried again once another scene's pages are resident and evictable") {
   const Bytes bytes = town({.n = 5000, .sh_degree = 0, .page_chunks = 1});
   Opened one(bytes, false, 1);
   StreamPoolState& pool = *one.pool;
@@ -391,7 +391,7 @@ TEST_CASE("what has no room is looked at again once another scene's pages are th
     pool.held += pool.left() - two.state->least_view_bytes();
   }
   CHECK(two.frame(over(), 0).n_pages() == 1);
-  // What is on its way cannot go.
+  // Pages in flight cannot be evicted.
   two.await([&] { return two.state->settled_at >= pool.changes && two.state->n_at_work == 0; });
   CHECK(two.frame(over(), 0).n_pages() == 1);
   one.script->open_gate();
@@ -399,7 +399,7 @@ TEST_CASE("what has no room is looked at again once another scene's pages are th
   CHECK(one.state->stats.bytes_evicted > 0);
 }
 
-TEST_CASE("what waits for a page above gives room to what is worth more, of another scene") {
+TEST_CASE("pages that wait for an ancestor make room for larger errors of another scene") {
   const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
   Opened one(bytes, false, 4);
   StreamPoolState& pool = *one.pool;
@@ -429,13 +429,13 @@ TEST_CASE("what waits for a page above gives room to what is worth more, of anot
     const std::scoped_lock lock(pool.mutex);
     pool.held -= taken;
   }
-  // It comes again.
+  // It is read again.
   one.script->open_gate();
   CHECK(one.refine(far, 0) == true);
   CHECK(one.frame(far, 0).cut().in_flight == 0);
 }
 
-TEST_CASE("room that is given back by what came in vain is found") {
+TEST_CASE("room freed by a page that arrived in vain is used") {
   const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes, false, 1);
   StreamedState& s = *opened.state;
@@ -474,7 +474,7 @@ TEST_CASE("pauses after failed reads grow up to a limit, which is lower while a 
   s.n_waiting = 0;
 }
 
-TEST_CASE("what was put off comes after all else, until its pause is over") {
+TEST_CASE("postponed groups come after all others, until their pause is over") {
   const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes, false, 1);
   StreamedState& s = *opened.state;
@@ -535,15 +535,15 @@ TEST_CASE("threads decode on while a frame chooses its pages") {
   await([&] { return opened.script->n_reads >= n_before + 4; });
 }
 
-TEST_CASE("what is wanted is shared by threads that have nothing to do") {
+TEST_CASE("idle threads share the wanted pages") {
   const Bytes bytes = town({.n = 10000, .sh_degree = 0, .page_chunks = 2});
-  Opened opened(bytes, false, 6, 1 << 20);  // one read might have all of it
+  Opened opened(bytes, false, 6, 1 << 20);  // a single read could take all of it
   opened.script->is_shut = true;
   opened.frame(over(), 0);
   opened.await([&] { return opened.script->n_at_once == 6; });
 }
 
-TEST_CASE("a complete view is at rest: nothing is read any more, and no thread waits for the clock") {
+TEST_CASE("a complete view is at rest: nothing is read, and no thread waits for the clock") {
   const Bytes bytes = town();
   Opened opened(bytes, true);
   REQUIRE(opened.refine(over(), 0.5F) == true);
@@ -555,7 +555,7 @@ TEST_CASE("a complete view is at rest: nothing is read any more, and no thread w
   CHECK(run.later == detail::StreamClock::time_point::max());
 }
 
-TEST_CASE("what a moving camera is about to see is read before it is seen") {
+TEST_CASE("prefetch reads the pages that a moving camera is about to see") {
   const Bytes bytes = town({.n = 40000});
   const auto at = [](double x) { return camera_at({x, 2, 0}, {x + 10, 2, 0}); };
   double x = 0;
@@ -576,7 +576,7 @@ TEST_CASE("what a moving camera is about to see is read before it is seen") {
   }
 }
 
-TEST_CASE("where the camera is about to be follows from when it came, and outlives the frame after a refine()") {
+TEST_CASE("the predicted camera follows from the frames' times, and outlives the frame after a refine()") {
   const Bytes bytes = town();
   Opened opened(bytes, true);
   StreamedState& s = *opened.state;
@@ -596,8 +596,8 @@ TEST_CASE("where the camera is about to be follows from when it came, and outliv
     return view.ahead->eye.position[0] - view.now->eye.position[0];
   };
   opened.move(at(0), at(1), 1);
-  CHECK(soon() == doctest::Approx(2));  // half a second after 1 in a quarter
-  // A refine() is waited for without what is about to be seen, which follows.
+  CHECK(soon() == doctest::Approx(2));  // half a second ahead at 1 per quarter
+  // A refine() does not wait for prefetched pages, which follow.
   opened.frame(at(1), 1);
   opened.stop(-250ms);
   REQUIRE(opened.refine(at(1.5), 1) == true);
@@ -606,8 +606,8 @@ TEST_CASE("where the camera is about to be follows from when it came, and outliv
   opened.frame(at(1.5), 1);
   CHECK(soon() > 0);
   opened.frame(at(1.5), 1);
-  CHECK(soon() == -1);  // it stands
-  // Never farther than the scene is large.
+  CHECK(soon() == -1);  // it stands still
+  // Never farther than the scene's size.
   opened.move(at(0), at(1e5), 1);
   CHECK(soon() > 10);
   CHECK(soon() < 1000);

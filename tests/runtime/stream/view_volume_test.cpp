@@ -1,4 +1,4 @@
-// view_volume_test.cpp - what a view cannot show: never a Gaussian that changes a pixel.
+// view_volume_test.cpp - culling by a view's volume never drops a Gaussian that changes a pixel.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -16,7 +16,7 @@ using namespace rgs::test;
 
 namespace {
 
-/// Mean and three standard deviations along each axis: as tight as a page's box can be.
+/// Mean and three standard deviations along each axis: the tightest box of a page.
 Box box_of(const Splat& s) {
   float r[9];
   const double norm = std::hypot(std::hypot(s.rotation[0], s.rotation[1]), std::hypot(s.rotation[2], s.rotation[3]));
@@ -38,7 +38,7 @@ Box box_of(const Splat& s) {
 
 }  // namespace
 
-TEST_CASE("no Gaussian changes a pixel whose box a view cannot show, wherever it is and however it is shaped") {
+TEST_CASE("a Gaussian whose box is culled changes no pixel, whatever its position and shape") {
   Random random(4242);
   Renderer renderer = cpu_renderer(1);
   int n_shown = 0, n_culled = 0, n_beside = 0;
@@ -47,7 +47,7 @@ TEST_CASE("no Gaussian changes a pixel whose box a view cannot show, wherever it
     Camera camera = front_camera(24, 16);
     camera.fx = camera.fy = random.log_uniform(4, 200);
     if (i % 5 == 0) camera.cx = random.uniform(-30, 50), camera.cy = random.uniform(-30, 40);
-    // Some standard deviations beside the image, at any depth; round ones where they just reach it.
+    // A few standard deviations beside the image, at any depth; round ones where they just reach it.
     const bool is_round = i % 2 == 0;
     const double z = i % 3 == 0 ? random.uniform(0.1, 0.6) : random.log_uniform(0.2, 50);
     const double large = random.log_uniform(0.01, 3) * z;
@@ -74,7 +74,7 @@ TEST_CASE("no Gaussian changes a pixel whose box a view cannot show, wherever it
     const bool may = volume.may_show(box_of(s));
     if (shows) CHECK(may);
     n_shown += shows, n_culled += !may, n_beside += shows && (u < 0 || u > 24 || v < 0 || v > 16);
-    // What holds a box shows no less.
+    // A larger box is not culled either.
     if (may) {
       Box larger = box_of(s);
       for (std::size_t k = 0; k < 3; ++k) {
@@ -84,12 +84,12 @@ TEST_CASE("no Gaussian changes a pixel whose box a view cannot show, wherever it
       CHECK(volume.may_show(larger));
     }
   }
-  MESSAGE(n_shown, " shown, of these ", n_beside, " with means beside the image; ", n_culled, " left out");
+  MESSAGE(n_shown, " shown, ", n_beside, " with means beside the image; ", n_culled, " culled");
   CHECK(n_beside > 500);
   CHECK(n_culled > 500);
 }
 
-TEST_CASE("boxes behind the camera, before the near plane and behind the far plane are left out, and others are not") {
+TEST_CASE("boxes behind the camera, before the near plane and behind the far plane are culled, and others are not") {
   Camera camera = front_camera(100, 100);
   const auto settings = detail::resolve({.near_plane = 1, .far_plane = 50}, std::nullopt, Backend::cpu);
   REQUIRE(settings);
@@ -98,7 +98,7 @@ TEST_CASE("boxes behind the camera, before the near plane and behind the far pla
     return Box{{x - half, y - half, z - half}, {x + half, y + half, z + half}};
   };
   CHECK(volume.may_show(at(0, 0, 10, 1)));
-  CHECK(volume.may_show(at(0, 0, 0, 100)));  // the camera is in it
+  CHECK(volume.may_show(at(0, 0, 0, 100)));  // the camera is inside it
   CHECK(!volume.may_show(at(0, 0, -10, 1)));
   CHECK(!volume.may_show(at(0, 0, 0.5F, 0.4F)));
   CHECK(volume.may_show(at(0, 0, 0.5F, 0.6F)));

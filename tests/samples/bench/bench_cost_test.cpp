@@ -1,4 +1,4 @@
-// bench_cost_test.cpp - the cost model against figures worked out by hand, and the floors that follow.
+// bench_cost_test.cpp - the cost model against figures computed by hand, and the floors that follow.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -15,7 +15,7 @@ namespace {
 using namespace rgs::bench;
 using rgs::math::Exp;
 
-// One full screen of one tile: 256 pixels, 10 Gaussians of which 4 are visible with 3 pairs.
+// One full screen of one tile: 256 pixels, and 10 Gaussians, of which 4 are visible with 3 pairs.
 FrameWork small_work(const Configuration& c) {
   FrameWork w;
   w.stats.gaussians = 10, w.stats.visible = 4, w.stats.instances = 3;
@@ -69,11 +69,11 @@ TEST_CASE("bytes and operations of turbo's stages") {
   CHECK(blend.bytes == 4 * 48 + 4 * 4 + 8 * 16 + 256 * 12);
   CHECK(blend.l2_bytes == 4 * (48 + 4));
   CHECK(blend.shared_loads == 512 / 1024.0 * 5);
-  CHECK(blend.special == 512);  // an exponential a pair, blended or not
+  CHECK(blend.special == 512);  // an exponential per pair, blended or not
   // 16 pairs of a lane: 38 packed instructions, 7 products and 2 selections over the chains, and the exponentials.
   CHECK(blend.operations == 512 * (47 / 16.0 + 1));
   CHECK(blend.flops == 512 * 7.625);
-  // An entry is in one cell at least.
+  // An entry is in at least one cell.
   w.stats.evaluated = 0;
   CHECK(of(stage_costs(w), Stage::sort).bytes == of(costs, Stage::sort).bytes - 4);
   w.stats.evaluated = 512;
@@ -85,13 +85,13 @@ TEST_CASE("bytes and operations of turbo's stages") {
   CHECK(fp32.flops == 512 * 13.5);
   CHECK(fp32.operations == 512 * 10.75);
   CHECK(fp32.special == 512);
-  // Scenes too large for it are drawn by the other kernels.
+  // The other kernels draw scenes too large for it.
   w.stats.gaussians = std::uint64_t{1} << 25;
   w.stats.key_bits = 45;
   CHECK(of(stage_costs(w), Stage::sort).bytes > 0);
 }
 
-TEST_CASE("harmonics are read as they are stored and computed as they are asked for") {
+TEST_CASE("harmonics are read as stored and computed as requested") {
   FrameWork w = small_work(make_mode("paper", {}));
   const Cost full = of(stage_costs(w), Stage::project);
   w.options.sh_degree_limit = 0;
@@ -119,7 +119,7 @@ TEST_CASE("operations of a pair") {
   CHECK(dual.shared_loads == doctest::Approx(2 * 24.0 / 64 / 16));
   // One pixel: 5 FMA and a test.
   CHECK(blend(Exp::paper, Exponent::folded, 1, 1, 0).operations == 6);
-  // The exact exponential comes after the test where the exponent is folded, and before it where it is not.
+  // The exact exponential follows the test where the exponent is folded, and precedes it where it is not.
   CHECK(blend(Exp::exact, Exponent::folded, 2, 100, 7).special == 7);
   CHECK(blend(Exp::exact, Exponent::direct, 1, 100, 7).special == 100);
   CHECK(blend(Exp::paper, Exponent::folded, 2, 100, 7).special == 0);
@@ -129,7 +129,7 @@ TEST_CASE("operations of a pair") {
   CHECK(blend(Exp::paper, Exponent::folded, 2, 0, 1).flops == 9);
 }
 
-TEST_CASE("each step of the ablation lowers what it is meant to lower") {
+TEST_CASE("each step of the ablation lowers its target") {
   const auto report = rgs::test::sample_report();
   const auto& rows = report.sizes[0].rows;
   const StageCosts &baseline = rows[0].costs, &culled = rows[1].costs, &paper = rows[2].costs;

@@ -1,4 +1,4 @@
-// bench_quality_test.cpp - distances from the baseline and from photographs, and where photographs are.
+// bench_quality_test.cpp - distances from the baseline and from photographs, and the photographs' paths.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -20,7 +20,7 @@ Image flat(float value) {
 
 }  // namespace
 
-TEST_CASE("quality is the mean and the worst of the pictures") {
+TEST_CASE("quality is the mean and the worst over the pictures") {
   const std::vector<Image> baseline{flat(0.5F), flat(0.5F)}, pictures{flat(0.6F), flat(0.51F)};
   const auto q = rgs::bench::compare(baseline, pictures, {});
   REQUIRE(q);
@@ -31,7 +31,7 @@ TEST_CASE("quality is the mean and the worst of the pictures") {
   CHECK_FALSE(q->photo_psnr);
 }
 
-TEST_CASE("equal pictures are infinitely close") {
+TEST_CASE("equal pictures have infinite PSNR") {
   const std::vector<Image> pictures{flat(0.25F)};
   const auto q = rgs::bench::compare(pictures, pictures, {});
   REQUIRE(q);
@@ -41,7 +41,7 @@ TEST_CASE("equal pictures are infinitely close") {
 }
 
 TEST_CASE("loss against photographs is of displayed colours") {
-  // Baseline and picture differ beyond white, where no display and no photograph shows it.
+  // Baseline and picture differ beyond white, which neither a display nor a photograph shows.
   const std::vector<Image> baseline{flat(1.2F)}, pictures{flat(1.7F)}, photos{flat(0.9F)};
   const auto q = rgs::bench::compare(baseline, pictures, photos);
   REQUIRE(q);

@@ -1,4 +1,4 @@
-// bench_report_test.cpp - what rgs-bench writes: JSON, CSV, tables and the picture of a roofline.
+// bench_report_test.cpp - the output of rgs-bench: JSON, CSV, tables and the roofline picture.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -49,7 +49,7 @@ std::vector<std::string> fields_of(const std::string& line) {
   return fields;
 }
 
-// Parsed by a real XML parser: what it prints are the elements' names and numbers.
+// A real XML parser prints the elements' names and numbers.
 rgs::test::ProgramResult parse_xml(const std::string& text) {
   const rgs::test::TemporaryFolder folder;
   std::ofstream(folder.file("picture.svg"), std::ios::binary) << text;
@@ -93,19 +93,19 @@ TEST_CASE("the JSON report holds every mode and size") {
   CHECK(blend["time_over_floor"].get<double>() == doctest::Approx(0.5208 / blend["floor_ms"].get<double>()));
 }
 
-TEST_CASE("the JSON report says which modes draw equal depths in tie order") {
+TEST_CASE("the JSON report states which modes draw equal depths in tie order") {
   Report report = sample_report();
   for (ModeReport& mode : report.modes) mode.configuration.options.paper.deterministic = false;
   report.modes.push_back({make_mode("turbo", {}), {}});
   report.modes.push_back({make_mode("paper", {}), {}});
   const auto modes = nlohmann::json::parse(report_json(report))["modes"];
-  CHECK(modes[0]["options"]["deterministic"] == true);  // a front end that has no other way
+  CHECK(modes[0]["options"]["deterministic"] == true);  // a front end without an alternative
   CHECK(modes[2]["options"]["deterministic"] == false);
   CHECK(modes[3]["options"]["deterministic"] == true);
   CHECK(modes[4]["options"]["deterministic"] == true);
 }
 
-TEST_CASE("the JSON report says null for equal pictures and leaves out what was not measured") {
+TEST_CASE("the JSON report has null for equal pictures and omits what was not measured") {
   Report report = sample_report();
   report.modes[0].quality->psnr = std::numeric_limits<double>::infinity();
   report.modes[0].quality->photo_loss.reset();
@@ -145,7 +145,7 @@ TEST_CASE("times from outside stand beside those of the stages, in the table, JS
   for (std::size_t k = 2; k < table.size(); ++k) CHECK(table[k].size() == table[2].size());
 }
 
-TEST_CASE("stress views compare turbo with paper, and the one that is slower fails by name") {
+TEST_CASE("stress views compare turbo with paper, and the slower one fails by name") {
   Report report = stress_report();
   CHECK(stress_row(report.sizes[0], report).ratio() == doctest::Approx(0.875 / 0.32));
   CHECK(stress_row(report.sizes[0], report).passes());
@@ -182,7 +182,7 @@ TEST_CASE("stress views compare turbo with paper, and the one that is slower fai
   CHECK(second.find("9.4500") != std::string::npos);
   for (const auto& line : {head[1], head[2], first, second}) CHECK(line.size() <= 160);
 
-  // Equal is not slower; what was not measured passes nothing.
+  // Equal is not slower; an unmeasured gate fails.
   report.sizes[1].rows[1].timing.mean.total_ms = 0.875;
   CHECK(failed_views(report).empty());
   CHECK(nlohmann::json::parse(report_json(report))["stress"]["passed"] == true);
@@ -210,7 +210,7 @@ TEST_CASE("rows whose depth key is too coarse are named, others are not") {
   CHECK(nlohmann::json::parse(report_json(report))["sizes"][1]["results"][0]["depth_resolution"] == 2.5e-3);
 }
 
-TEST_CASE("modes that are compared: the baseline always, or in stress views paper and turbo always") {
+TEST_CASE("compared modes: always the baseline, or paper and turbo in stress views") {
   using Names = std::vector<std::string>;
   const auto compared = [](const Names& asked, bool is_stress) { return compared_modes(asked, is_stress); };
   CHECK(compared({"baseline", "paper", "turbo"}, false) == Names{"baseline", "paper", "turbo"});
@@ -220,7 +220,7 @@ TEST_CASE("modes that are compared: the baseline always, or in stress views pape
   CHECK(compared({"turbo-fp32", "baseline"}, true) == Names{"baseline", "paper", "turbo", "turbo-fp32"});
 }
 
-TEST_CASE("above detail 0 levels have no baseline: paper takes its place, and is drawn as levels are") {
+TEST_CASE("above detail 0 levels have no baseline: paper replaces it, drawn like levels") {
   using Names = std::vector<std::string>;
   const auto compared = [](const Names& asked, bool is_stress) { return compared_modes(asked, is_stress, false); };
   CHECK(compared({"baseline", "paper", "turbo"}, false) == Names{"paper", "turbo"});
@@ -282,7 +282,7 @@ TEST_CASE("a scene with levels states pages and Gaussians of each camera, in the
   CHECK(table[4].find("28.4 %") != std::string::npos);
 }
 
-TEST_CASE("FP32 attributes go to the device for the modes that draw them") {
+TEST_CASE("FP32 attributes are uploaded for the modes that draw them") {
   const auto reads = [](std::vector<std::string> asked, bool is_stress) {
     std::vector<Configuration> rows;
     for (const std::string& mode : compared_modes(asked, is_stress)) rows.push_back(make_mode(mode, {}));
@@ -295,7 +295,7 @@ TEST_CASE("FP32 attributes go to the device for the modes that draw them") {
   CHECK(reads_fp32(ablation({})));
 }
 
-TEST_CASE("the orbit is in the JSON report and in a table of its own") {
+TEST_CASE("the orbit is in the JSON report and in its own table") {
   Report report = sample_report();
   CHECK_FALSE(nlohmann::json::parse(report_json(report)).contains("orbit"));
   const Change step{0.01, 0.25, 0.5, 0.75F}, second{0.005, 0.125, 0.25, 0.5F}, twice{0.01, 0.25, 0.5, 1};
@@ -316,7 +316,7 @@ TEST_CASE("the orbit is in the JSON report and in a table of its own") {
   for (std::size_t i = 2; i < lines.size(); ++i) CHECK(lines[i].size() <= 160);
   CHECK(lines[4].size() == lines[5].size());
   CHECK(lines[5].find("2.000x") != std::string::npos);
-  // A baseline that stands still has no ratio.
+  // A steady baseline has no ratio.
   report.orbit->rows.front() = {"baseline", {}, {}, {}};
   CHECK(nlohmann::json::parse(report_json(report))["orbit"]["results"][1]["unsteadiness"].is_null());
 }
@@ -366,7 +366,7 @@ TEST_CASE("speed-up is the baseline's time over the row's") {
   CHECK(speedup(report.sizes[0], 2) == 0);
 }
 
-TEST_CASE("the roofline is well-formed XML with a point for each stage that computes") {
+TEST_CASE("the roofline is well-formed XML with a point for each computing stage") {
   const Report report = sample_report();
   const std::string svg = roofline_svg(report);
   if (const char* keep = std::getenv("RGS_KEEP_SVG")) std::ofstream(keep) << svg;
@@ -391,7 +391,7 @@ TEST_CASE("a roofline of frames without work has no points and is still a pictur
   CHECK(svg.find("inf") == std::string::npos);
 }
 
-TEST_CASE("the tables of the documents are made of JSON reports") {
+TEST_CASE("the tables of the documents are made from JSON reports") {
   const rgs::test::TemporaryFolder folder;
   Report full = sample_report(), pruned = sample_report();
   pruned.gaussians = 311525;
@@ -432,7 +432,7 @@ TEST_CASE("the tables of the documents are made of JSON reports") {
   CHECK(large != std::string::npos);
 }
 
-TEST_CASE("modes have the options that their names promise") {
+TEST_CASE("modes have the options that their names state") {
   const ModeInput input{{}, rgs::math::Exp::zero_mean, rgs::DepthMapping::logarithmic};
   CHECK(mode_names().front() == "baseline");
   for (const std::string& name : mode_names()) CHECK(make_mode(name, input).name == name);
@@ -451,7 +451,7 @@ TEST_CASE("the ablation goes from baseline to paper in steps") {
   CHECK_FALSE(rows.front().step);
   CHECK_FALSE(rows.back().step);
   for (std::size_t i = 1; i + 1 < rows.size(); ++i) CHECK(rows[i].step);
-  // The last step leaves nothing between the last row and paper mode.
+  // The last step ends at paper mode.
   Report report;
   report.modes = {{rows.back(), {}}, {make_mode("paper", {}), {}}, {rows[5], {}}};
   const auto json = nlohmann::json::parse(report_json(report));
@@ -462,7 +462,7 @@ TEST_CASE("the ablation goes from baseline to paper in steps") {
   CHECK(before == json["modes"][1]["options"]);
 }
 
-TEST_CASE("the JSON report tells turbo's two blends apart") {
+TEST_CASE("the JSON report distinguishes turbo's two blends") {
   Report report;
   report.modes = {{make_mode("paper", {}), {}}, {make_mode("turbo", {}), {}}, {make_mode("turbo-fp32", {}), {}}};
   const auto modes = nlohmann::json::parse(report_json(report))["modes"];

@@ -1,4 +1,4 @@
-// bench_sample_report.hpp - a report such as a run of rgs-bench makes, with numbers of a real one.
+// bench_sample_report.hpp - a report like one of rgs-bench, with realistic numbers.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -20,7 +20,7 @@ inline FrameStats frame_stats(double project_ms, double bin_ms, double sort_ms, 
   return s;
 }
 
-/// Baseline, a step, and paper mode at 1920x1080 on an H100; with rates and quality.
+/// Baseline, a step, and paper mode at 1920x1080 on an H100, with rates and quality.
 inline bench::Report sample_report() {
   bench::Report r;
   r.version = "0.1.0", r.date = "2026-11-21T20:00:00Z";
@@ -50,7 +50,7 @@ inline bench::Report sample_report() {
   return r;
 }
 
-/// Two stress views of paper and turbo, in the first of which turbo is ahead.
+/// Two stress views of paper and turbo; turbo is ahead in the first.
 inline bench::Report stress_report() {
   bench::Report r = sample_report();
   r.modes = {{bench::make_mode("paper", {}), {}}, {bench::make_mode("turbo", {}), {}}};

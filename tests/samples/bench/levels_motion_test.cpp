@@ -1,4 +1,4 @@
-// levels_motion_test.cpp - levels of detail take no step that the truth does not take, while the camera moves.
+// levels_motion_test.cpp - levels of detail do not pop more than the truth while the camera moves.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -40,7 +40,7 @@ SplatCloud town(std::uint64_t n) {
   return cloud_of(splats, 1);
 }
 
-/// As rgs-convert --lod writes it.
+/// With the settings of rgs-convert --lod.
 Scene scene_with_levels(std::uint64_t n) {
   const auto plain = encode(town(n).view(), {});
   REQUIRE(plain);
@@ -57,7 +57,7 @@ Scene scene_with_levels(std::uint64_t n) {
 
 }  // namespace
 
-TEST_CASE("the largest jump is the frame where a sequence steps farthest beside the truth") {
+TEST_CASE("the largest jump is the frame where a sequence's step most exceeds the truth's") {
   const std::vector<Change> truth{{1, 10, 0, 0}, {2, 20, 0, 0}, {4, 40, 0, 0}};
   const std::vector<Change> steps{{1, 10, 0, 0}, {3, 22, 0, 0}, {4, 60, 0, 0}};
   const Jump jump = largest_jump(steps, truth);
@@ -67,7 +67,7 @@ TEST_CASE("the largest jump is the frame where a sequence steps farthest beside 
   CHECK(jump.p999_frame == 3);
 }
 
-TEST_CASE("a dolly goes straight back from a point, by one factor a frame") {
+TEST_CASE("a dolly moves straight back from a point, by one factor per frame") {
   Camera camera;
   camera.width = camera.height = 10;
   camera.world_to_camera[3] = {0.5, 0, 4, 1};
@@ -79,7 +79,8 @@ TEST_CASE("a dolly goes straight back from a point, by one factor a frame") {
   }
 }
 
-TEST_CASE("levels of detail do not pop: a dolly to 16 times as far and an orbit, beside the supersampled truth") {
+TEST_CASE(
+    "levels of detail do not pop: a dolly to 16 times the distance and an orbit, against the supersampled truth") {
   if (kSanitized) return skip("a thousand pictures take too long with sanitizers");
   const Scene scene = scene_with_levels(120000);
   REQUIRE(scene.levels()->n_levels() >= 3);
@@ -111,7 +112,7 @@ TEST_CASE("levels of detail do not pop: a dolly to 16 times as far and an orbit,
     CHECK(levels->drawn < 0.9);
     CHECK(found <= 1.2 * std::max(1.0, all));  // drawing all of them steps farther than an average over pixels
     CHECK(jump.mean <= 1.2);
-    // The measure sees what it is for: half of the way at the default detail, and then the root.
+    // The measure detects popping: half of the way at the default detail, and then the root.
     std::vector<float> details(path.size(), kDefaultDetailPx);
     std::fill(details.begin() + kFrames / 2, details.end(), 1e6F);
     const auto popped = motion.levels(path, details);

@@ -1,4 +1,4 @@
-// orbit_motion_test.cpp - the arc of cameras, and whether popping is told from motion, on the CPU.
+// orbit_motion_test.cpp - the arc of cameras, and the distinction of popping from motion, on the CPU.
 // SPDX-License-Identifier: Apache-2.0
 #include "orbit_motion.hpp"
 
@@ -19,7 +19,7 @@ using namespace rgs::bench;
 
 namespace {
 
-/// A frame of `width` pixels of a wave that moves by `speed` pixels a frame.
+/// A frame of `width` pixels of a wave that moves by `speed` pixels per frame.
 std::vector<float> wave(int width, int frame, double speed) {
   std::vector<float> pixels;
   for (int x = 0; x < width; ++x)
@@ -55,13 +55,13 @@ std::vector<OrbitRow> orbit_on_cpu(const std::vector<RenderOptions>& modes, int 
 
 }  // namespace
 
-TEST_CASE("the point looked at is at the median of what is shown") {
+TEST_CASE("the orbit's centre is at the median of the visible depths") {
   CHECK(look_at_distance(std::vector<float>{0, 5, 0, 1, 3, 0}) == 3);
   CHECK(look_at_distance(std::vector<float>{0, 0}) == 1);
   CHECK(look_at_distance({}) == 1);
 }
 
-TEST_CASE("an arc keeps the point it turns about, its distance and the pace") {
+TEST_CASE("an arc keeps its centre, distance and pace") {
   const Camera camera = look_at({1, -2, -6}, {0.5, 0, 1}, kWorldUp, {.width = 200, .height = 100});
   const double distance = 5;
   const glm::dvec3 target = camera_centre(camera) + distance * camera_axis(camera, 2);
@@ -106,7 +106,7 @@ TEST_CASE("steps and second differences of known sequences") {
   CHECK(jump.second().worst_p999 == 0.5);
   CHECK(jump.second().p999 == doctest::Approx(2 * 0.5 / 4));
 
-  // Two of 2000 are what the percentile leaves out.
+  // Two of 2000 are below the percentile.
   MotionMeter rare;
   rare.add(std::vector<float>(2000, 0.0F));
   std::vector<float> picture(2000, 0.0F);
@@ -116,7 +116,7 @@ TEST_CASE("steps and second differences of known sequences") {
   CHECK(rare.step().largest == 1);
 }
 
-TEST_CASE("a jump shows against motion: in second differences, and most in what is added to a steady mode") {
+TEST_CASE("a jump stands out from motion: in second differences, and most in the part added to a steady mode") {
   const std::vector<std::string> modes{"steady", "same", "popping"};
   Camera frame;
   std::vector<Camera> path;
@@ -155,7 +155,7 @@ TEST_CASE("turbo's definition is as steady as baseline's on an orbit; a coarse d
   coarse.paper.depth_order = math::DepthOrder::quantized;
   coarse.paper.depth_bits = 10;
   const auto rows = orbit_on_cpu({test::baseline_options(), test::turbo_options(), coarse}, 24);
-  CHECK(rows[0].step.p999 > 0.02);  // the camera does move
+  CHECK(rows[0].step.p999 > 0.02);  // the camera moves
   CHECK(unsteadiness(rows[1], rows[0]) <= 1.03);
   CHECK(rows[1].added.worst_p999 <= 4.0 / 255);
   CHECK(unsteadiness(rows[2], rows[0]) > 1.5);

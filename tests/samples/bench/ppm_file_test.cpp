@@ -1,4 +1,4 @@
-// ppm_file_test.cpp - PPM pictures: what is read, and what is refused at which byte.
+// ppm_file_test.cpp - PPM pictures: valid ones are read, others refused at the right byte.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -18,7 +18,7 @@ namespace {
 using rgs::Errc;
 using rgs::bench::parse_ppm;
 
-// From a heap copy of exact size, so that a sanitizer sees a byte read beyond it.
+// From an exact-size heap copy, so that a sanitizer detects any overread.
 rgs::Result<rgs::Image> parse(const std::string& text) {
   const auto copy = std::make_unique<std::byte[]>(text.size());
   std::memcpy(copy.get(), text.data(), text.size());
@@ -53,7 +53,7 @@ TEST_CASE("a PPM header may hold comments and any white space, and pixels may lo
   CHECK(image->at(0, 0, 2) == 10.0F / 255.0F);
 }
 
-TEST_CASE("damaged PPM pictures are refused where the damage is") {
+TEST_CASE("damaged PPM pictures are refused at the damage") {
   refused("", Errc::bad_magic, 0);
   refused("P5 1 1 255 abc", Errc::bad_magic, 0);
   refused("P61 1 255 abc", Errc::bad_syntax, 2);

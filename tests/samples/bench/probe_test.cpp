@@ -1,13 +1,13 @@
-// probe_test.cpp - the measured rates of a device, against what its description allows.
+// probe_test.cpp - a device's measured rates against its description.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
 #include "device_fixture.hpp"
 #include "probe.hpp"
 
-TEST_CASE("measured rates are within what the device's clock and width allow") {
+TEST_CASE("measured rates are within the limits of the device's clock and width") {
   if (!rgs::test::device_answers()) return;
-  if (rgs::test::small_sizes()) return rgs::test::skip("a sanitizer's rates mean nothing");
+  if (rgs::test::small_sizes()) return rgs::test::skip("rates under a sanitizer mean nothing");
   const auto rates = rgs::cuda::measure_rates();
   rgs::test::require_ok(rates);
   int device = 0, processors = 0, kilohertz = 0, bus_bits = 0, memory_kilohertz = 0;
@@ -16,8 +16,8 @@ TEST_CASE("measured rates are within what the device's clock and width allow") {
   rgs::test::require_cuda(cudaDeviceGetAttribute(&kilohertz, cudaDevAttrClockRate, device));
   rgs::test::require_cuda(cudaDeviceGetAttribute(&bus_bits, cudaDevAttrGlobalMemoryBusWidth, device));
   rgs::test::require_cuda(cudaDeviceGetAttribute(&memory_kilohertz, cudaDevAttrMemoryClockRate, device));
-  // No multiprocessor since Turing issues more than 128 FP32 lanes, 32 special ones or one load of a warp in a clock. A
-  // probe that its compiler has removed would be far above, one that measures its own overhead far below.
+  // No multiprocessor since Turing issues more than 128 FP32 lanes, 32 special ones or one load of a warp per clock. A
+  // probe that the compiler removed would be far above, one that measures its own overhead far below.
   const double clocks = 1e3 * kilohertz * processors;
   CHECK(rates->fp32 < 1.05 * 128 * clocks);
   CHECK(rates->fp32 > 0.2 * 64 * clocks);
@@ -25,7 +25,7 @@ TEST_CASE("measured rates are within what the device's clock and width allow") {
   CHECK(rates->special > 0.2 * 16 * clocks);
   CHECK(rates->shared_loads < 1.05 * clocks);
   CHECK(rates->shared_loads > 0.05 * clocks);
-  // Double data rate; what both ways of copying reach of it.
+  // Double data rate, and the share of it that both copies reach.
   const double bus = 2 * 1e3 * memory_kilohertz * bus_bits / 8;
   CHECK(rates->copy_bytes < 1.05 * bus);
   CHECK(rates->copy_bytes > 0.3 * bus);

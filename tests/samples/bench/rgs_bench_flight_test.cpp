@@ -41,7 +41,7 @@ struct Stage {
 
 }  // namespace
 
-TEST_CASE("rgs-bench-flight refuses what it cannot measure, and keeps outputs that exist") {
+TEST_CASE("rgs-bench-flight refuses what it cannot measure, and keeps existing outputs") {
   const Stage stage;
   CHECK(rgs::test::run_program({RGS_BENCH_FLIGHT}).exit_code == 2);
   CHECK(rgs::test::run_program({RGS_BENCH_FLIGHT, kLevels}).exit_code == 2);
@@ -49,7 +49,7 @@ TEST_CASE("rgs-bench-flight refuses what it cannot measure, and keeps outputs th
   CHECK(stage.run({"--fps", "0"}).exit_code == 2);
   CHECK(stage.run({"--host-memory", "0"}).exit_code == 2);
   CHECK(stage.run({"--device-memory", "0"}).exit_code == 2);
-  CHECK(stage.run({"--pictures", "."}).exit_code == 2);  // of no --compare
+  CHECK(stage.run({"--pictures", "."}).exit_code == 2);  // without --compare
   CHECK(stage.run({"--cold"}, "http://127.0.0.1:1/a.rgs").exit_code == 2);
   CHECK(stage.run({"--frames", "2"}, stage.folder.file("nothing.rgs")).exit_code == 3);
   CHECK(stage.run({"--frames", "2"}, RGS_SOURCE_DIR "/tests/golden/degree3.rgs").exit_code == 4);  // no levels
@@ -69,7 +69,7 @@ TEST_CASE("rgs-bench-flight refuses what it cannot measure, and keeps outputs th
   CHECK(read_text(output) == "mine");
 }
 
-TEST_CASE("rgs-bench-flight measures an opening, a flight, pictures beside complete ones, and jumps") {
+TEST_CASE("rgs-bench-flight measures an opening, a flight, pictures against complete ones, and jumps") {
   const Stage stage;
   const std::string pictures = stage.folder.file("pictures");
   std::filesystem::create_directory(pictures);
@@ -95,7 +95,7 @@ TEST_CASE("rgs-bench-flight measures an opening, a flight, pictures beside compl
   CHECK(opening["ms_to_35_db"].get<double>() <= opening["ms_to_40_db"].get<double>());
   CHECK(opening["ms_to_40_db"].get<double>() <= opening["ms_to_complete"].get<double>());
 
-  // What its frames have seen come.
+  // The pages that arrived during its frames.
   const auto& progress = opening["progress"];
   REQUIRE(!progress.empty());
   CHECK(progress.back()[0] == opening["ms_to_complete"]);
@@ -121,12 +121,12 @@ TEST_CASE("rgs-bench-flight measures an opening, a flight, pictures beside compl
     CHECK(frame.contains("bytes_uploaded"));
   }
   CHECK(flight["render_ms_median"].get<double>() <= flight["render_ms_p99"].get<double>());
-  // Frames 0, 2, 4, 6, 8. The pool holds all of the scene, so that each view becomes complete.
+  // Frames 0, 2, 4, 6, 8. The pool holds the whole scene, so that each view becomes complete.
   CHECK(flight["compared"]["pictures"] == 5);
   CHECK(flight["compared"]["incomplete"] == 0);
   REQUIRE(flight["compared"]["each"].size() == 5);
   CHECK(flight["compared"]["each"][4]["frame"] == 8);
-  // Frame 0 is the view that the opening has waited for.
+  // Frame 0 is the view that the opening waited for.
   CHECK(flight["compared"]["each"][0]["psnr"].is_null());
 
   CHECK(read_text(pictures + "/frame_0008.ppm").substr(0, 13) == "P6\n64 48\n255\n");
@@ -143,7 +143,7 @@ TEST_CASE("rgs-bench-flight measures an opening, a flight, pictures beside compl
   CHECK(run.err.find("flight") != std::string::npos);
 }
 
-TEST_CASE("rgs-bench-flight says what a pool that is too small cannot show, and compares no picture with it") {
+TEST_CASE("rgs-bench-flight reports when the pool is too small for a view, and compares no picture with it") {
   const Stage stage;
   const std::string output = stage.folder.file("flight.json");
   // Room for tables and the root: grown until it opens.

@@ -52,7 +52,7 @@ TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
   CHECK(stage.run({"--detail", "-1"}).exit_code == 2);
   CHECK(stage.run({"--size", "1920"}).exit_code == 2);
   CHECK(stage.run({"--orbit", "2"}).exit_code == 2);   // no second difference
-  CHECK(stage.run({"--photos", "."}).exit_code == 2);  // of which cameras?
+  CHECK(stage.run({"--photos", "."}).exit_code == 2);  // without cameras
   CHECK(stage.run({"--views", "all"}).exit_code == 2);
   for (const std::vector<std::string>& more : std::vector<std::vector<std::string>>{
            {"--size", "64x48"}, {"--ablate"}, {"--orbit", "5"}, {"--quality-cameras", stage.cameras}, {"--roofline"}}) {
@@ -69,7 +69,7 @@ TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
   CHECK(rgs::test::run_program({RGS_BENCH, "--help"}).exit_code == 0);
 }
 
-TEST_CASE("rgs-bench keeps outputs that exist, and finds out before it measures") {
+TEST_CASE("rgs-bench keeps existing outputs, and checks them before it measures") {
   const Stage stage;
   const std::string output = stage.folder.file("bench.json");
   std::ofstream(output) << "mine";
@@ -81,7 +81,7 @@ TEST_CASE("rgs-bench keeps outputs that exist, and finds out before it measures"
   CHECK(stage.run({"--csv", stage.folder.file("no/such/folder.csv")}).exit_code == 3);
 }
 
-TEST_CASE("rgs-bench refuses the baseline of levels of detail, but of their leaves") {
+TEST_CASE("rgs-bench refuses the baseline for levels of detail, but not for their leaves") {
   const Stage stage;
   const auto blind = [] { ::setenv("CUDA_VISIBLE_DEVICES", "", 1); };
   for (const std::vector<std::string>& more :
@@ -96,7 +96,7 @@ TEST_CASE("rgs-bench refuses the baseline of levels of detail, but of their leav
   }
 }
 
-TEST_CASE("rgs-bench draws files with levels of detail, and says of what each camera's picture is made") {
+TEST_CASE("rgs-bench draws files with levels of detail, and reports the pages of each camera's picture") {
   int n_devices = 0;
   if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0) return rgs::test::skip("no CUDA device answers");
   const Stage stage;
@@ -132,20 +132,20 @@ TEST_CASE("rgs-bench draws files with levels of detail, and says of what each ca
   }
 }
 
-TEST_CASE("without a device rgs-bench says so and writes nothing") {
+TEST_CASE("without a device rgs-bench reports it and writes nothing") {
   const Stage stage;
   const std::string json = stage.folder.file("b.json");
   const ProgramResult result = stage.run({"--json", json}, kScene, [] { ::setenv("CUDA_VISIBLE_DEVICES", "", 1); });
-  CHECK(result.exit_code == 3);  // as its --help says
+  CHECK(result.exit_code == 3);  // as its --help states
   const auto blind = [] { ::setenv("CUDA_VISIBLE_DEVICES", "", 1); };
   CHECK(rgs::test::run_program({RGS_BENCH, kScene, "--views", "stress"}, blind).exit_code ==
-        3);  // without cameras, too
+        3);  // even without cameras
   CHECK(result.err.find("no CUDA device answers") != std::string::npos);
   CHECK_FALSE(std::filesystem::exists(json));
 }
 
 TEST_CASE("rgs-bench measures every mode") {
-  // Not by the program's own word, which would make of any failure to find the device a test that is left out.
+  // Does not rely on the program: if it failed to find the device, the test would be skipped.
   int n_devices = 0;
   if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0) return rgs::test::skip("no CUDA device answers");
   const Stage stage;
@@ -161,7 +161,7 @@ TEST_CASE("rgs-bench measures every mode") {
   for (const auto& row : report["sizes"][0]["results"]) {
     const double inside = row["total_ms"].get<double>(), events = row["eager_events_ms"].get<double>();
     CHECK(inside > 0);
-    CHECK(events > 0.5 * inside);  // with two frames they are no better than that
+    CHECK(events > 0.5 * inside);  // two frames support no more
     CHECK(row["eager_clock_ms"].get<double>() > events);
     CHECK(row["queued_ms"].get<double>() > 0);
   }
@@ -182,14 +182,14 @@ TEST_CASE("rgs-bench measures every mode") {
   CHECK(stage.run({}, stage.cameras).exit_code == 4);  // no scene
 }
 
-TEST_CASE("rgs-bench goes through the stress views, and fails where turbo is slower") {
+TEST_CASE("rgs-bench runs the stress views, and fails if turbo is slower") {
   int n_devices = 0;
   if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0) return rgs::test::skip("no CUDA device answers");
   const Stage stage;
   const std::string json = stage.folder.file("stress.json");
   const ProgramResult result =
       rgs::test::run_program({RGS_BENCH, kScene, "--views", "stress", "--frames", "5", "--json", json});
-  // 40 Gaussians: which of the two is faster is not the question here, but the code must agree with the report.
+  // 40 Gaussians: either may be faster, but the exit code must agree with the report.
   const auto report = nlohmann::json::parse(read_text(json));
   CHECK(report["cameras"] == 1);
   REQUIRE(report["modes"].size() == 2);

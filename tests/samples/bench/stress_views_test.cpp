@@ -1,4 +1,4 @@
-// stress_views_test.cpp - the fixed list of stress views: names, sizes, where each camera stands and what it sees.
+// stress_views_test.cpp - the fixed list of stress views: names, sizes, cameras and what they see.
 // SPDX-License-Identifier: Apache-2.0
 #include "stress_views.hpp"
 
@@ -95,14 +95,14 @@ TEST_CASE("the list of stress views is fixed") {
     check(stress_views({}, scene_of(scale)), 1);
   }
   check(stress_views(cameras_of(8), scene_of(1)), 8);
-  // Eight of many, from all around.
+  // Eight of many, all around.
   const auto views = stress_views(cameras_of(80), scene_of(1));
   check(views, 8);
   CHECK(views.front().cameras.front().name == "0");
   CHECK(views.front().cameras.back().name == "70");
 }
 
-TEST_CASE("each stress view stands where its name says") {
+TEST_CASE("each stress view's camera matches its name") {
   const StressScene scene = scene_of(1);
   const auto cameras = cameras_of(3);
   const auto views = stress_views(cameras, scene);
@@ -122,7 +122,7 @@ TEST_CASE("each stress view stands where its name says") {
       CHECK(c.cx == 0.5 * width);
       CHECK(c.cy == 0.5 * height);
     }
-    // Straight back: what was in the middle of the image still is.
+    // Straight back: the centre of the image stays.
     for (const auto& [label, by] : {std::pair("back 30 units", 30.0),
                                     {"back 300 units", 300.0},
                                     {"back 3000 units", 3000.0},
@@ -139,7 +139,7 @@ TEST_CASE("each stress view stands where its name says") {
     CHECK(distance(wide.world_to_camera, from.world_to_camera) == 0);
     CHECK(std::atan2(960, wide.fx) * 360 / 3.14159265358979 == doctest::Approx(170));
     CHECK(wide.fy == wide.fx);
-    // Nothing of the scene, its floaters included, is before the empty ones.
+    // The empty views show nothing of the scene, floaters included.
     for (const int width : {1920, 3840}) {
       const Camera& empty = at("empty", width, width * 9 / 16);
       for (int corner = 0; corner < 8; ++corner) {
@@ -151,7 +151,7 @@ TEST_CASE("each stress view stands where its name says") {
     CHECK(glm::length(seen(at("in the densest part"), scene.dense)) < 1e-12);
     CHECK(glm::length(seen(at("in the densest part", 3840, 2160), scene.dense)) < 1e-12);
     CHECK(glm::distance(camera_axis(at("in the densest part"), 2), camera_axis(from, 2)) < 1e-12);
-    // 0.24 ahead would not be drawn well: the near plane is at 0.2.
+    // 0.24 ahead would be too near: the near plane is at 0.2.
     CHECK(glm::distance(seen(at("before the densest part"), scene.dense), glm::dvec3(0, 0, 0.4)) < 1e-6);
   }
   const auto large = stress_views(cameras, scene_of(100));
@@ -163,7 +163,7 @@ TEST_CASE("each stress view stands where its name says") {
                       glm::dvec3(0, 0, 24)) < 1e-9);
 }
 
-TEST_CASE("without cameras the stress views look at the scene's box from the front") {
+TEST_CASE("without cameras the stress views face the scene's box from the front") {
   const auto views = stress_views({}, scene_of(1));
   const Camera expected = default_view(scene_of(1).bulk, {.width = 1920, .height = 1080});
   CHECK(distance(views.front().cameras.front().world_to_camera, expected.world_to_camera) == 0);
@@ -172,7 +172,7 @@ TEST_CASE("without cameras the stress views look at the scene's box from the fro
   CHECK(distance(stress_views({}, upside_down).front().cameras.front().world_to_camera, expected.world_to_camera) > 1);
 }
 
-TEST_CASE("the densest point is the middle of what lies closest together, in the world") {
+TEST_CASE("the densest point is the middle of the closest Gaussians, in the world") {
   std::vector<float> mean;
   const auto put = [&](float x, float y, float z) { mean.insert(mean.end(), {x, y, z}); };
   for (int k = 0; k < 100; ++k) put(0.1F * static_cast<float>(k) - 5, 0, static_cast<float>(k % 7));
@@ -191,7 +191,7 @@ TEST_CASE("the densest point is the middle of what lies closest together, in the
   CHECK(densest_point(point, kNoOrigin, {{1, 2, 3}, {1, 2, 3}}) == glm::dvec3(1, 2, 3));
 }
 
-TEST_CASE("a file's boxes, place and up make the stress scene") {
+TEST_CASE("a file's boxes, origin and up make the stress scene") {
   Declarations d;
   d.robust = {{-1, -1, -1}, {1, 1, 1}};
   d.full = {{-9, -1, -1}, {1, 1, 5}};
@@ -207,7 +207,7 @@ TEST_CASE("a file's boxes, place and up make the stress scene") {
   CHECK(scene.size() == doctest::Approx(std::sqrt(12.0)));
 }
 
-TEST_CASE("frames fill their time, one at least") {
+TEST_CASE("frames fill the requested time, at least one") {
   CHECK(frames_within(0.05, 0.5, 100) == 100);
   CHECK(frames_within(0.05, 1, 100) == 50);
   CHECK(frames_within(0.05, 3000, 100) == 1);

@@ -1,4 +1,4 @@
-// scene_generator_test.cpp - the synthetic scene is reproducible, varied and shaped like a trained one.
+// scene_generator_test.cpp - the synthetic scene is reproducible, varied and statistically like a trained one.
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_generator.hpp"
 
@@ -45,7 +45,7 @@ double distance(const Splat& s) {
 
 }  // namespace
 
-TEST_CASE("a Gaussian depends on seed, count and index, not on the batch or thread it is made in") {
+TEST_CASE("a Gaussian depends on seed, count and index, not on its batch or thread") {
   constexpr std::uint64_t kN = 10007;
   const SceneGenerator scene(7, kN, 3);
   const std::vector<Splat> expected = whole(7, kN, 3);
@@ -73,7 +73,7 @@ TEST_CASE("seeds give different scenes of the same kind") {
   CHECK(equal < 5);
 }
 
-TEST_CASE("a lower degree is the higher one cut off") {
+TEST_CASE("a lower degree is the higher one truncated") {
   const std::vector<Splat> full = whole(3, 2000, 3);
   for (int degree = 0; degree < 3; ++degree) {
     std::vector<Splat> cut = full;
@@ -88,7 +88,7 @@ TEST_CASE("small and empty scenes") {
     for (const Splat& splat : whole(1, n, 3)) REQUIRE(std::isfinite(splat.log_scale[0] + splat.mean[0]));
 }
 
-TEST_CASE("the largest scene is reached at random") {
+TEST_CASE("the largest scene has random access") {
   const SceneGenerator scene(1, kMaxSceneGaussians, 3);
   std::vector<Splat> last(64), again(1);
   scene.generate(kMaxSceneGaussians - last.size(), last);
@@ -99,14 +99,14 @@ TEST_CASE("the largest scene is reached at random") {
   CHECK(percentile(size, 0.5) < -6);  // below 3 mm
 }
 
-TEST_CASE("a scene's bytes stay what they are") {
+TEST_CASE("a scene's bytes never change") {
   const std::vector<Splat> splats = whole(1, 20011, 3);
   CHECK(xxh3(std::as_bytes(std::span(splats))) == 17861800317272669149U);
   const std::string cameras = scene_cameras_json();
   CHECK(xxh3(std::as_bytes(std::span(cameras))) == 615894061732631915U);
 }
 
-TEST_CASE("statistics are those of a trained outdoor scene") {
+TEST_CASE("statistics match a trained outdoor scene") {
   const std::vector<Splat> splats = whole(1, 100000, 3);
   std::vector<double> longest, flatness, opacity, radius;
   double power[4] = {}, terms[4] = {};
@@ -146,7 +146,7 @@ TEST_CASE("statistics are those of a trained outdoor scene") {
   CHECK(percentile(flatness, 0.5) > 1.5);
   CHECK(percentile(flatness, 0.99) > 3.5);
 
-  // Opacities: both nearly transparent and nearly opaque, little between.
+  // Opacities: many nearly transparent and nearly opaque, few between.
   const auto share = [&](double low, double high) {
     return static_cast<double>(
                std::count_if(opacity.begin(), opacity.end(), [&](double o) { return o >= low && o < high; })) /
@@ -169,7 +169,7 @@ TEST_CASE("statistics are those of a trained outdoor scene") {
   CHECK(n_dc_outliers > 20);
   CHECK(n_dc_outliers < 1000);
 
-  // Space: most of it near, a little far away.
+  // Space: most Gaussians are near, a few far away.
   CHECK(percentile(radius, 0.5) < 6);
   CHECK(percentile(radius, 0.9) < 30);
   CHECK(*std::max_element(radius.begin(), radius.end()) > 250);
@@ -185,7 +185,7 @@ TEST_CASE("splats shrink as their number grows") {
   CHECK(median(20000) - median(80000) == doctest::Approx(std::log(2)).epsilon(0.15));
 }
 
-TEST_CASE("the portrait camera looks at the house with a right-handed frame") {
+TEST_CASE("the portrait camera faces the house with a right-handed frame") {
   const std::string json = scene_cameras_json();
   CHECK(std::count(json.begin(), json.end(), '{') == 8);
   double m[12];
@@ -234,7 +234,7 @@ TEST_CASE("rgs-make-scene writes header and rows of every degree") {
   }
 }
 
-TEST_CASE("rgs-make-scene --origin writes the same scene, in doubles, somewhere else") {
+TEST_CASE("rgs-make-scene --origin writes the same scene in doubles, elsewhere") {
   const test::TemporaryFolder folder;
   const std::string path = folder.file("far.ply"), cameras = folder.file("far.json");
   REQUIRE(make_scene("--gaussians 2k --degree 0 --origin 4.2e6,-1.7e5,4.8e6 --cameras " + cameras + " " + path) == 0);
@@ -277,7 +277,7 @@ TEST_CASE("rgs-make-scene keeps existing outputs unless told to replace them") {
   CHECK(!std::filesystem::exists(folder.file("b.ply")));
 }
 
-TEST_CASE("rgs-make-scene answers bad arguments with exit code 2 and no file") {
+TEST_CASE("rgs-make-scene refuses bad arguments with exit code 2 and writes no file") {
   const test::TemporaryFolder folder;
   const std::string path = folder.file("a.ply");
   for (const char* arguments : {"--gaussians 201M", "--gaussians -5", "--gaussians 1.5", "--gaussians ten",

@@ -1,4 +1,4 @@
-// town_generator_test.cpp - the synthetic town is the same however it is cut, and looks like a town from afar.
+// town_generator_test.cpp - the synthetic town does not depend on how it is divided, and looks like a town from afar.
 // SPDX-License-Identifier: Apache-2.0
 #include "town_generator.hpp"
 
@@ -71,7 +71,7 @@ double percentile(std::vector<double> values, double share) {
   return *at;
 }
 
-// Ranges that lie on the ground within the town; the others are sectors of what is around it.
+// Ranges on the ground within the town; the others are sectors of its surroundings.
 bool is_block(const TownGenerator& town, std::uint64_t k) {
   const TownGenerator::Bounds box = town.bounds(k);
   return box.high[0] - box.low[0] < 200;
@@ -93,11 +93,11 @@ double opacity(const Splat& s) {
 
 }  // namespace
 
-TEST_CASE("a range's Gaussians depend on no other range, on no cut and on no thread") {
+TEST_CASE("a range's Gaussians depend on no other range, division or thread") {
   const TownGenerator town(7, 20011, 2, 2);
   const std::vector<Splat> expected = whole(town);
   REQUIRE(expected.size() == 20011);
-  for (std::uint64_t k = town.n_ranges(); k-- > 0;) {  // backwards, each from a town of its own, in pieces
+  for (std::uint64_t k = town.n_ranges(); k-- > 0;) {  // backwards, each from its own town, in parts
     CAPTURE(k);
     const TownRange range = TownGenerator(7, 20011, 2, 2).range(k);
     std::vector<Splat> pieces(range.size());
@@ -118,7 +118,7 @@ TEST_CASE("a range's Gaussians depend on no other range, on no cut and on no thr
   CHECK(same_bits(shared, expected));
 }
 
-TEST_CASE("a town has as many Gaussians as were asked for, all of them finite and within their range's bounds") {
+TEST_CASE("a town has the requested number of Gaussians, all finite and within their range's bounds") {
   for (const int blocks : {0, 1, 2, 5})
     for (const std::uint64_t n : {0U, 1U, 7U, 100U, 9999U, 123457U}) {
       CAPTURE(blocks);
@@ -151,14 +151,14 @@ TEST_CASE("a town has as many Gaussians as were asked for, all of them finite an
     }
 }
 
-TEST_CASE("a town's bytes stay what they are, whatever the compiler") {
+TEST_CASE("a town's bytes never change, whatever the compiler") {
   const std::vector<Splat> splats = whole(TownGenerator(1, 50021, 3, 3));
   const std::string cameras = town_cameras_json(1) + town_path_json(1);
   CHECK(xxh3(std::as_bytes(std::span(splats))) == 18176096755127476755U);
   CHECK(xxh3(std::as_bytes(std::span(cameras))) == 3235692612974067230U);
 }
 
-TEST_CASE("a lower degree of the town is the higher one cut off, and seeds give other towns") {
+TEST_CASE("a lower degree of the town is the higher one truncated, and seeds give other towns") {
   const std::vector<Splat> full = whole(TownGenerator(3, 3000, 3, 1));
   for (int degree = 0; degree < 3; ++degree) {
     std::vector<Splat> cut = full;
@@ -172,7 +172,7 @@ TEST_CASE("a lower degree of the town is the higher one cut off, and seeds give 
   CHECK(equal < 5);
 }
 
-TEST_CASE("blocks measure what they should in metres, and a larger town contains the smaller one") {
+TEST_CASE("blocks have the right size in metres, and a larger town contains the smaller one") {
   const TownGenerator small(1, 10000, 0, 2), large(1, 50000, 0, 5);
   const auto boxes = [](const TownGenerator& town) {
     std::vector<TownGenerator::Bounds> all;
@@ -203,7 +203,7 @@ TEST_CASE("blocks measure what they should in metres, and a larger town contains
   CHECK(top > -60);
 }
 
-TEST_CASE("the town's Gaussians are thin discs, nearly opaque, as wide as their neighbours are apart") {
+TEST_CASE("the town's Gaussians are thin, nearly opaque discs as wide as their spacing") {
   const TownGenerator town(1, 200000, 3, 2);
   std::vector<double> longest, aspect, flatness, opaque;
   std::size_t n = 0, n_visible = 0, n_faint_high = 0;
@@ -234,10 +234,10 @@ TEST_CASE("the town's Gaussians are thin discs, nearly opaque, as wide as their 
   CHECK(static_cast<double>(n_visible) > 0.98 * static_cast<double>(n));
   CHECK(n_faint_high > n / 2000);  // floaters
   CHECK(n_faint_high < n / 50);
-  // A deviation of 0.6 of a cell, cells between a street's and a window's at this density.
+  // A deviation of 0.6 of a cell; at this density cells lie between a street's and a window's.
   CHECK(percentile(longest, 0.5) > std::log(0.1));
   CHECK(percentile(longest, 0.5) < std::log(0.4));
-  // Harmonics fall with their degree and are there for gloss.
+  // Harmonics fall with their degree and only add gloss.
   const double d1 = std::sqrt(power[1] / terms[1]), d2 = std::sqrt(power[2] / terms[2]),
                d3 = std::sqrt(power[3] / terms[3]);
   INFO(d1, " ", d2, " ", d3);
@@ -261,9 +261,9 @@ TEST_CASE("four times the Gaussians are half as wide") {
   CHECK(median(50000) - median(200000) == doctest::Approx(std::log(2)).epsilon(0.15));
 }
 
-TEST_CASE("from afar houses differ from one another and not only their Gaussians") {
-  // Colour by house-sized cells of roofs and walls: its variance between cells against what it would be, were the same
-  // Gaussians anywhere.
+TEST_CASE("from afar houses differ from one another, not only their Gaussians") {
+  // Colour in house-sized cells of roofs and walls: its variance between cells, against the variance of the same
+  // Gaussians at random.
   const TownGenerator town(1, 200000, 0, 3);
   struct Sum {
     double n = 0, red = 0, green = 0;
@@ -325,7 +325,7 @@ TEST_CASE("towns grow with the number of Gaussians, up to a billion") {
   CHECK(percentile(size, 0.5) < std::log(0.1));
 }
 
-TEST_CASE("growth: a town is linear in its Gaussians") {
+TEST_CASE("growth: generating a town is linear in its Gaussians") {
   std::vector<Splat> batch(2048);
   const auto generate = [&batch](const TownGenerator& town) {
     for (std::uint64_t k = 0; k < town.n_ranges(); ++k) {
@@ -338,7 +338,7 @@ TEST_CASE("growth: a town is linear in its Gaussians") {
   CHECK(test::growth(5000, town, generate) < test::kLinearGrowth);
 }
 
-TEST_CASE("the town's cameras and its path can be read, and the path is 30 m/s") {
+TEST_CASE("the town's cameras and path can be read, and the path is 30 m/s") {
   const Result<CameraSet> views = parse_camera_json(town_cameras_json(1)), path = parse_camera_json(town_path_json(1));
   REQUIRE(views.has_value());
   REQUIRE(path.has_value());
@@ -363,7 +363,7 @@ TEST_CASE("the town's cameras and its path can be read, and the path is 30 m/s")
   CHECK(town_path_json(1, 1280, 720, {1e6, 0, 0}) != town_path_json(1));
 }
 
-TEST_CASE("the path runs into nothing") {
+TEST_CASE("the path hits nothing") {
   for (const std::uint64_t seed : {1U, 2U}) {
     CAPTURE(seed);
     const Result<CameraSet> path = parse_camera_json(town_path_json(seed));
@@ -398,7 +398,7 @@ std::string contents(const std::string& path) {
 
 }  // namespace
 
-TEST_CASE("rgs-make-scene --town writes the generator's Gaussians in the order of ranges, on any number of threads") {
+TEST_CASE("rgs-make-scene --town writes the generator's Gaussians in range order, on any number of threads") {
   const test::TemporaryFolder folder;
   const std::string one = folder.file("one.ply"), many = folder.file("many.ply");
   REQUIRE(make_town("--seed 5 --gaussians 30001 --degree 1 --blocks 2 --threads 1 " + one) == 0);
@@ -423,7 +423,7 @@ TEST_CASE("rgs-make-scene --town writes its cameras and its path") {
   REQUIRE(make_town(both + "--seed 3 " + ply) == 0);
   CHECK(contents(views) == town_cameras_json(3));
   CHECK(contents(path) == town_path_json(3));
-  // What is there is kept, and then nothing of the rest is written.
+  // Existing files are kept, and then nothing else is written.
   std::filesystem::remove(views);
   CHECK(make_town(both + folder.file("b.ply")) == 3);
   CHECK(contents(path) == town_path_json(3));
@@ -435,7 +435,7 @@ TEST_CASE("rgs-make-scene --town writes its cameras and its path") {
   CHECK(contents(path) == town_path_json(1, 1280, 720, {4.2e6, -1.7e5, 4.8e6}));
 }
 
-TEST_CASE("rgs-make-scene --town answers bad arguments with exit code 2 and no file") {
+TEST_CASE("rgs-make-scene --town refuses bad arguments with exit code 2 and writes no file") {
   const test::TemporaryFolder folder;
   const std::string ply = folder.file("a.ply"), path = folder.file("p.json");
   for (const char* arguments :
@@ -445,7 +445,7 @@ TEST_CASE("rgs-make-scene --town answers bad arguments with exit code 2 and no f
   }
   CHECK(make_town("--camera-path " + ply + " " + ply) == 2);
   CHECK(make_town("--camera-path " + path + " --cameras " + path + " " + ply) == 2);
-  // A path and blocks are a town's.
+  // A path and blocks require a town.
   const std::string plain = "'" RGS_MAKE_SCENE "' --quiet --no-sync --gaussians 10 ";
   CHECK(test::run_shell(plain + "--camera-path " + path + " " + ply).exit_code == 2);
   CHECK(test::run_shell(plain + "--blocks 2 " + ply).exit_code == 2);

@@ -1,4 +1,5 @@
-# driver_test.py - rgs-render says which driver it found and which it needs: driver_test.py RGS_RENDER FAKE_DRIVER_FOLDER SCENE.rgs
+# driver_test.py - rgs-render reports the driver found and the one required: driver_test.py RGS_RENDER
+# FAKE_DRIVER_FOLDER SCENE.rgs
 # SPDX-License-Identifier: Apache-2.0
 import os
 import re
@@ -20,7 +21,7 @@ def check(holds, what, result):
         sys.exit(f"not so: {what}\n{result}")
 
 
-# Of whatever CUDA this is built with: one that is always too old says which is needed, then the one before that.
+# For any CUDA version built with: an ancient driver reveals the required one, then the version before that is tried.
 version = 11080
 for _ in range(2):
     old = render("cuda", RGS_FAKE_DRIVER=str(version))

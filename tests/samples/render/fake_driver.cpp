@@ -1,4 +1,4 @@
-// fake_driver.cpp - a libcuda.so.1 that has a version, RGS_FAKE_DRIVER (12040 for CUDA 12.4), and nothing else.
+// fake_driver.cpp - a libcuda.so.1 that has only a version, RGS_FAKE_DRIVER (12040 for CUDA 12.4).
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdlib>
 

@@ -91,7 +91,7 @@ struct Stage {
                                          camera("c.jpg", "train", 6) + "]");
   }
   std::string file(const std::string& name) const { return folder.file(name); }
-  // Command line with names in the folder instead of @.
+  // A command line; @ stands for the folder.
   Outcome run(std::string arguments) const {
     for (std::size_t at; (at = arguments.find('@')) != std::string::npos;)
       arguments.replace(at, 1, folder.path().string() + "/");
@@ -120,7 +120,7 @@ float largest_difference(const rgs::Image& a, const rgs::Image& b) {
 
 }  // namespace
 
-TEST_CASE("a far scene gives the pictures that it gives at home: PLY of doubles, .rgs, with cameras and without") {
+TEST_CASE("a far scene gives the same pictures as near the origin: PLY of doubles, .rgs, with cameras and without") {
   const Stage stage;
   const rgs::Origin place{4.2e6, 1.7e5, 4.8e6};
   write_ply(stage.file("far.ply"), ball(), place);
@@ -146,7 +146,7 @@ TEST_CASE("a far scene gives the pictures that it gives at home: PLY of doubles,
   }
 }
 
-TEST_CASE("the formats of others show the same scene in the same frame") {
+TEST_CASE("other formats show the same scene in the same frame") {
   const Stage stage;
   REQUIRE(stage.run("@scene.ply -c @cameras.json --out @ply.exr").code == 0);
   for (const rgs::SplatFormat format :
@@ -180,7 +180,7 @@ TEST_CASE("one picture from a camera, in every format and at another size") {
   CHECK(stage.picture("small.png").height == 18);
 }
 
-TEST_CASE(".rgs and .ply show the same, whatever the file is called") {
+TEST_CASE(".rgs and .ply show the same, whatever the file's name") {
   const Stage stage;
   fs::copy_file(stage.file("scene.rgs"), stage.file("odd.name"));
   REQUIRE(stage.run("@scene.ply -c @cameras.json --out @ply.png").code == 0);
@@ -188,7 +188,7 @@ TEST_CASE(".rgs and .ply show the same, whatever the file is called") {
   CHECK(largest_difference(stage.picture("ply.png"), stage.picture("rgs.png")) < 0.03F);
 }
 
-TEST_CASE("folders: all cameras, a split, a view; depth and alpha beside") {
+TEST_CASE("folders: all cameras, a split, a view, with depth and alpha") {
   const Stage stage;
   REQUIRE(stage.run("@scene.ply -c @cameras.json --out @all --depth @depth").code == 0);
   for (const char* name : {"all/a.png", "all/b.png", "all/c.png"}) CHECK(stage.has(name));
@@ -226,7 +226,7 @@ TEST_CASE("views without cameras, orbits and paths") {
   CHECK(stage.picture("path/frame_0003.png").width == 64);
 }
 
-TEST_CASE("options change the picture as they say") {
+TEST_CASE("each option changes the picture as documented") {
   const Stage stage;
   const std::string base = "@scene.ply -c @cameras.json --quiet --overwrite --out @o.exr ";
   const auto picture = [&](const std::string& options) {
@@ -264,7 +264,7 @@ TEST_CASE("options change the picture as they say") {
   }
 }
 
-TEST_CASE("a depth key that is too coarse is said, with its resolution in the JSON summary") {
+TEST_CASE("a depth key that is too coarse is reported, with its resolution in the JSON summary") {
   const Stage stage;
   const auto run = [&](const std::string& options) {
     return stage.run("@scene.ply -c @cameras.json --backend cpu --overwrite --out @o " + options);
@@ -286,7 +286,7 @@ TEST_CASE("a depth key that is too coarse is said, with its resolution in the JS
   }
 }
 
-TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, unless another is asked for") {
+TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, unless another is requested") {
   const Stage stage;
   const rgs::SplatCloud cloud = ball();
   const auto write = [&](const std::string& name, const rgs::Result<std::vector<std::byte>>& bytes) {
@@ -309,7 +309,7 @@ TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, 
     REQUIRE(outcome.code == 0);
     return stage.picture("o.exr");
   };
-  // All formats in the default mode, all modes with one format: each picture is a process.
+  // All formats in the default mode, and all modes with one format: each picture is a process.
   for (const std::string format : {".rgs", ".spz", ".ply", ".glb"}) {
     for (const std::string mode : {"", " --mode baseline", " --mode paper", " --mode turbo", " --exp paper"}) {
       if (format != ".rgs" && !mode.empty()) continue;
@@ -389,7 +389,7 @@ TEST_CASE("an empty scene is a picture of the background") {
   CHECK(stage.picture("a.png").at(3, 3, 2) == 1);
 }
 
-TEST_CASE("--json is one JSON object with what was done") {
+TEST_CASE("--json prints one JSON object about the run") {
   const Stage stage;
   const Outcome outcome = stage.run("@scene.rgs -c @cameras.json --out @all --depth @all --json 2>/dev/null #");
   REQUIRE(outcome.code == 0);
@@ -435,7 +435,7 @@ TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is 
   CHECK(pictures[0] == pictures[1]);
 }
 
-TEST_CASE("--max-expansion says what a compressed scene may decode to") {
+TEST_CASE("--max-expansion limits what a compressed scene may decode to") {
   const TemporaryFolder folder;
   rgs::SplatCloud cloud;
   cloud.resize(40'000, 0);
@@ -488,13 +488,13 @@ struct StreamStage : Stage {
   }
 };
 
-std::string without_summary(std::string out) {  // of progress, before the JSON
+std::string without_summary(std::string out) {  // progress, before the JSON
   return out.substr(out.find('{'));
 }
 
 }  // namespace
 
-TEST_CASE("with --host-memory a file is streamed: the same pictures, and what was read for them in the JSON summary") {
+TEST_CASE("with --host-memory a file is streamed: the same pictures, and the reads in the JSON summary") {
   const StreamStage stage;
   CHECK(stage.run("@town.rgs --cameras @cameras.json --detail 0.5 --backend cpu --out @whole/").code == 0);
   const Outcome run =
@@ -524,7 +524,7 @@ TEST_CASE("with --host-memory a file is streamed: the same pictures, and what wa
   }
 }
 
-TEST_CASE("a budget that is too small for a view gives coarser pictures, a warning with their error, and exit code 6") {
+TEST_CASE("a budget too small for a view gives coarser pictures, a warning with their error, and exit code 6") {
   const StreamStage stage;
   const Outcome run =
       stage.run("@town.rgs --cameras @cameras.json --view 0 --detail 0 --host-memory 1MiB --out @a.png");
@@ -537,7 +537,7 @@ TEST_CASE("a budget that is too small for a view gives coarser pictures, a warni
   CHECK(!stage.has("none.png"));
 }
 
-TEST_CASE("in real time frames of a path come at their time, from what is there, with a report of each") {
+TEST_CASE("in real time a path's frames are drawn on time, from resident pages, with a report of each") {
   const StreamStage stage;
   const Outcome run = stage.run(
       "@town.rgs --path @cameras.json --frames 8 --host-memory 64MiB --realtime 20 --json --quiet --out @flight/");
@@ -558,7 +558,7 @@ TEST_CASE("in real time frames of a path come at their time, from what is there,
   CHECK(stage.has("flight/frame_0007.png"));
 }
 
-TEST_CASE("what cannot be streamed is refused with what to do") {
+TEST_CASE("inputs that cannot be streamed are refused with advice") {
   const StreamStage stage;
   const auto refused = [&](const std::string& arguments, int code, const std::string& says) {
     CAPTURE(arguments);
@@ -586,7 +586,7 @@ TEST_CASE("what cannot be streamed is refused with what to do") {
 }
 
 #if defined(RGS_TEST_HTTP)
-TEST_CASE("an address is said without its query") {
+TEST_CASE("an address is printed without its query") {
   const StreamStage stage;
   const Outcome run = stage.run("'http://127.0.0.1:1/a.rgs?key=hidden#hidden' --out @x.png");
   CHECK(run.code == 3);
@@ -595,7 +595,7 @@ TEST_CASE("an address is said without its query") {
   CHECK(run.out.find("hidden") == std::string::npos);
 }
 
-TEST_CASE("the address of a file on a web server is drawn as the file is, and other formats are not") {
+TEST_CASE("a file on a web server is drawn like a local one, and other formats are refused") {
   if (!rgs::test::Nginx::is_installed()) {
     rgs::test::skip_without_tool(std::string("there is no ") + rgs::test::Nginx::kProgram);
     return;

@@ -20,7 +20,7 @@ ByteRange part(std::uint64_t first, std::uint64_t count) {
 
 }  // namespace
 
-TEST_CASE("a range is a part of the file, and ends where the file does") {
+TEST_CASE("a range is a part of the file and ends at most where the file does") {
   CHECK(parse_range("bytes=0-0", kSize) == part(0, 1));
   CHECK(parse_range("bytes=10-19", kSize) == part(10, 10));
   CHECK(parse_range("Bytes= 10-19 ", kSize) == part(10, 10));
@@ -31,7 +31,7 @@ TEST_CASE("a range is a part of the file, and ends where the file does") {
   CHECK(parse_range("bytes=-2000", kSize) == part(0, 1000));
 }
 
-TEST_CASE("numbers beyond 64 bits are the end of the file, or beyond it") {
+TEST_CASE("numbers beyond 64 bits mean the end of the file, or beyond it") {
   const std::string huge(60, '9');
   CHECK(parse_range("bytes=0-" + huge, kSize) == part(0, 1000));
   CHECK(parse_range("bytes=-" + huge, kSize) == part(0, 1000));
@@ -48,7 +48,7 @@ TEST_CASE("ranges beyond the file cannot be satisfied") {
   CHECK(parse_range("bytes=0-0", 0) == kNone);
 }
 
-TEST_CASE("what is no single range of bytes stands for the whole file") {
+TEST_CASE("anything but a single range of bytes means the whole file") {
   for (const char* field : {"", "bytes", "bytes=", "bytes= ", "bytes=-", "bytes=5", "bytes=20-10", "bytes=a-b",
                             "bytes=0x1-2", "bytes=1-2-3", "bytes=--1", "bytes=0-1,5-6", "bytes=0-1, 5-6", "bytes=+1-2",
                             "bytes=1 -2", "lines=1-2", "bytes 1-2", "bytes=1-2;", "bytes=9-18446744073709551616x"}) {

@@ -38,7 +38,7 @@ rgs::Result<FrameRequest> parsed(const json& request, std::size_t n_scenes = 2) 
   return parse_frame_request(request.dump(), n_scenes);
 }
 
-// The code of what is refused about a request with one field changed or added.
+// The error code for a request with one field changed or added.
 rgs::Errc code_with(const std::string& field, const json& value) {
   json request = least();
   request[json::json_pointer("/" + field)] = value;
@@ -48,7 +48,7 @@ rgs::Errc code_with(const std::string& field, const json& value) {
 
 }  // namespace
 
-TEST_CASE("a request with its camera alone has the defaults") {
+TEST_CASE("a request with only a camera has the defaults") {
   const auto request = parsed(least());
   REQUIRE(request);
   CHECK(request->scene == 0);
@@ -60,7 +60,7 @@ TEST_CASE("a request with its camera alone has the defaults") {
   CHECK(request->options.sh_degree_limit == 3);
 }
 
-TEST_CASE("what a request says is what is drawn") {
+TEST_CASE("a request's fields are parsed") {
   json all = least();
   all.update({{"scene", 1},
               {"width", 320},
@@ -82,7 +82,7 @@ TEST_CASE("what a request says is what is drawn") {
   CHECK(request->options.detail_px == 2.5F);
 }
 
-TEST_CASE("values out of their range are refused") {
+TEST_CASE("out-of-range values are refused") {
   using rgs::Errc;
   for (const json& value :
        {json(0), json(-1), json(8193), json(1e300), json(18446744073709551615U), json(4294967297)}) {
@@ -92,7 +92,7 @@ TEST_CASE("values out of their range are refused") {
   CHECK(code_with("width", 640.0) == Errc::bad_argument);
   CHECK(code_with("width", "640") == Errc::bad_syntax);
   CHECK(code_with("width", nullptr) == Errc::bad_syntax);
-  CHECK(code_with("camera/width", 9000) == Errc::bad_argument);  // the frame's own, where it has no other
+  CHECK(code_with("camera/width", 9000) == Errc::bad_argument);  // the frame's own, if it has no other
   CHECK(code_with("scene", 2) == Errc::bad_argument);
   CHECK(code_with("scene", -1) == Errc::bad_argument);
   CHECK(code_with("quality", 0) == Errc::bad_argument);
@@ -110,7 +110,7 @@ TEST_CASE("values out of their range are refused") {
   CHECK(code_with("background", 0) == Errc::bad_syntax);
 }
 
-TEST_CASE("cameras that are none are refused, and so are fields that nobody knows") {
+TEST_CASE("invalid cameras and unknown fields are refused") {
   using rgs::Errc;
   CHECK(code_with("path", "/etc/passwd") == Errc::bad_syntax);
   CHECK(code_with("camera/k1", 0.1) == Errc::bad_syntax);
@@ -125,7 +125,7 @@ TEST_CASE("cameras that are none are refused, and so are fields that nobody know
   CHECK(parse_frame_request("{}", 1).error().code == Errc::bad_syntax);
 }
 
-TEST_CASE("what is no JSON object is refused, where it goes wrong") {
+TEST_CASE("input that is no JSON object is refused at its offset") {
   using rgs::Errc;
   const auto broken = parse_frame_request(R"({"scene": 0, "camera": })", 1);
   REQUIRE(!broken);
@@ -142,8 +142,8 @@ TEST_CASE("what is no JSON object is refused, where it goes wrong") {
   CHECK(!parse_frame_request(deep, 1));
 }
 
-TEST_CASE("what is nested deeper than any frame is refused as such") {
-  // `levels` of them, the request's own object included.
+TEST_CASE("JSON nested deeper than any frame is refused as such") {
+  // `levels` of them, including the request's own object.
   const auto nested = [](std::size_t levels) {
     const std::size_t n = levels - 1;
     return parse_frame_request(R"({"camera": )" + std::string(n, '[') + std::string(n, ']') + "}", 1).error();
@@ -158,13 +158,13 @@ TEST_CASE("what is nested deeper than any frame is refused as such") {
   std::string objects;
   for (int i = 0; i < 24'000 / 5; ++i) objects += R"({"a":)";
   CHECK(parse_frame_request(objects + "1" + std::string(24'000 / 5, '}'), 1).error().what == std::string(kTooDeep));
-  // Whole after what is too deep, and with fields of one name.
+  // Complete after the deep part, and with duplicate fields.
   CHECK(parse_frame_request(R"({"camera": [[[[[[[[0]]]]]]]], "camera": {"a": [1, {"b": 2}]}, "scene": 0})", 1)
             .error()
             .what == std::string(kTooDeep));
 }
 
-TEST_CASE("a JPEG is the picture, at every size, also from an encoder that has made a larger one") {
+TEST_CASE("a JPEG is the picture at every size, also from an encoder that has made a larger one") {
   const rgs::test::TemporaryFolder folder;
   rgs::view::JpegEncoder encoder;
   for (const auto& [width, height] :

@@ -29,7 +29,7 @@ using rgs::view::HttpServer;
 
 namespace {
 
-// Says what it was asked; refuses "/no".
+// Echoes the request; refuses "/no".
 HttpHandlers echo() {
   return {.refuse = [](const HttpRequest& request) -> std::optional<HttpAnswer> {
             if (request.path != "/no") return std::nullopt;
@@ -45,7 +45,7 @@ HttpHandlers echo() {
           .fail = [](int status) { return HttpAnswer{.status = status, .type = "text/plain", .body = "failed"}; }};
 }
 
-// Nothing is late, however slow the machine is.
+// No time limit applies, however slow the machine.
 HttpLimits patient() {
   return {.request_time = 24h, .idle_time = 24h, .stall_time = 24h};
 }
@@ -92,13 +92,13 @@ class Client {
     return ::poll(&wanted, 1, 1) > 0;
   }
   void end() const { ::shutdown(fd_, SHUT_WR); }
-  // What is there, once there is something; empty when the server has closed.
+  // The received bytes, once there are any; empty when the server has closed.
   std::string next() const {
     std::array<char, 4096> bytes;
     const ssize_t n = ::recv(fd_, bytes.data(), bytes.size(), 0);
     return std::string(bytes.data(), static_cast<std::size_t>(std::max<ssize_t>(n, 0)));
   }
-  // All until the server closes.
+  // Everything until the server closes.
   std::string rest() const {
     std::string text;
     for (std::string part; !(part = next()).empty();) text += part;
@@ -132,7 +132,7 @@ TEST_CASE("a connection answers one request after the other, with and without bo
   CHECK(has(said, "GET /three range= body=0"));
 }
 
-TEST_CASE("ranges reach the handler as they are, and nothing else answers them") {
+TEST_CASE("ranges reach the handler unchanged, and nothing else answers them") {
   const Running server(echo());
   for (const char* range : {"bytes=5-3", "bytes=99999999999999999999-", "bytes=0-1,2-3", "nonsense"}) {
     for (const char* name : {"Range", "range", "RANGE"}) {
@@ -144,7 +144,7 @@ TEST_CASE("ranges reach the handler as they are, and nothing else answers them")
   }
 }
 
-TEST_CASE("a head that is too large, or no head, is refused and ends the connection") {
+TEST_CASE("a header that is too large, or invalid, is refused and ends the connection") {
   const Running server(echo());
   const std::string many = "bytes=" + std::string(7900, '1');
   CHECK(has(ask(server.port(), "GET /a HTTP/1.1\r\nRange: " + many + "\r\n\r\n"), "range=" + many));
@@ -160,11 +160,11 @@ TEST_CASE("a head that is too large, or no head, is refused and ends the connect
     const std::string said = ask(server.port(), head + "GET /second HTTP/1.1\r\n\r\n");
     CHECK(said.starts_with("HTTP/1.1 400 "));
   }
-  // With a line feed alone a head could end earlier for one reader than for the other.
+  // With bare line feeds a header could end earlier for one reader than for another.
   CHECK(!has(ask(server.port(), "GET /a HTTP/1.1\r\nX: y\n\r\nGET /smuggled HTTP/1.1\r\n\r\n"), "smuggled"));
 }
 
-TEST_CASE("bodies end at their limit, and those of refused requests are not read as requests") {
+TEST_CASE("bodies end at their limit, and those of refused requests are not parsed as requests") {
   HttpLimits limits = patient();
   limits.body_bytes = 1000;
   const Running server(echo(), limits);
@@ -177,7 +177,7 @@ TEST_CASE("bodies end at their limit, and those of refused requests are not read
   CHECK(post("/a", 1'000'000'000'000, 100).starts_with("HTTP/1.1 4"));
   CHECK(post("/a", 10, 5).starts_with("HTTP/1.1 4"));  // ends early
   const std::string inner = "GET /inner HTTP/1.1\r\n\r\n";
-  // As sizes that nobody takes: where such a body ends is not known. Without one the connection ends too.
+  // Invalid sizes: the end of such a body is unknown. Without a body the connection ends too.
   for (const std::string& fields :
        {"Content-Length: " + std::to_string(inner.size()) + "\r\n", std::string("Transfer-Encoding: chunked\r\n"),
         std::string("Content-Length: 0\r\nContent-Length: 24\r\n"), std::string("Content-Length: 0x18\r\n"),
@@ -198,7 +198,7 @@ TEST_CASE("others are served while a client does not end its request, or sends n
   CHECK(has(ask(server.port(), "GET /quick HTTP/1.1\r\n\r\n"), "GET /quick"));
 }
 
-TEST_CASE("a client that never ends its request is sent away") {
+TEST_CASE("a client that never ends its request is disconnected") {
   HttpLimits limits = patient();
   limits.request_time = 1ms;
   const Running server(echo(), limits);
@@ -213,7 +213,7 @@ TEST_CASE("a client that never ends its request is sent away") {
   CHECK(Client(impatient.port()).rest().empty());
 }
 
-TEST_CASE("a client that sends a byte now and then has no more time than others") {
+TEST_CASE("a client that sends a byte now and then gets no more time than others") {
   HttpLimits limits = patient();
   limits.request_time = 100ms;
   limits.head_bytes = std::size_t{1} << 40;
@@ -224,7 +224,7 @@ TEST_CASE("a client that sends a byte now and then has no more time than others"
   CHECK(client.rest().starts_with("HTTP/1.1 408 "));
 }
 
-TEST_CASE("an exception becomes an answer and the server goes on") {
+TEST_CASE("an exception becomes an answer, and the server continues") {
   const Running server(echo());
   const std::string said = ask(server.port(), "GET /throw HTTP/1.1\r\n\r\nGET /after HTTP/1.1\r\n\r\n");
   CHECK(said.starts_with("HTTP/1.1 500 "));
@@ -249,7 +249,7 @@ TEST_CASE("a file that changes while it is sent ends the connection before its l
   const Client client(server.port());
   client.send("GET /f HTTP/1.1\r\n\r\n");
   const std::string begin = client.next();  // it has opened the file
-  // The server waits for room once the socket is full; what it has not read by then is of the other file.
+  // The server waits for room once the socket is full; the part not read by then is from the new file.
   rgs::test::write_text(path, std::string(kBytes, 'b'));
   const std::string text = begin + client.rest();
   const std::size_t head = text.find("\r\n\r\n");
@@ -259,7 +259,7 @@ TEST_CASE("a file that changes while it is sent ends the connection before its l
   CHECK(text.find('b', head + 4) == text.npos);
 }
 
-TEST_CASE("a port that is taken is refused") {
+TEST_CASE("a port in use is refused") {
   const Running server(echo());
   ask(server.port(), "GET /a HTTP/1.1\r\n\r\n");
   const auto second = HttpServer::listen(server.port());

@@ -17,7 +17,7 @@ using rgs::view::PageExport;
 
 namespace {
 
-// What stands in the element of this id.
+// The content of the element with this id.
 std::string element(const std::string& page, const std::string& id) {
   const std::size_t at = page.find("id=\"" + id + "\">");
   if (at == page.npos) return "no " + id;
@@ -48,7 +48,7 @@ rgs::Status exported(const PageExport& page, const std::string& path) {
 
 }  // namespace
 
-TEST_CASE("an exported page is the page, with each file whole in its place") {
+TEST_CASE("an exported page is the page with each file embedded whole") {
   const rgs::test::TemporaryFolder folder;
   write_text(folder.file("page.html"), "<html><head><!-- rgs-view:insert --></head></html>");
   auto page = PageExport::open(folder.file("page.html"));
@@ -82,13 +82,13 @@ TEST_CASE("an exported page is the page, with each file whole in its place") {
   const std::string view = element(text, "rgs-view");
   CHECK(view.find('<') == view.npos);
   CHECK(nlohmann::json::parse(view)["name"] == "</script><script>alert(1)</script>&amp;");
-  // Elements begin and end in pairs, whatever names hold.
+  // Elements open and close in pairs, whatever the names.
   std::size_t n_ends = 0;
   for (std::size_t at = text.find("</script>"); at != text.npos; at = text.find("</script>", at + 1)) ++n_ends;
   CHECK(n_ends == files.size() + 1);
 }
 
-TEST_CASE("a page without its mark, or with two, is none") {
+TEST_CASE("a page without its mark, or with two, is refused") {
   const rgs::test::TemporaryFolder folder;
   const std::string mark(rgs::view::kInsertMark);
   for (const std::string& text : {std::string("<html></html>"), mark + mark, std::string()}) {
@@ -100,7 +100,7 @@ TEST_CASE("a page without its mark, or with two, is none") {
   CHECK(PageExport::open(folder.file("nowhere")).error().code == rgs::Errc::open_failed);
 }
 
-TEST_CASE("a file that changes while a page is written from it leaves no page") {
+TEST_CASE("a file that changes during the export leaves no page") {
   const rgs::test::TemporaryFolder folder;
   write_text(folder.file("page.html"), std::string(rgs::view::kInsertMark));
   write_text(folder.file("scene"), "0123456789");

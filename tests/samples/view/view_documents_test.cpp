@@ -33,7 +33,7 @@ void check_field(const std::string& link, const std::string& name, const std::ve
 
 }  // namespace
 
-TEST_CASE("cameras come back from cameras.json as they were") {
+TEST_CASE("cameras from cameras.json are unchanged") {
   std::vector<rgs::Camera> cameras;
   for (int i = 0; i < 20; ++i) {
     const double a = 0.37 * i;
@@ -69,7 +69,7 @@ TEST_CASE("a rotation is written as the matrix from the camera to the world") {
   CHECK(entry["rotation"][2][0].get<double>() == doctest::Approx(-1));
 }
 
-TEST_CASE("a link begins at its camera, and orbits what all cameras stand around") {
+TEST_CASE("a link starts at its camera and orbits the centre of all cameras") {
   std::vector<rgs::Camera> cameras{rgs::look_at({0, 0, -4}, {0, 0, 0}, {0, -1, 0}, {200, 100, 90}),
                                    rgs::look_at({0, 0, 4}, {0, 0, 0}, {0, -1, 0})};
   cameras[0].cx += 20;
@@ -81,7 +81,7 @@ TEST_CASE("a link begins at its camera, and orbits what all cameras stand around
   check_field(rgs::view::view_link(cameras[0], cameras, false), "pivot", {0, 0, 0});
   CHECK(rgs::view::view_link(cameras[0], cameras, true) ==
         rgs::view::view_link(cameras[0], cameras, false) + "&mode=slider");
-  // None of the others ahead.
+  // No other camera is ahead.
   check_field(rgs::view::view_link(cameras[0], {cameras.data(), 1}, false), "pivot", {0, 0, -3});
   const rgs::Camera turned = rgs::look_at({0, 0, 0}, {1, 0, 0}, {0, -1, 0});
   check_field(rgs::view::view_link(turned, cameras, false), "axes", {0, 0, 1, 0, 1, 0, -1, 0, 0});
@@ -93,7 +93,7 @@ TEST_CASE("names in addresses are letters, digits and percent signs") {
   CHECK(percent_encoded("\xc3\xa4\xff") == "%C3%A4%FF");
 }
 
-TEST_CASE("view.json says what is there and null of what is not") {
+TEST_CASE("view.json states what there is and null for the rest") {
   const json least = json::parse(view_json({.scenes = {{"a.rgs", "scenes/0/a.rgs", 12}}}));
   CHECK(least == json::parse(R"({"version": 1, "scenes": [{"name": "a.rgs", "url": "scenes/0/a.rgs", "bytes": 12}],
                                  "cameras": null, "photos": [], "frames": null})"));

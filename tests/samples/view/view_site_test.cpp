@@ -36,7 +36,7 @@ struct Site {
     write_text(folder.file("page/assets/logo.svg"), "<svg/>");
     write_text(folder.file("scene.rgs"), "0123456789");
     write_text(folder.file("secret"), "nobody's business");
-    // Older than what replaces them below: a file's time is that of the kernel's last tick.
+    // Older than its replacements below: a file's time is that of the kernel's last tick.
     for (const auto& entry : std::filesystem::recursive_directory_iterator(folder.path()))
       std::filesystem::last_write_time(entry, std::filesystem::file_time_type::clock::now() - std::chrono::hours(1));
     REQUIRE(site.add_page(folder.file("page")));
@@ -45,7 +45,7 @@ struct Site {
     site.add_action("frame", [](const std::string& body) { return HttpAnswer{.type = "image/png", .body = body}; });
   }
 
-  // Path after decoding, as the server gives it.
+  // The decoded path, in the server's form.
   HttpAnswer ask(const std::string& path, const std::string& method = "GET", Fields fields = {},
                  const std::string& host = "127.0.0.1:4711") const {
     if (!host.empty()) fields.emplace_back("Host", host);
@@ -78,7 +78,7 @@ std::string code(const HttpAnswer& answer) {
 
 }  // namespace
 
-TEST_CASE("what was named is given out, with the type of its name") {
+TEST_CASE("named files are served with the type of their names") {
   const Site s;
   CHECK(content(s.get("")) == "<!doctype html>");
   CHECK(content(s.get("index.html")) == "<!doctype html>");
@@ -91,7 +91,7 @@ TEST_CASE("what was named is given out, with the type of its name") {
   CHECK(field(s.ask("/" + kToken), "Location") == "/" + kToken + "/");
 }
 
-TEST_CASE("nothing else is given out, however it is written") {
+TEST_CASE("nothing else is served, however the path is written") {
   const Site s;
   for (const std::string name :
        {"../secret", "..", "../", "assets/../../secret", "scenes/0/../../../secret", "./index.html", "/etc/passwd",
@@ -105,7 +105,7 @@ TEST_CASE("nothing else is given out, however it is written") {
   CHECK(s.get(std::string("index.html\0", 11)).status == 404);
 }
 
-TEST_CASE("another token is refused, and a part of it") {
+TEST_CASE("another token, or a part of the token, is refused") {
   const Site s;
   for (const std::string& path :
        {std::string("/"), std::string(""), std::string("index.html"), "/" + kToken.substr(1) + "/", "/" + kToken + "0/",
@@ -139,7 +139,7 @@ TEST_CASE("hosts and origins other than this server's are refused") {
   }
 }
 
-TEST_CASE("methods and bodies are those that an address takes") {
+TEST_CASE("an address accepts only its own methods and bodies") {
   const Site s;
   const std::string index = "/" + kToken + "/", frame = index + "frame";
   for (const char* method : {"POST", "PUT", "DELETE", "OPTIONS", "PATCH", "TRACE", "CONNECT"}) {
@@ -167,7 +167,7 @@ TEST_CASE("methods and bodies are those that an address takes") {
   CHECK(s.post({{"Content-Length", "2"}, {"Content-Type", "application/x-www-form-urlencoded"}}).status == 415);
 }
 
-TEST_CASE("parts of a file are answered with their place in it") {
+TEST_CASE("parts of a file are answered with their range") {
   const Site s;
   const std::string name = "scenes/0/my scene.rgs";
   const HttpAnswer part = s.get(name, {{"Range", "bytes=2-4"}});
@@ -192,7 +192,7 @@ TEST_CASE("parts of a file are answered with their place in it") {
   CHECK(s.get(name, {{"Range", "bytes=2-4"}, {"If-Range", "Mon, 23 Nov 2026 14:00:00 GMT"}}).status == 200);
 }
 
-TEST_CASE("a file that changed or went is an error, and so is another one of its name") {
+TEST_CASE("a file that was changed, removed or replaced is an error") {
   const Site s;
   const std::string name = "scenes/0/my scene.rgs", path = s.folder.file("scene.rgs");
   const auto before = s.get(name);
@@ -200,7 +200,7 @@ TEST_CASE("a file that changed or went is an error, and so is another one of its
   std::filesystem::rename(s.folder.file("other"), path);
   CHECK(s.get(name).status == 409);
   CHECK(code(s.get(name)) == "read_failed");
-  CHECK(content(before) == "0123456789");  // what is open is what was asked for
+  CHECK(content(before) == "0123456789");  // the open file is the requested one
   std::filesystem::remove(path);
   CHECK(s.get(name).status == 410);
 
@@ -208,14 +208,14 @@ TEST_CASE("a file that changed or went is an error, and so is another one of its
   CHECK(s.get("").status == 409);
 }
 
-TEST_CASE("a file that is written to while it is open is read no further") {
+TEST_CASE("a file written to while it is open is not read further") {
   const Site s;
   const auto before = s.get("scenes/0/my scene.rgs");
   write_text(s.folder.file("scene.rgs"), "abcdefghij");
   CHECK(content(before) == "unreadable");
 }
 
-TEST_CASE("every answer says what the page may do, and only what never changes is kept") {
+TEST_CASE("every answer states what the page may do, and only immutable ones are cached") {
   const Site s;
   for (const HttpAnswer& answer :
        {s.get(""), s.get("view.json"), s.get("nothing"), s.ask("/"), s.site.handlers().fail(500),
@@ -231,7 +231,7 @@ TEST_CASE("every answer says what the page may do, and only what never changes i
   CHECK(field(s.get("assets/logo.svg"), "Cache-Control") == "no-store");
 }
 
-TEST_CASE("a page without index.html is none, and tokens are never the same") {
+TEST_CASE("a folder without index.html is refused, and tokens never repeat") {
   const rgs::test::TemporaryFolder folder;
   ViewSite site(kToken, kPort);
   CHECK(!site.add_page(folder.path().string()));

@@ -30,7 +30,7 @@ class View:
 
     def __init__(self, *arguments, environment=None, page=None):
         variables = {**os.environ, "RGS_VIEWER_DIR": str(page or folder / "page"), **(environment or {})}
-        # Test runners may ignore some signals, and what is ignored stays so.
+        # Test runners may ignore some signals, and children inherit that.
         self.process = subprocess.Popen([programs / "rgs-view", "--no-browser", *map(str, arguments)], env=variables,
                                         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                                         preexec_fn=lambda: [signal.signal(s, signal.SIG_DFL) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)])
@@ -69,7 +69,7 @@ class View:
 
 
 def refused(*arguments, environment=None):
-    """Exit code and message of a command that does not start a server."""
+    """Exit code and message of a command that starts no server."""
     variables = {**os.environ, "RGS_VIEWER_DIR": str(folder / "page"), **(environment or {})}
     done = subprocess.run([programs / "rgs-view", "--no-browser", *map(str, arguments)], env=variables, capture_output=True,
                           text=True)
@@ -88,7 +88,7 @@ def scene(n="2k"):
 
 
 def png_chunks(data, kinds):
-    """The chunks of these kinds, joined."""
+    """The PNG chunks of these kinds, joined."""
     assert data[:8] == b"\x89PNG\r\n\x1a\n"
     found, at = [], 8
     while at < len(data):
@@ -101,7 +101,7 @@ def png_chunks(data, kinds):
 
 
 def same_picture(a, b):
-    """Rows as PNG filters them: both are from one library. How they are deflated differs."""
+    """PNG's filtered rows: both programs use one library, but deflate differently."""
     size, rows = ([png_chunks(png, [kind]) for png in (a, b)] for kind in (b"IHDR", b"IDAT"))
     return size[0] == size[1] and zlib.decompress(rows[0]) == zlib.decompress(rows[1])
 
@@ -117,7 +117,7 @@ def rendered(path, *arguments):
 
 
 def case_files():
-    """Ranges of the scene are its bytes; view.json and cameras.json say what there is."""
+    """Ranges of the scene are its bytes; view.json and cameras.json list the contents."""
     data = random.Random(1).randbytes(700_001)
     golden = (source / "tests/golden/packed_degree3.rgs").read_bytes()
     (folder / "my <b>scene &amp;.rgs").write_bytes(golden)
@@ -175,7 +175,7 @@ def case_begin():
 
 
 def case_refusals():
-    """What is not named, not here, or not asked as it should be, is refused."""
+    """Unnamed or missing files and malformed requests are refused."""
     (folder / "secret").write_text("nobody's business")
     os.symlink(folder / "secret", folder / "page/link")
     with View(source / "tests/golden/two.rgs") as view:
@@ -209,13 +209,13 @@ def case_refusals():
         assert view.ask("scenes/0/two.rgs", headers={"Range": "bytes=" + "1-1," * 1500 + "2-2"}).status == 200
         assert view.ask("scenes/0/two.rgs", headers={"Range": f"bytes={10 ** 30}-"}).status == 416
         assert view.ask("x" * 9000).status == 431
-        # The page's folder, and nothing that is linked from it.
+        # Files in the page's folder, but no links out of it.
         assert view.ask("link").status == 404
         view.end()
 
 
 def case_sog():
-    """A SOG is given out as it is zipped, and an SPZ; as a folder the page cannot show a SOG."""
+    """A zipped SOG and an SPZ are served as they are; the page cannot show a SOG folder."""
     meta = json.dumps({"version": 2, "count": 0, "means": {}})
     (folder / "meta.json").write_text(meta)
     with zipfile.ZipFile(folder / "a.sog", "w") as zipped:
@@ -235,13 +235,13 @@ def case_sog():
 
 
 def case_changed():
-    """A file that is replaced under the program is an error and no mixture."""
+    """Replacing a file under the server is an error, never a mixture."""
     path = folder / "a.rgs"
     shutil.copy(source / "tests/golden/degree3.rgs", path)
     os.utime(path, (1e9, 1e9))
     with View(path) as view:
         tag = view.ask("scenes/0/a.rgs").headers["ETag"]
-        shutil.copy(source / "tests/golden/degree3.rgs", path)  # the same bytes, at another time
+        shutil.copy(source / "tests/golden/degree3.rgs", path)  # the same bytes with another time
         answer = view.ask("scenes/0/a.rgs", headers={"Range": "bytes=0-9", "If-Range": tag})
         assert answer.status == 409 and json.loads(answer.content)["error"]["code"] == "read_failed"
         path.unlink()
@@ -251,7 +251,7 @@ def case_changed():
 
 
 def case_end():
-    """Ctrl-C, SIGTERM and SIGHUP end it with 0, whatever it is doing, and leave nothing."""
+    """Ctrl-C, SIGTERM and SIGHUP end it with 0 at any time, and leave nothing behind."""
     before = sorted(folder.rglob("*"))
     large = folder / "page/assets/large.bin"
     with open(large, "wb") as out:
@@ -260,7 +260,7 @@ def case_end():
         with View(source / "tests/golden/two.rgs") as view:
             with socket.create_connection(("127.0.0.1", view.port)) as s:
                 s.sendall(f"GET /{view.token}/assets/large.bin HTTP/1.1\r\nHost: 127.0.0.1:{view.port}\r\n\r\n".encode())
-                assert s.recv(10)  # it is sending
+                assert s.recv(10)  # it is sending now
                 view.end(number)
     with View(source / "tests/golden/two.rgs") as view:
         port = view.port
@@ -284,7 +284,7 @@ def case_end():
 
 
 def case_usage():
-    """Inputs that cannot be shown, and contradictions, are refused before a server starts."""
+    """Unsupported inputs and contradictions are refused before a server starts."""
     two = source / "tests/golden/two.rgs"
     (folder / "text.txt").write_text("no scene")
     for arguments, code, word in (([folder / "nowhere.rgs"], 3, "nowhere.rgs"), ([folder / "text.txt"], 4, "no splat file"),
@@ -309,7 +309,7 @@ def case_usage():
 
 
 def case_browser():
-    """xdg-open gets the address as one argument, where there is a screen, and nothing else of the program's."""
+    """With a screen, xdg-open gets the address as its one argument and inherits nothing else."""
     tools, told, part = folder / "tools", folder / "told", folder / "told.part"
     tools.mkdir()
     (tools / "xdg-open").write_text(f'#!/bin/sh\n{{ printf "%s\\n" "$#" "$1"; ls -l /proc/$$/fd; }} > {part}\nmv {part} {told}\n')
@@ -335,11 +335,11 @@ def case_browser():
             process.kill()
             process.wait()
             process.stdout.close()
-    assert not told.exists() and not part.exists()  # without a screen nobody wrote
+    assert not told.exists() and not part.exists()  # nobody wrote it without a screen
 
 
 def case_frames():
-    """Frames in PNG are those of rgs-render, of .rgs and PLY, at any size and with every option."""
+    """PNG frames equal rgs-render's, for .rgs and PLY, at any size and with every option."""
     scene()
     with View(folder / "a.ply", folder / "a.rgs", "--cameras", folder / "views.json", "--backend", "cpu") as view:
         said = view.json("view.json")
@@ -370,7 +370,7 @@ def case_frames():
 
 
 def case_frame_refusals():
-    """Requests for frames that make no sense are errors as JSON, and the server goes on."""
+    """Nonsensical requests for frames return errors in JSON, and the server goes on."""
     scene()
     with View(folder / "a.rgs", "--cameras", folder / "views.json", "--backend", "cpu") as view:
         camera = view.json("cameras.json")[0]
@@ -394,7 +394,7 @@ def case_frame_refusals():
 
 
 def case_streamed():
-    """A file with levels of detail is drawn out of core; once nothing is missing, as from the whole file."""
+    """A file with levels of detail is streamed; a complete view equals one from the whole file."""
     scene("20k")
     run("rgs-convert", "--quiet", "--lod", folder / "a.ply", folder / "levels.rgs")
     with View(folder / "levels.rgs", folder / "a.ply", "--cameras", folder / "views.json", "--host-memory", "200MB") as view:
@@ -422,14 +422,14 @@ def case_streamed():
 
 
 def case_damaged():
-    """A damaged scene is an error before the server starts, or of the frames that show it."""
+    """A damaged scene fails before the server starts, or in the frames that show it."""
     scene()
     data = bytearray((folder / "a.rgs").read_bytes())
     data[len(data) // 2] ^= 0x40
     (folder / "damaged.rgs").write_bytes(data)
     got, said = refused(folder / "damaged.rgs", "--backend", "cpu")
     assert got == 4 and "damaged.rgs" in said, (got, said)
-    with View(folder / "damaged.rgs") as view:  # the page says what is wrong with it
+    with View(folder / "damaged.rgs") as view:  # the page reports the damage
         assert view.ask("scenes/0/damaged.rgs").content == bytes(data)
         view.end()
     with View(folder / "a.rgs", "--cameras", folder / "views.json", "--backend", "cpu") as view:
@@ -442,7 +442,7 @@ def case_damaged():
 
 
 def case_export():
-    """--export writes one file with the scenes, cameras and photographs in it, once and within its limit."""
+    """--export writes one file with the scenes, cameras and photographs, once and within its limit."""
     single = "<!doctype html><head><!-- rgs-view:insert --></head><body></body>"
     (folder / "page/single.html").write_text(single)
     scene()

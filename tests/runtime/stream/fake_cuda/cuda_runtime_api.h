@@ -1,4 +1,4 @@
-// cuda_runtime_api.h - of the CUDA runtime what brings pages to a device, as fake_cuda.cpp does it without one.
+// cuda_runtime_api.h - the part of the CUDA runtime that copies pages to a device, as fake_cuda.cpp implements it.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
