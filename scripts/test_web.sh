@@ -20,8 +20,8 @@ scene() (
     ../../release/bin/rgs-convert --overwrite --lod scene.ply levels.rgs
 )
 { [ -f build/web/scenes/low.rgs ] && [ build/web/scenes/levels.rgs -nt build/release/bin/rgs-convert ]; } || quiet scenes scene
-quiet modules sh -c 'cd web && { [ node_modules/.package-lock.json -nt package-lock.json ] || npm ci --no-progress; }'
-quiet build sh -c 'cd web && npm run --silent build'
+quiet page sh scripts/build_page.sh
+. scripts/node.sh
 
 # A trained scene, where the data are.
 RGS_DATA_DIR=$(realpath -m "${RGS_DATA_DIR:-../shared/data}")
