@@ -97,8 +97,11 @@ foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-rend
     install(TARGETS ${program} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT programs)
   endif()
 endforeach()
-# The page that rgs-view serves, where npm has built it.
+# The page that rgs-view serves, which scripts/build_page.sh builds.
 if(TARGET rgs-view)
+  install(CODE "if(NOT EXISTS \"${PROJECT_SOURCE_DIR}/web/viewer/dist-single/page.html\")
+  message(WARNING \"rgs-view is installed without its page: sh ${PROJECT_SOURCE_DIR}/scripts/build_page.sh, then install again\")
+endif()" COMPONENT programs)
   install(DIRECTORY web/viewer/dist/ DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer COMPONENT programs OPTIONAL)
   install(FILES web/viewer/dist-single/page.html RENAME single.html DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer
     COMPONENT programs OPTIONAL)

@@ -20,6 +20,7 @@ make() {
   quietly cmake --build "$folder" --parallel "${RGS_JOBS:-$(nproc)}" --target "$target"
   (cd "$folder" && rm -rf packages && quietly cpack -G DEB)
 }
+quietly sh scripts/build_page.sh
 hardened=-Wl,-z,relro,-z,now
 make "$build" all -DBUILD_SHARED_LIBS=ON -DRGS_MANUAL=ON "$@"
 # The module holds the libraries that it is made of.

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 # make_wheel.py - a wheel of the package as it was built: python3 packaging/make_wheel.py BUILD OUT VERSION
-# BUILD/python/package/roofgs is the package; programs of BUILD/bin that it calls go with it, and libraries that not every Linux has,
-# under names that hold their hash, found by $ORIGIN. The same inputs give the same bytes. SPDX-License-Identifier: Apache-2.0
+# BUILD/python/package/roofgs is the package. With it go the programs of BUILD/bin that it calls, the viewer's page in one file
+# (roofgs/viewer.html), and libraries that not every Linux has, under names that hold their hash, found by $ORIGIN. The same inputs give the same bytes. SPDX-License-Identifier: Apache-2.0
 import argparse
 import csv
 import hashlib
@@ -81,6 +81,7 @@ def main():
         (tree / "roofgs/bin").mkdir()
         for program in PROGRAMS:
             shutil.copy(arguments.build / "bin" / program, tree / "roofgs/bin")
+        shutil.copyfile(ROOT / "web/viewer/dist-single/page.html", tree / "roofgs/viewer.html")
         files = [extension, *sorted((tree / "roofgs/bin").iterdir())]
         run("strip", "--strip-unneeded", *files)
         libraries = bundle(files, tree / "roofgs.libs")

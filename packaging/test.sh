@@ -52,7 +52,7 @@ bundle() {
   step bundle-build sh -c '{ [ -f build/release/build.ninja ] || cmake --preset release; } &&
     cmake --build build/release --parallel "${RGS_JOBS:-$(nproc)}" \
       --target rgs-audit rgs-convert rgs-info rgs-make-scene rgs-prune rgs-render rgs-view &&
-    sh scripts/bundle.sh build/release build/packaging/roofgs.tar.gz'
+    sh scripts/build_page.sh && sh scripts/bundle.sh build/release build/packaging/roofgs.tar.gz'
   # The distribution of the build, and a later one with other libraries.
   for release in bookworm trixie; do
     step bundle-$release sh packaging/bare_root.sh --release $release --offline sh /project/tests/packaging/bundle.sh

@@ -23,6 +23,7 @@ quietly cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_
   -DRGS_PYTHON="$python" -DRGS_BUILD_TESTS=OFF -DRGS_BUILD_SAMPLES=OFF "$@"
 quietly cmake --build "$build" --parallel "${RGS_JOBS:-$(nproc)}" \
   --target rgs_python_package rgs-convert rgs-prune
+quietly sh scripts/build_page.sh
 version=$(sed -n 's/^CMAKE_PROJECT_VERSION:STATIC=//p' "$build/CMakeCache.txt")
 wheel=$(/usr/bin/python3 packaging/make_wheel.py "$build" build/wheels "$version$local")
 /usr/bin/python3 packaging/check_wheel.py "$wheel"

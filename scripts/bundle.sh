@@ -25,6 +25,11 @@ if ! ls "$build"/bin/rgs* >/dev/null 2>&1; then
   echo "bundle.sh: no programs in $build/bin; build them first" >&2
   exit 3
 fi
+page=$(dirname "$0")/../web/viewer/dist
+if [ -n "$pictures" ] && [ -x "$build/bin/rgs-view" ] && [ ! -f "$page-single/page.html" ]; then
+  echo "bundle.sh: the page of rgs-view is not built: sh scripts/build_page.sh" >&2
+  exit 3
+fi
 archive=
 case $out in
   *.tar.gz)
@@ -58,12 +63,10 @@ for library in "$out"/lib/*; do echo "*/${library##*/}"; done | xargs dpkg -S 2>
   while read -r package; do
     [ ! -e "/usr/share/doc/$package/copyright" ] || cp -L "/usr/share/doc/$package/copyright" "$out/licenses/$package"
   done
-# The page of rgs-view, where it is built.
-page=$(dirname "$0")/../web/viewer/dist
-if [ -x "$out/bin/rgs-view" ] && [ -f "$page/index.html" ]; then
+if [ -x "$out/bin/rgs-view" ]; then
   mkdir -p "$out/share/roofgs"
   cp -R "$page" "$out/share/roofgs/viewer"
-  [ ! -f "$page-single/page.html" ] || cp "$page-single/page.html" "$out/share/roofgs/viewer/single.html"
+  cp "$page-single/page.html" "$out/share/roofgs/viewer/single.html"
 fi
 # Man pages and completions, where they are built.
 if [ -d "$build/manual" ]; then

@@ -2,9 +2,8 @@
 # install-deps.sh - installs the Debian 12 packages that RoofGS is built with; silent when all are there.
 # `install-deps.sh packaging` adds those that packages are made and tested with.
 # `install-deps.sh python` adds those that the Python module and its tests need.
-# `install-deps.sh test` adds those that only tests need (pkgconf, nginx, openssl, valgrind, and a browser: 80 MB, about 20 s),
-# `install-deps.sh web` these and what web/ is built with: clang 19 with what WebAssembly needs (150 MB). Node 20 or newer, which
-# Debian 12 does not have, is not among them.
+# `install-deps.sh page` adds those that the viewer's page is built with: clang 19 for WebAssembly, and npm where there is none.
+# `install-deps.sh test` adds those that only tests need, a browser among them; `install-deps.sh web` adds both.
 # Set RGS_SKIP_INSTALL=1 where the dependencies come from elsewhere.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
@@ -20,8 +19,12 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
 [ "${1:-}" != python ] || packages="$packages python3-dev pybind11-dev libdlpack-dev python3-pytest mypy
   python3-nbformat python3-nbclient python3-ipykernel"
 case ${1:-} in test | web) packages="$packages chromium pkgconf nginx-light openssl valgrind" ;; esac
-[ "${1:-}" != web ] || packages="$packages clang-19 lld-19 libc++-19-dev-wasm32 libc++abi-19-dev-wasm32 wasi-libc
-  libclang-rt-19-dev-wasm32"
+case ${1:-} in
+  page | web)
+    packages="$packages clang-19 lld-19 libc++-19-dev-wasm32 libc++abi-19-dev-wasm32 wasi-libc libclang-rt-19-dev-wasm32"
+    command -v npm >/dev/null || packages="$packages npm" # a newer one need not be a package
+    ;;
+esac
 
 [ "${RGS_SKIP_INSTALL:-0}" = 1 ] && exit 0
 

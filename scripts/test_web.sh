@@ -9,7 +9,7 @@ preset=web
 
 quiet packages sh scripts/install-deps.sh web
 quiet configure cmake --preset release
-quiet programs cmake --build build/release --parallel "$jobs" --target rgs_dump_file rgs-convert rgs-make-scene rgs-render
+quiet programs cmake --build build/release --parallel "$jobs" --target rgs_dump_file rgs-convert rgs-make-scene rgs-render rgs-view
 # Files that take several requests and many frames.
 scene() (
   mkdir -p build/web/scenes && cd build/web/scenes || exit
@@ -20,8 +20,8 @@ scene() (
     ../../release/bin/rgs-convert --overwrite --lod scene.ply levels.rgs
 )
 { [ -f build/web/scenes/low.rgs ] && [ build/web/scenes/levels.rgs -nt build/release/bin/rgs-convert ]; } || quiet scenes scene
-quiet modules sh -c 'cd web && { [ node_modules/.package-lock.json -nt package-lock.json ] || npm ci --no-progress; }'
-quiet build sh -c 'cd web && npm run --silent build'
+quiet page sh scripts/build_page.sh
+. scripts/node.sh
 
 # A trained scene, where the data are.
 RGS_DATA_DIR=$(realpath -m "${RGS_DATA_DIR:-../shared/data}")
@@ -40,7 +40,7 @@ export RGS_DUMP_FILE="$PWD/build/release/bin/rgs_dump_file" RGS_WEB_SCENES="$PWD
 report=build/web/test.tap
 status=0
 # One file at a time: browsers draw in software, on all cores.
-(cd web && exec node --test --test-concurrency=1 --test-timeout=900000 --test-reporter=tap "$@" */test/*.test.mjs) >"$report" 2>&1 </dev/null || status=$?
+(cd web && exec node --test --test-concurrency=1 --test-timeout=3600000 --test-reporter=tap "$@" */test/*.test.mjs) >"$report" 2>&1 </dev/null || status=$?
 # In the words of ctest, which .ci/run counts.
 awk '
   /^ *# Subtest: /  { next }

@@ -1,7 +1,7 @@
-# ask_frames.py - how fast rgs-view makes frames, as a page would notice:
+# ask_frames.py - measures how fast rgs-view makes frames, as a page sees it:
 #   python3 samples/view/ask_frames.py ADDRESS [--frames N] [--size WxH] [--format jpeg|png] [--quality Q] [--scene I] [--json]
-# ADDRESS is what rgs-view printed; it needs --cameras and --backend. Goes through the cameras in turn, one request at a time over one connection,
-# and prints percentiles of the time from a request to its last byte, of drawing and of encoding. SPDX-License-Identifier: Apache-2.0
+# ADDRESS is what rgs-view printed; start it with --cameras and --backend. Requests the cameras in turn, one at a time over one connection, and
+# prints percentiles of the time from a request to its last byte, of drawing and of encoding. SPDX-License-Identifier: Apache-2.0
 import argparse
 import http.client
 import json

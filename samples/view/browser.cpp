@@ -1,4 +1,4 @@
-// browser.cpp - xdg-open as a child of its own.
+// browser.cpp - starts xdg-open.
 // SPDX-License-Identifier: Apache-2.0
 #include "browser.hpp"
 
@@ -23,7 +23,7 @@ bool has_screen() {
 }
 
 bool open_browser(const std::string& address) {
-  // A group of its own, so that Ctrl-C on the terminal does not end the browser; signals as in a new program.
+  // In its own process group, so that Ctrl-C does not end the browser; with default signal handling.
   posix_spawnattr_t attributes;
   ::posix_spawnattr_init(&attributes);
   sigset_t none, all;
@@ -33,7 +33,7 @@ bool open_browser(const std::string& address) {
   ::posix_spawnattr_setsigdefault(&attributes, &all);
   ::posix_spawnattr_setpgroup(&attributes, 0);
   ::posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | POSIX_SPAWN_SETPGROUP);
-  // It prints what it likes, and keeps neither the port nor a pipe behind this program open.
+  // It must not print on this terminal, nor inherit the port or pipes.
   posix_spawn_file_actions_t actions;
   ::posix_spawn_file_actions_init(&actions);
   ::posix_spawn_file_actions_addopen(&actions, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
@@ -46,7 +46,7 @@ bool open_browser(const std::string& address) {
   ::posix_spawn_file_actions_destroy(&actions);
   ::posix_spawnattr_destroy(&attributes);
   if (error != 0) return false;
-  std::thread([id] { ::waitpid(id, nullptr, 0); }).detach();  // it leaves no zombie
+  std::thread([id] { ::waitpid(id, nullptr, 0); }).detach();  // leaves no zombie
   return true;
 }
 

@@ -6,9 +6,9 @@
 
 namespace rgs::view {
 
-/// Whether the session has a screen on which a browser could open.
+/// Whether the session has a screen.
 bool has_screen();
-/// Has xdg-open open `address`, without a shell and without waiting. False if it cannot be started.
+/// Opens `address` by xdg-open, without a shell, and does not wait for it. False if xdg-open does not start.
 bool open_browser(const std::string& address);
 
 }  // namespace rgs::view

@@ -1,4 +1,4 @@
-// byte_range.cpp - the field Range.
+// byte_range.cpp - parses the field Range.
 // SPDX-License-Identifier: Apache-2.0
 #include "byte_range.hpp"
 
@@ -10,7 +10,7 @@
 namespace rgs::view {
 namespace {
 
-// Digits alone; what is larger than any file stays so.
+// Digits only; numbers that are too large saturate.
 std::optional<std::uint64_t> position(std::string_view digits) {
   constexpr std::uint64_t kMost = std::numeric_limits<std::uint64_t>::max();
   if (digits.empty()) return std::nullopt;
@@ -44,7 +44,7 @@ ByteRange parse_range(std::string_view field, std::uint64_t size) {
   const std::string_view from = field.substr(0, dash), to = field.substr(dash + 1);
   const auto last = position(to);
   if (!last && !to.empty()) return whole;  // several ranges too
-  if (from.empty()) {                      // the last bytes of it
+  if (from.empty()) {                      // the last bytes
     if (!last) return whole;
     if (*last == 0) return {ByteRange::Kind::unsatisfiable, 0, 0};
     const std::uint64_t count = std::min(*last, size);

@@ -16,8 +16,8 @@ struct ByteRange {
   bool operator==(const ByteRange&) const = default;
 };
 
-/// What the field Range asks of `size` bytes. A field that is no range of bytes (another unit, the last before the first) and one that
-/// lists several stand for the whole, as the standard allows. Ends beyond the file are its end, however large the number.
+/// Parses the field Range for a file of `size` bytes. An invalid field, another unit and a list of ranges mean the whole file, as the
+/// standard allows. An end beyond the file is clamped.
 ByteRange parse_range(std::string_view field, std::uint64_t size);
 
 }  // namespace rgs::view

@@ -1,4 +1,4 @@
-// frame_maker.cpp - one renderer, scenes in memory or streamed, pictures encoded off its thread.
+// frame_maker.cpp - one renderer for all scenes; encodes one frame while the next is drawn.
 // SPDX-License-Identifier: Apache-2.0
 #include "frame_maker.hpp"
 
@@ -22,7 +22,7 @@ namespace rgs::view {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-constexpr int kPngLevel = 1;  // a picture is looked at and forgotten: time counts, not bytes
+constexpr int kPngLevel = 1;  // speed matters, not size
 constexpr std::size_t kCodesOfTask = 100'000;
 using AnyScene = std::variant<Scene, StreamedScene>;
 
@@ -30,7 +30,7 @@ double ms_since(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-// What a frame is made in. Frames that are done leave it to the next ones, which need not ask the system for 40 MB each.
+// The memory of a frame, which later frames reuse.
 struct Workspace {
   Image image;
   std::vector<std::uint8_t> codes;
@@ -58,7 +58,7 @@ struct Workspace {
   }
 };
 
-// What a file without levels of detail is told by.
+// Errors of a file without levels of detail.
 bool is_not_streamable(const Error& error) {
   return error.code == Errc::missing_section || error.code == Errc::bad_magic;
 }
@@ -112,7 +112,7 @@ tl::expected<FrameMaker, SceneError> FrameMaker::create(const std::vector<std::s
   bool is_any_streamed = false;
   for (const std::string& path : paths) {
     impl->inputs.add_scene(path);
-    // That a file changed explains whatever is found wrong in it.
+    // If the file has changed, that explains every other error.
     const auto fail_at = [&](const Error& error) {
       return fail(path, impl->inputs.changed() ? tool::kFileChanged : error);
     };
@@ -127,7 +127,7 @@ tl::expected<FrameMaker, SceneError> FrameMaker::create(const std::vector<std::s
     }
     auto opened = open_scene_file(path, settings.limits);
     if (!opened) return fail_at(opened.error());
-    // The CPU makes arrays of the pages that it draws, and of no others.
+    // With levels of detail the CPU decodes only the pages that it draws.
     if (opened->scene.levels() == nullptr || impl->renderer.backend() == Backend::cuda) {
       if (const Status prepared = impl->renderer.prepare(opened->scene); !prepared) return fail_at(prepared.error());
     }
@@ -136,8 +136,8 @@ tl::expected<FrameMaker, SceneError> FrameMaker::create(const std::vector<std::s
   if (impl->pool && !is_any_streamed) {
     return fail({},
                 {Errc::bad_argument, Error::kNone,
-                 "--host-memory and --device-memory stream .rgs files with levels of detail, which none of the scenes "
-                 "is: rgs-convert --lod makes one"});
+                 "--host-memory and --device-memory need an .rgs file with levels of detail: rgs-convert --lod makes "
+                 "one"});
   }
   return FrameMaker(std::move(impl));
 }

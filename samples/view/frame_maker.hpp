@@ -1,4 +1,4 @@
-// frame_maker.hpp - frames of the scenes that are looked at, by this project's renderer.
+// frame_maker.hpp - draws reference pictures of the scenes.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -19,13 +19,13 @@ namespace rgs::view {
 
 struct FrameSettings {
   Backend backend = Backend::cpu;  ///< cpu or cuda
-  int threads = 0;                 ///< of the CPU; 0: all
-  /// Where one is given, files with levels of detail are drawn from as much as fits in it; all else is drawn from memory.
+  int threads = 0;                 ///< CPU threads; 0: all
+  /// If given, files with levels of detail are streamed within it; other files are loaded whole.
   std::optional<StreamPoolOptions> budget = std::nullopt;
   DecodeLimits limits = {};
 };
 
-/// An error, and the scene that it is of; empty if it is of none.
+/// An error, and the path of its scene; empty if it concerns no scene.
 struct SceneError {
   std::string path;
   Error error;
@@ -34,14 +34,14 @@ struct SceneError {
 struct Frame {
   std::string file;  ///< PNG or JPEG
   double render_ms = 0, encode_ms = 0;
-  std::optional<StreamStats> stream;       ///< of a streamed scene
-  std::optional<Error> stream_error = {};  ///< what keeps it from being complete
+  std::optional<StreamStats> stream;       ///< if the scene is streamed
+  std::optional<Error> stream_error = {};  ///< why pages are missing
 };
 
 class FrameMaker {
  public:
-  /// Opens the scenes and brings them to where they are drawn. Errors: those of Renderer::create(), open_scene_file(), StreamedScene::open()
-  /// and Renderer::prepare(); bad_argument where a budget is given for no file with levels.
+  /// Opens and prepares the scenes. Errors: those of Renderer::create(), open_scene_file(), StreamedScene::open() and
+  /// Renderer::prepare(); bad_argument (a budget, but no file with levels of detail).
   static tl::expected<FrameMaker, SceneError> create(const std::vector<std::string>& paths,
                                                      const FrameSettings& settings);
   FrameMaker(FrameMaker&&) noexcept;
@@ -50,8 +50,8 @@ class FrameMaker {
 
   Backend backend() const;  ///< cpu or cuda
   std::size_t n_scenes() const;
-  /// Any thread may call it; frames are drawn one after the other, and encoded beside the next. A PNG has the pixels that rgs-render writes.
-  /// Errors: those of Renderer::render(); read_failed where a scene's file has changed.
+  /// Thread-safe. Frames are drawn one after the other; a PNG has the pixels of rgs-render. Errors: those of Renderer::render();
+  /// read_failed (a scene's file has changed).
   Result<Frame> make(const FrameRequest& request);
 
  private:

@@ -1,4 +1,4 @@
-// frame_request.cpp - JSON to a camera, options and a format; nothing is guessed.
+// frame_request.cpp - parses the request for a frame; unknown fields are errors.
 // SPDX-License-Identifier: Apache-2.0
 #include "frame_request.hpp"
 
@@ -17,9 +17,9 @@ namespace {
 
 using json = nlohmann::json;
 
-constexpr int kMostLevels = 8;  // a camera's rotation is at the fourth
+constexpr int kMostLevels = 8;  // a camera's rotation has depth 4
 
-// The fields of an object, each looked at once; the first that is wrong decides.
+// Reads fields of an object and keeps the first error.
 class Fields {
  public:
   explicit Fields(const json& object) : object_(object) {}
@@ -35,7 +35,7 @@ class Fields {
   std::optional<int> integer(const char* name, int least, int most, const char* what) {
     const json* value = find(name);
     if (value == nullptr) return std::nullopt;
-    // Compared as they are: a conversion would wrap.
+    // Compared before conversion, which would wrap.
     const bool fits = value->is_number_unsigned()  ? value->get<std::uint64_t>() <= static_cast<std::uint64_t>(most)
                       : value->is_number_integer() ? value->get<std::int64_t>() <= most
                                                    : false;
@@ -71,14 +71,14 @@ constexpr std::array<const char*, 10> kCameraFields{"id",       "img_name", "wid
 Result<Camera> camera_of(Fields& fields) {
   const json* entry = fields.find("camera");
   if (entry == nullptr || !entry->is_object())
-    return make_error(Errc::bad_syntax, Error::kNone, "a frame needs its camera, an object");
+    return make_error(Errc::bad_syntax, Error::kNone, "a frame needs an object \"camera\"");
   if (!has_only(*entry, kCameraFields))
     return make_error(Errc::bad_syntax, Error::kNone,
                       "a camera has the fields id, img_name, width, height, position, rotation, fx, fy, cx and cy, and "
                       "no others");
   const auto parsed = parse_camera_json("[" + entry->dump(-1, ' ', false, json::error_handler_t::replace) + "]");
   if (!parsed) {
-    Error error = parsed.error();  // places in a text that nobody sent
+    Error error = parsed.error();  // its offset is in a text that the client did not send
     error.offset = Error::kNone;
     return tl::unexpected(error);
   }
@@ -112,19 +112,19 @@ Result<FrameRequest> parse_frame_request(std::string_view body, std::size_t n_sc
   json object;
   bool is_too_deep = false;
   try {
-    // What is nested deeper is left out while it is parsed: to write a value back as text takes stack for each level.
+    // Deeper levels are dropped while parsing, because dump() takes stack for each level.
     object = json::parse(body, [&](int depth, json::parse_event_t event, const json&) {
       const bool begins = event == json::parse_event_t::object_start || event == json::parse_event_t::array_start;
       if (begins && depth >= kMostLevels) is_too_deep = true;
       return !is_too_deep;
     });
   } catch (const json::parse_error& error) {
-    return make_error(Errc::bad_syntax, error.byte > 0 ? error.byte - 1 : 0, "the JSON text cannot be parsed here");
+    return make_error(Errc::bad_syntax, error.byte > 0 ? error.byte - 1 : 0, "the JSON text is not valid at this byte");
   } catch (const json::exception&) {
     return make_error(Errc::bad_argument, Error::kNone, "the JSON text has a number that is too large");
   }
   if (is_too_deep) return make_error(Errc::bad_syntax, Error::kNone, "the JSON text is nested too deeply");
-  if (!object.is_object()) return make_error(Errc::bad_syntax, 0, "a frame is asked for by a JSON object");
+  if (!object.is_object()) return make_error(Errc::bad_syntax, 0, "the request for a frame must be a JSON object");
   if (!has_only(object, kFields))
     return make_error(Errc::bad_syntax, Error::kNone,
                       "a frame has the fields scene, camera, width, height, format, quality, background, sh_degree and "

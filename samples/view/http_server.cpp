@@ -21,16 +21,16 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// A browser holds six connections to a server, and two pages may be open.
+// A browser opens six connections to a server, and two pages may be open.
 constexpr std::size_t kThreads = 16;
 constexpr std::size_t kRequestsOfConnection = 10'000;
 constexpr std::size_t kFileBlock = 256 * 1024;
-// What a client whose request was refused may still send, so that it reads the answer before the connection is gone.
+// Bytes that are read from a refused client before the connection closes, so that it can read the answer.
 constexpr std::size_t kLingerBytes = 1 << 20;
 constexpr std::chrono::milliseconds kLingerTime{500};
 
-// What httplib sees in place of Range, for which it has answers of its own before anything is checked: 416 for numbers beyond 2^63,
-// and for several ranges as many copies in memory.
+// Replaces the name Range, so that httplib does not handle ranges itself: it answers 416 to numbers beyond 2^63, and copies each of
+// several ranges into memory.
 constexpr std::string_view kRange = "Range", kSeenRange = "Bytes";
 static_assert(kRange.size() == kSeenRange.size());
 
@@ -40,7 +40,7 @@ bool equal_names(std::string_view a, std::string_view b) {
          std::equal(a.begin(), a.end(), b.begin(), [&](char x, char y) { return lower(x) == lower(y); });
 }
 
-// Until there is something to read or write, or room for it. False when `until` is reached.
+// Waits until the socket can be read or written. False at time `until`.
 bool wait_for(int socket, short event, Clock::time_point until) {
   for (;;) {
     const auto left = std::chrono::ceil<std::chrono::milliseconds>(until - Clock::now()).count();
@@ -52,14 +52,14 @@ bool wait_for(int socket, short event, Clock::time_point until) {
   }
 }
 
-// A connection as httplib reads and writes it: one request after the other.
+// A connection that httplib reads and writes, one request after the other.
 class Connection final : public httplib::Stream {
  public:
   enum class Head { complete, closed, malformed, too_large, too_slow };
 
   Connection(int socket, const HttpLimits& limits) : socket_(socket), limits_(limits) {}
 
-  // Reads up to the empty line after which a body begins, so that httplib never waits for a head.
+  // Reads a whole head, so that httplib never waits for one.
   Head read_head() {
     begin_ = 0;
     bytes_read_ = 0;
@@ -85,7 +85,7 @@ class Connection final : public httplib::Stream {
   bool is_readable() const override { return true; }
   bool is_writable() const override { return true; }
   int socket() const override { return socket_; }
-  // Of no use: whoever connects is on this machine.
+  // Unused: every client is on this machine.
   void get_remote_ip_and_port(std::string&, int&) const override {}
   void get_local_ip_and_port(std::string&, int&) const override {}
 
@@ -112,11 +112,11 @@ class Connection final : public httplib::Stream {
     }
   }
 
-  // Whether the request is read up to its end, given what its head says of the body's size.
+  // Whether a body of this size has been read to its end.
   bool is_consumed(std::size_t body_bytes) const { return bytes_read_ == head_bytes_ + body_bytes; }
   void forget_request() { buffer_.erase(0, begin_); }
 
-  // Lets the client read what was written, although it is still sending.
+  // Lets the client read the answer while it is still sending.
   void linger() {
     ::shutdown(socket_, SHUT_WR);
     const auto until = Clock::now() + kLingerTime;
@@ -139,7 +139,7 @@ class Connection final : public httplib::Stream {
     }
   }
 
-  // httplib ends a line at any line feed, and a text at any zero.
+  // httplib ends a line at a bare line feed, and a text at a zero.
   bool has_plain_lines() const {
     for (std::size_t i = 0; i < head_bytes_; ++i)
       if (buffer_[i] == '\0' || (buffer_[i] == '\n' && (i == 0 || buffer_[i - 1] != '\r'))) return false;
@@ -157,7 +157,7 @@ class Connection final : public httplib::Stream {
 
   int socket_;
   HttpLimits limits_;
-  std::string buffer_;  // what has been received: of it begin_ bytes are read
+  std::string buffer_;  // received; begin_ bytes of it have been read
   std::size_t begin_ = 0, head_bytes_ = 0, bytes_read_ = 0;
   Clock::time_point until_{};
 };
@@ -187,7 +187,7 @@ void fill(const HttpAnswer& from, httplib::Response& to) {
                           });
 }
 
-// The size of the body as the head states it.
+// Content-Length.
 std::size_t stated_body(const httplib::Request& request) {
   if (!request.has_header("Content-Length")) return 0;
   return static_cast<std::size_t>(std::strtoull(request.get_header_value("Content-Length").c_str(), nullptr, 10));
@@ -197,7 +197,7 @@ class Server final : public httplib::Server {
  public:
   explicit Server(const HttpLimits& limits) : limits_(limits) {
     new_task_queue = [] { return new httplib::ThreadPool(kThreads); };
-    // Not SO_REUSEPORT, httplib's choice, with which two programs share a port.
+    // Not SO_REUSEPORT as in httplib, which lets two programs share a port.
     set_socket_options([](int socket) {
       const int yes = 1;
       ::setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
@@ -234,7 +234,7 @@ class Server final : public httplib::Server {
     set_exception_handler([this](const httplib::Request&, httplib::Response& response, const std::exception_ptr&) {
       fill(handlers_.fail(500), response);
     });
-    // What httplib refuses by itself: a head that it cannot parse.
+    // httplib refuses heads that it cannot parse.
     set_error_handler(HandlerWithResponse([this](const httplib::Request&, httplib::Response& response) {
       if (!response.body.empty()) return HandlerResponse::Unhandled;
       fill(handlers_.fail(response.status), response);
@@ -266,7 +266,7 @@ class Server final : public httplib::Server {
       std::size_t body_bytes = 0;
       const auto look = [&](httplib::Request& request) {
         body_bytes = stated_body(request);
-        request.headers.erase("Accept-Encoding");  // compressing takes longer than the loopback device
+        request.headers.erase("Accept-Encoding");  // compression takes longer than sending
       };
       is_accepted_ = false;
       if (!process_request(connection, is_last, is_last, look) || is_last || !is_accepted_ ||
@@ -286,8 +286,8 @@ class Server final : public httplib::Server {
     }
   }
 
-  // Of the request that this thread is at, for httplib hands its handlers no connection. What is not accepted is the last: where
-  // its body ends nobody has checked, and a stranger keeps no thread.
+  // The connection of this thread's request, which httplib does not pass to handlers. A refused request is the connection's last,
+  // because its body has not been read.
   static inline thread_local bool is_accepted_ = false;
 
   HttpLimits limits_;
@@ -328,7 +328,7 @@ Result<HttpServer> HttpServer::listen(int port, const HttpLimits& limits) {
   }
   if (impl->port < 0) {
     return make_error(Errc::open_failed, Error::kNone,
-                      "the port cannot be listened on: another program may use it, choose another --port");
+                      "cannot listen on this port; another program may use it: choose another --port");
   }
   return HttpServer(std::move(impl));
 }

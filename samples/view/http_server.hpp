@@ -1,8 +1,8 @@
-// http_server.hpp - HTTP on the loopback address: limits on what is read, and answers that are values.
+// http_server.hpp - an HTTP server on the loopback address, with limits on requests.
 // SPDX-License-Identifier: Apache-2.0
 //
-// cpp-httplib parses and writes. What its version 0.11 does not do is done here: a request's head and body end at a size and at a time,
-// ranges are ours, and what was refused unread ends the connection.
+// cpp-httplib parses and writes. This file adds what its version 0.11 lacks: limits on the size and time of a request's head and body,
+// byte ranges, and closing the connection after a refused request.
 #pragma once
 
 #include <chrono>
@@ -22,37 +22,37 @@ namespace rgs::view {
 
 struct HttpLimits {
   std::size_t head_bytes = 8192, body_bytes = 65536;
-  std::chrono::milliseconds request_time{10'000};  ///< for a head from its first byte, and again for its body
-  std::chrono::milliseconds idle_time{5'000};      ///< for a connection's next request
-  std::chrono::milliseconds stall_time{30'000};    ///< without a byte that a client takes
+  std::chrono::milliseconds request_time{10'000};  ///< for a head from its first byte, and then for its body
+  std::chrono::milliseconds idle_time{5'000};      ///< until a connection's next request
+  std::chrono::milliseconds stall_time{30'000};    ///< while the client takes no byte
 };
 
-/// A request whose head has been read. The path is decoded and without its query.
+/// `path` is decoded and has no query.
 struct HttpRequest {
   std::string method, path, body;
   std::vector<std::pair<std::string, std::string>> fields;
 
-  /// The value of a field that is there once, case of its name aside; empty if it is there twice or not at all.
+  /// The value of a field that occurs once, by name without case; else empty.
   std::string field(std::string_view name) const;
   std::size_t count(std::string_view name) const;
 };
 
 struct HttpAnswer {
   int status = 200;
-  std::vector<std::pair<std::string, std::string>> fields = {};  ///< names once each
-  std::string type = {};                                         ///< Content-Type; empty without content
+  std::vector<std::pair<std::string, std::string>> fields = {};  ///< each name once
+  std::string type = {};                                         ///< Content-Type; empty if there is no content
   std::string body = {};
-  /// In place of `body`: bytes [first, first + count) of it.
+  /// Instead of `body`: bytes [first, first + count) of this file.
   std::shared_ptr<const OpenFile> file = nullptr;
   std::uint64_t first = 0, count = 0;
 };
 
 struct HttpHandlers {
-  /// From the head alone: what is answered without reading the body, if it is refused. The connection ends with it.
+  /// Sees the head only. An answer refuses the request: its body is not read, and the connection closes.
   std::function<std::optional<HttpAnswer>(const HttpRequest&)> refuse;
-  /// Called by several threads at once. What it throws becomes an answer of 500.
+  /// Called by several threads at once. An exception becomes an answer of 500.
   std::function<HttpAnswer(const HttpRequest&)> answer;
-  /// For a request that cannot be understood, and for one that failed: with `status`.
+  /// Makes the answer for a malformed request or a failure, with `status`.
   std::function<HttpAnswer(int status)> fail;
 };
 

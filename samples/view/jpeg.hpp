@@ -1,4 +1,4 @@
-// jpeg.hpp - JPEG for pictures that are looked at once: as fast as it gets, chroma at half the resolution.
+// jpeg.hpp - a fast JPEG encoder, chroma at half the resolution.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -12,11 +12,11 @@
 
 namespace rgs::view {
 
-/// Keeps its memory from picture to picture. For one thread at a time.
+/// Reuses its memory. Not thread-safe.
 class JpegEncoder {
  public:
   JpegEncoder();
-  /// `rgb` [height, width, 3] as a JPEG file; quality 1..100. Error: internal (libjpeg-turbo refuses).
+  /// `rgb` [height, width, 3] as a JPEG file; quality 1..100. Error: internal (libjpeg-turbo fails).
   Result<std::string> encode(std::span<const std::uint8_t> rgb, int width, int height, int quality);
 
  private:

@@ -1,4 +1,4 @@
-// page_export.cpp - elements between two halves of a page.
+// page_export.cpp - inserts elements into the page.
 // SPDX-License-Identifier: Apache-2.0
 #include "page_export.hpp"
 
@@ -11,7 +11,7 @@ namespace rgs::view {
 namespace {
 
 constexpr std::string_view kViewTag = R"(<script type="application/json" id="rgs-view">)", kEndTag = "</script>\n";
-constexpr std::size_t kBlock = 3 * 65536;  // bytes that become whole groups of four characters
+constexpr std::size_t kBlock = 3 * 65536;  // a multiple of 3, so that base64 needs no padding
 
 std::string file_tag(std::size_t index) {
   return fmt::format(R"(<script type="application/octet-stream;base64" id="rgs-file-{}">)", index);
@@ -36,7 +36,7 @@ void append_base64(std::string_view bytes, std::string& out) {
   }
 }
 
-// Appends to a file from its beginning on.
+// Writes to a file from its beginning on.
 class Appender {
  public:
   explicit Appender(AtomicFile& file) : file_(file) {}
@@ -71,8 +71,9 @@ Result<PageExport> PageExport::open(const std::string& page) {
   const std::string_view text = text_of(file->bytes());
   const std::size_t mark = text.find(kInsertMark);
   if (mark == text.npos || text.find(kInsertMark, mark + 1) != text.npos) {
-    return make_error(Errc::bad_syntax, mark == text.npos ? Error::kNone : mark,
-                      "is not the viewer's single-file page: it has no place, or several, for what rgs-view adds");
+    return make_error(
+        Errc::bad_syntax, mark == text.npos ? Error::kNone : mark,
+        "is not the viewer's single-file page: it does not have exactly one mark <!-- rgs-view:insert -->");
   }
   PageExport out;
   out.mark_ = mark;

@@ -1,4 +1,4 @@
-// page_export.hpp - the page with all that it shows in one file, which opens from a disk without a server.
+// page_export.hpp - the page with scenes, cameras and photographs in one file, which opens without a server.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -15,26 +15,26 @@
 
 namespace rgs::view {
 
-/// Where the single-file page takes what is added to it.
+/// Elements are inserted here.
 inline constexpr std::string_view kInsertMark = "<!-- rgs-view:insert -->";
 
-/// `json` for the inside of a script element, which nothing in it can end: '<', '>' and '&' as \u003c and so on. They stand in its texts alone.
+/// Escapes '<', '>' and '&' of `json` as \u003c and so on, so that nothing in it can end the script element.
 std::string script_json(std::string_view json);
 
 class PageExport {
  public:
-  /// Errors: open_failed, read_failed; bad_syntax (kInsertMark is not there once).
+  /// Errors: open_failed, read_failed; bad_syntax (kInsertMark does not occur once).
   static Result<PageExport> open(const std::string& page);
 
-  /// Each becomes an element of its own, base64; returns its address, "#rgs-file-0" and so on.
+  /// Adds a base64 element and returns its address, "#rgs-file-0" and so on.
   std::string add(MappedFile file) { return add_part(std::move(file)); }
   std::string add(std::string text) { return add_part(std::move(text)); }
-  /// What the page is told, with these addresses.
+  /// view.json, with these addresses.
   void set_view(std::string_view json) { view_ = script_json(json); }
 
   std::uint64_t bytes() const;
   std::vector<const MappedFile*> inputs() const;
-  /// Writes it from the beginning, block by block. Errors: write_failed.
+  /// Errors: write_failed.
   Status write(AtomicFile& out) const;
 
  private:

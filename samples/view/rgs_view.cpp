@@ -1,4 +1,4 @@
-// rgs_view.cpp - rgs-view: a page that shows a scene, or two beside each other, in the browser of this machine.
+// rgs_view.cpp - rgs-view: shows a scene, or compares two, on a page in the browser.
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/format.h>
 #include <signal.h>
@@ -60,7 +60,7 @@ bool has_frames(const Options& options) {
   return options.backend != rgs::Backend::automatic || options.host_memory || options.device_memory;
 }
 
-// What is looked at, by the names that the page has for it.
+// Scenes, cameras and photographs, by their names on the page.
 struct Shown {
   struct File {
     std::string name, path;
@@ -69,10 +69,10 @@ struct Shown {
   std::vector<File> files;
   view::ViewDocument document;
   std::vector<rgs::Camera> cameras;
-  std::string fragment;  // of the page's address: where it begins
+  std::string fragment;  // of the page's address: the first view
 };
 
-// What the page's own readers take.
+// What the page can read.
 #define RGS_PAGE_FORMATS ".rgs, .ply, .compressed.ply, .spz and .sog"
 
 bool is_shown(rgs::SplatFormat format, std::span<const std::byte> bytes) {
@@ -81,7 +81,7 @@ bool is_shown(rgs::SplatFormat format, std::span<const std::byte> bytes) {
     case rgs::SplatFormat::ply:
     case rgs::SplatFormat::compressed_ply:
     case rgs::SplatFormat::spz: return true;
-    case rgs::SplatFormat::sog: return bytes.front() == std::byte{'P'};  // zipped, and no meta.json beside its pictures
+    case rgs::SplatFormat::sog: return bytes.front() == std::byte{'P'};  // zipped, not a meta.json beside its images
     default: return false;
   }
 }
@@ -91,10 +91,10 @@ int add_scene(const std::string& path, Shown& shown) {
   if (!file) return tool::report(path, file.error());
   const rgs::SplatFormat format = rgs::detect_format(file->bytes());
   if (format == rgs::SplatFormat::unknown)
-    return tool::report(path, {rgs::Errc::bad_magic, 0, "no splat file: rgs-view shows " RGS_PAGE_FORMATS});
+    return tool::report(path, {rgs::Errc::bad_magic, 0, "not a splat file: rgs-view shows " RGS_PAGE_FORMATS});
   if (!is_shown(format, file->bytes()))
     return tool::report(path, {rgs::Errc::unsupported_feature, rgs::Error::kNone,
-                               "the page shows " RGS_PAGE_FORMATS ": rgs-convert makes .rgs of this"});
+                               "rgs-view shows only " RGS_PAGE_FORMATS "; rgs-convert makes .rgs of this"});
   const std::string folder = fmt::format("scenes/{}/", shown.document.scenes.size());
   const std::string name = fs::path(path).filename().string();
   shown.files.push_back({folder + name, path});
@@ -108,7 +108,7 @@ int add_photos(const std::string& folder, Shown& shown) {
   if (!photos) return tool::report(folder, photos.error());
   for (const rgs::Camera& camera : shown.cameras) {
     const std::string path = photos->find(camera.name);
-    // Browsers show neither TIFF nor OpenEXR.
+    // Browsers cannot show TIFF and OpenEXR.
     if (path.empty() || std::string_view(view::content_type(path)).starts_with("application/")) continue;
     const std::string name =
         fmt::format("photos/{}{}", shown.document.photos.size(), fs::path(path).extension().string());
@@ -131,7 +131,7 @@ int look_at(const Options& options, Shown& shown) {
   if (!options.view.empty()) {
     const auto chosen = rgs::choose_cameras(*set, "", options.view);
     if (!chosen) return tool::report_usage(chosen.error());
-    if (chosen->size() != 1) return tool::report_usage("--view takes one camera to begin at");
+    if (chosen->size() != 1) return tool::report_usage("--view takes one camera");
     shown.fragment = "#" + view::view_link(chosen->front(), set->cameras, !options.other.empty());
   }
   shown.cameras = std::move(set->cameras);
@@ -139,24 +139,25 @@ int look_at(const Options& options, Shown& shown) {
   return options.photos.empty() ? tool::kSuccess : add_photos(options.photos, shown);
 }
 
-// The folder of the built page: where the environment says, beside this program as it is installed, in the build tree.
+// The folder of the built page: named by the environment, beside the installed program, in the source tree.
 rgs::Result<std::string> page_folder() {
   if (const char* named = std::getenv("RGS_VIEWER_DIR"); named != nullptr && *named != '\0') return std::string(named);
   std::vector<fs::path> places;
   if (const auto folder = tool::program_folder())
     places.push_back(fs::path(*folder).parent_path() / "share/roofgs/viewer");
-  places.emplace_back(RGS_VIEWER_BUILD_DIR);
+  places.emplace_back(RGS_SOURCE_DIR "/web/viewer/dist");
   std::error_code ignored;
   for (const fs::path& place : places)
     if (fs::exists(place / "index.html", ignored)) return place.string();
-  return rgs::make_error(
-      rgs::Errc::open_failed, rgs::Error::kNone,
-      "the viewer's page is not installed: build web/ (sh scripts/test_web.sh), or name its folder by "
-      "RGS_VIEWER_DIR");
+  return rgs::make_error(rgs::Errc::open_failed, rgs::Error::kNone,
+                         fs::exists(RGS_SOURCE_DIR "/scripts/build_page.sh", ignored)
+                             ? "the viewer's page is not built; type: sh " RGS_SOURCE_DIR "/scripts/build_page.sh"
+                             : "the viewer's page is not installed; in the source tree of RoofGS type: sh "
+                               "scripts/build_page.sh, then here: export RGS_VIEWER_DIR=SOURCE_TREE/web/viewer/dist");
 }
 
-// Ctrl-C is how a server ends, so it is a success; it leaves nothing behind but what the system takes back. Blocked here and in all
-// threads to come, signals wait for the thread that takes them. What was ignored (nohup) stays so.
+// Ctrl-C ends the server with success. Signals are blocked in all threads but the one that waits for them here; those that were ignored
+// (nohup) stay ignored.
 void end_on_signals() {
   sigset_t ends;
   ::sigemptyset(&ends);
@@ -175,7 +176,7 @@ void end_on_signals() {
 
 view::FrameSettings frame_settings(const Options& options) {
   view::FrameSettings settings{.backend = options.backend, .threads = options.threads, .limits = options.limits};
-  // Where its pages are a scene is drawn.
+  // A scene is drawn where its pages are.
   if (settings.backend == rgs::Backend::automatic)
     settings.backend = options.device_memory ? rgs::Backend::cuda : rgs::Backend::cpu;
   if (options.host_memory || options.device_memory) {
@@ -187,7 +188,7 @@ view::FrameSettings frame_settings(const Options& options) {
   return settings;
 }
 
-// A page asks for one frame after the other; what many pages ask for at once would keep all threads of the server waiting.
+// A page requests one frame at a time. More than these at once would keep all threads of the server waiting.
 constexpr int kMostFramesAtOnce = 4;
 
 view::HttpAnswer answer_frame(view::FrameMaker& frames, std::atomic<int>& n_at_once, const std::string& body) {
@@ -207,7 +208,7 @@ view::HttpAnswer answer_frame(view::FrameMaker& frames, std::atomic<int>& n_at_o
     return {.status = 503,
             .fields = {{"Retry-After", "1"}},
             .type = "application/json",
-            .body = view::error_body("busy", "frames are being drawn for others; ask again")};
+            .body = view::error_body("busy", "the renderer is busy; ask again")};
   }
   auto frame = frames.make(*request);
   if (!frame) return view::error_answer(frame.error());
@@ -256,16 +257,16 @@ int serve(const Options& options, Shown& shown) {
   tool::print(address + "\n");
   tool::flush();
   if (!options.no_browser && view::has_screen() && !view::open_browser(address))
-    tool::print_error("rgs-view: xdg-open does not start: open the address in a browser\n");
+    tool::print_error("rgs-view: xdg-open does not start; open the address in a browser\n");
   server->serve(site.handlers());
   return tool::report("", {rgs::Errc::internal, rgs::Error::kNone, "the server ended by itself"});
 }
 
-// Everything in one file: the addresses of view.json become those of its elements.
+// Writes one file; addresses in view.json become those of its elements.
 int export_page(const Options& options, Shown& shown) {
   const auto folder = page_folder();
   if (!folder) return tool::report("", folder.error());
-  // Installed beside the page, or where the build tree has it.
+  // Beside the installed page, or in the source tree.
   std::error_code ignored;
   fs::path single = fs::path(*folder) / "single.html";
   if (!fs::exists(single, ignored)) {
@@ -315,45 +316,43 @@ int export_page(const Options& options, Shown& shown) {
 }
 
 void add_options(CLI::App& app, Options& o) {
-  app.add_option("scene", o.scene, "scene to look at: " RGS_PAGE_FORMATS)->required();
-  app.add_option("other", o.other, "a second one, to compare it with");
+  app.add_option("scene", o.scene, "scene: " RGS_PAGE_FORMATS)->required();
+  app.add_option("other", o.other, "second scene, to compare with the first");
   auto* const cameras = app.add_option("--cameras,-c", o.cameras,
-                                       "cameras to jump to: camera file or COLMAP folder (docs/user/CAMERAS.md)");
-  app.add_option("--photos", o.photos, "folder of the cameras' photographs, by name; PNG or JPEG")->needs(cameras);
+                                       "cameras on the page: camera file or COLMAP folder (docs/user/CAMERAS.md)");
+  app.add_option("--photos", o.photos, "folder of photographs with the cameras' names; PNG or JPEG")->needs(cameras);
 
   const std::string single = "One file instead of a server";
   auto* const export_to =
-      app.add_option("--export", o.export_to, "write a page that opens from a disk, with all that it shows in it")
+      app.add_option("--export", o.export_to, "write one file with everything in it, which opens without a server")
           ->option_text("PAGE.html")
           ->group(single);
-  app.add_option("--export-limit", o.export_limit, "bytes that it may have [256MiB]")
+  app.add_option("--export-limit", o.export_limit, "largest size of that file [256MiB]")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->needs(export_to)
       ->group(single);
   app.add_flag("--overwrite", o.overwrite, "replace an existing page")->needs(export_to)->group(single);
 
-  const std::string frames = "Frames of this machine's renderer (docs/user/VIEW.md)";
-  app.add_option("--backend", o.backend, "draw true pictures for the page: cpu, cuda [none]")
+  const std::string frames = "Reference pictures, drawn on this machine (docs/user/VIEW.md)";
+  app.add_option("--backend", o.backend, "draw reference pictures for the page: cpu, cuda [none]")
       ->transform(tool::one_of<rgs::Backend>({{"cpu", rgs::Backend::cpu}, {"cuda", rgs::Backend::cuda}}))
       ->group(frames);
-  app.add_option("--host-memory", o.host_memory,
-                 "draw .rgs files with levels of detail from what of them is read into so much memory")
+  app.add_option("--host-memory", o.host_memory, "stream .rgs files with levels of detail within this much memory")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->group(frames);
-  app.add_option("--device-memory", o.device_memory,
-                 "the same on the GPU: pages are in so much of its memory, renderers' workspaces come on top")
+  app.add_option("--device-memory", o.device_memory, "the same on the GPU; workspaces of the renderer are not included")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->group(frames);
-  app.add_option("--threads", o.threads, "CPU threads of the renderer, 0 for all cores")
+  app.add_option("--threads", o.threads, "CPU threads for drawing, 0 for all cores")
       ->check(CLI::Range(0, 1024))
       ->capture_default_str()
       ->group(frames);
   tool::add_max_expansion(app, o.limits)->group(frames);
 
-  app.add_option("--view", o.view, "camera to begin at, by name or index")->needs(cameras);
+  app.add_option("--view", o.view, "camera of the first view, by name or index")->needs(cameras);
 
   const std::string server = "Server";
   app.add_option("--port", o.port, "port on 127.0.0.1, 0 for a free one")
@@ -365,17 +364,18 @@ void add_options(CLI::App& app, Options& o) {
   app.footer("Ctrl-C ends it.\nExit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input.");
 }
 
-// Contradictions that can be told without reading a file; empty if there is none.
+// Contradictory options; empty if there are none.
 std::string contradiction(const Options& o) {
   if (o.host_memory == std::uint64_t{0}) return "--host-memory of 0 bytes holds no scene";
   if (o.device_memory == std::uint64_t{0}) return "--device-memory of 0 bytes holds no scene";
   if (o.backend == rgs::Backend::cpu && o.device_memory)
-    return "--device-memory is of the GPU: --backend cuda, or --host-memory alone";
+    return "--device-memory needs --backend cuda; --host-memory is for the CPU";
   if (o.backend == rgs::Backend::cuda && o.host_memory && !o.device_memory)
-    return "a scene is streamed to the GPU within --device-memory; without it --backend cpu draws it";
-  if (!o.export_to.empty() && !o.view.empty()) return "--view is a part of a server's address: --export goes without";
+    return "--backend cuda streams within --device-memory; give that too, or use --backend cpu";
+  if (!o.export_to.empty() && !o.view.empty()) return "--view cannot be combined with --export";
   if (!o.export_to.empty() && has_frames(o))
-    return "a page without a server has no frames of this machine: --export goes without --backend and memory";
+    return "--export cannot be combined with --backend, --host-memory or --device-memory: an exported page has no "
+           "server that draws";
   return {};
 }
 
@@ -384,7 +384,7 @@ std::string contradiction(const Options& o) {
 int main(int argc, char** argv) {
   return tool::run([&]() -> int {
     Options options;
-    CLI::App app{"Shows a 3D Gaussian splat scene, or two to compare, on a page in the browser of this machine.",
+    CLI::App app{"Shows a 3D Gaussian splat scene, or compares two, on a page in the browser of this machine.",
                  "rgs-view"};
     add_options(app, options);
     if (const auto code = tool::parse(app, argc, argv)) return *code;

@@ -15,7 +15,7 @@
 namespace rgs::view {
 namespace {
 
-constexpr const char* kChanged = "the file changed while it was looked at; start rgs-view again";
+constexpr const char* kChanged = "the file has changed; start rgs-view again";
 
 FileStamp stamp_of(const struct stat& info) {
   constexpr std::int64_t kSecond = 1'000'000'000;
@@ -51,7 +51,7 @@ Status OpenFile::read_at(std::uint64_t offset, std::span<char> out) const {
     offset += static_cast<std::uint64_t>(n);
     out = out.subspan(static_cast<std::size_t>(n));
   }
-  // Looked at after the bytes: what is written from now on is not among them.
+  // Checked after reading, so that a change before or during the read is found.
   struct stat info {};
   if (::fstat(fd_, &info) != 0 || !stamp_of(info).same(stamp_))
     return make_error(Errc::read_failed, Error::kNone, kChanged);
@@ -74,7 +74,7 @@ std::string ServedFile::tag() const {
 }
 
 Result<std::shared_ptr<const OpenFile>> ServedFile::open() const {
-  // A pipe that took the file's place does not keep the program waiting.
+  // Does not block if a pipe has taken the file's place.
   const int fd = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
   if (fd < 0) return open_error("cannot be opened", errno);
   auto file = std::make_shared<const OpenFile>(fd, stamp_);

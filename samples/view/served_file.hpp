@@ -1,4 +1,4 @@
-// served_file.hpp - a file that is given out as it was when the program started, or not at all.
+// served_file.hpp - serves a file only while it is as it was when the program started.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,16 +13,16 @@
 
 namespace rgs::view {
 
-/// By which a file is known again: another one under its name, and one that was written to, have others.
+/// Identifies a file and its contents: changes when the file is written or replaced.
 struct FileStamp {
   std::uint64_t device = 0, inode = 0, bytes = 0, names = 0;
   std::int64_t modified_ns = 0, changed_ns = 0;
 
-  /// Whether it is that file, unchanged. A name that was given to it or taken from it changes nothing.
+  /// Whether it is the same unchanged file. Adding or removing a hard link is no change.
   bool same(const FileStamp& other) const;
 };
 
-/// Bytes of a file that is open. Several threads may read.
+/// An open file. Several threads may read it.
 class OpenFile {
  public:
   OpenFile(int descriptor, const FileStamp& stamp) : fd_(descriptor), stamp_(stamp) {}
@@ -31,7 +31,7 @@ class OpenFile {
   OpenFile& operator=(const OpenFile&) = delete;
 
   std::uint64_t size() const { return stamp_.bytes; }
-  /// Fills `out` from `offset` on; read_failed also where the file is not what it was when the program started.
+  /// Fills `out` from `offset` on. Errors: read_failed (also if the file has changed since the program started).
   Status read_at(std::uint64_t offset, std::span<char> out) const;
 
  private:
@@ -41,12 +41,12 @@ class OpenFile {
 
 class ServedFile {
  public:
-  /// Looks at the file, which must be a regular one. Errors: open_failed.
+  /// Records a regular file's stamp. Errors: open_failed.
   static Result<ServedFile> look(const std::string& path);
 
   const std::string& path() const { return path_; }
   std::uint64_t size() const { return stamp_.bytes; }
-  /// The entity tag, in quotes: inode, size and time of the last change.
+  /// The entity tag, in quotes: inode, size and modification time.
   std::string tag() const;
   /// Errors: open_failed, read_failed (it changed).
   Result<std::shared_ptr<const OpenFile>> open() const;
@@ -56,7 +56,7 @@ class ServedFile {
   FileStamp stamp_;
 };
 
-/// Content-Type by the name's ending; application/octet-stream for all that browsers need not know.
+/// Content-Type by the name's ending, else application/octet-stream.
 const char* content_type(std::string_view path);
 
 }  // namespace rgs::view

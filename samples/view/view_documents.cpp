@@ -34,7 +34,7 @@ std::string cameras_json(std::span<const Camera> cameras) {
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     const Camera& camera = cameras[i];
     const glm::dvec3 centre = camera_centre(camera);
-    // Camera to world, row by row: the columns of GLM's matrix of the other direction.
+    // Rows of camera to world are the columns of GLM's world to camera.
     Json rotation = Json::array();
     for (int row = 0; row < 3; ++row) {
       const glm::dvec4& column = camera.world_to_camera[row];
@@ -60,7 +60,7 @@ std::string view_link(const Camera& camera, std::span<const Camera> all, bool tw
   for (const Camera& other : all) middle += camera_centre(other) / static_cast<double>(all.size());
   const double distance = glm::dot(middle - eye, ahead);
   const glm::dvec3 pivot = eye + (distance > 0 ? distance : 1) * ahead;
-  const glm::dmat4& m = camera.world_to_camera;  // its columns are the rows of the other direction
+  const glm::dmat4& m = camera.world_to_camera;  // its columns are the rows of camera to world
   return fmt::format("at={},{},{}&axes={},{},{},{},{},{},{},{},{}&lens={},{},{},{}&pivot={},{},{}{}", eye.x, eye.y,
                      eye.z, m[0][0], m[0][1], m[0][2], m[1][0], m[1][1], m[1][2], m[2][0], m[2][1], m[2][2],
                      camera.fx / camera.width, camera.fy / camera.fx, (camera.cx - 0.5 * camera.width) / camera.width,

@@ -1,4 +1,4 @@
-// view_documents.hpp - what the page is told: view.json and cameras.json. docs/user/VIEW.md has every field.
+// view_documents.hpp - writes view.json and cameras.json for the page: docs/user/VIEW.md.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -13,15 +13,15 @@
 
 namespace rgs::view {
 
-/// `name` as a part of an address: all but letters, digits, '-', '.', '_' and '~' as %XX of its bytes.
+/// `name` for use in an address: everything but letters, digits, '-', '.', '_' and '~' as %XX.
 std::string percent_encoded(std::string_view name);
 
-/// The cameras as 3DGS training programs write them, with the principal point besides: [{id, img_name, width, height, position, rotation,
-/// fx, fy, cx, cy}]. parse_camera_json() gives them back.
+/// The cameras as in 3DGS' cameras.json, with the principal point: [{id, img_name, width, height, position, rotation, fx, fy, cx, cy}].
+/// parse_camera_json() reads them.
 std::string cameras_json(std::span<const Camera> cameras);
 
-/// What stands behind the # of the page's address to begin at `camera`; with two scenes, by a slider between them. What is orbited is the point
-/// ahead of it that is nearest to the middle of all cameras, which stand around what they look at.
+/// The part of the page's address behind #, so that it starts at `camera`; two scenes start with the slider. The pivot is the point ahead
+/// of the camera that is nearest to the middle of all cameras.
 std::string view_link(const Camera& camera, std::span<const Camera> all, bool two_scenes);
 
 struct ViewDocument {
@@ -33,12 +33,12 @@ struct ViewDocument {
     std::string camera, url;
   };
   std::vector<Scene> scenes;
-  std::string cameras = {};  ///< its address, empty without cameras
+  std::string cameras = {};  ///< address, empty without cameras
   std::vector<Photo> photos = {};
-  std::string backend = {};  ///< that frames come from, "cpu" or "cuda"; empty without them
+  std::string backend = {};  ///< of frames, "cpu" or "cuda"; empty without frames
 };
 
-/// The document as JSON. Names that are not UTF-8 get replacement characters.
+/// Bytes of names that are not UTF-8 become replacement characters.
 std::string view_json(const ViewDocument& document);
 
 }  // namespace rgs::view

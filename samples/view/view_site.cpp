@@ -1,4 +1,4 @@
-// view_site.cpp - who may ask for what.
+// view_site.cpp - checks requests and answers them.
 // SPDX-License-Identifier: Apache-2.0
 #include "view_site.hpp"
 
@@ -23,10 +23,9 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::size_t kTokenBytes = 16;
-constexpr std::size_t kMostPageFiles = 10'000;  // of a folder that is the page and not somebody's home
+constexpr std::size_t kMostPageFiles = 10'000;  // more than the page has, fewer than a home folder
 
-// What the page may do. WebAssembly is compiled; workers and pictures come from this server or are made by the page itself. Styles are of
-// its files alone, scripts neither inline nor evaluated.
+// The page's policy: WebAssembly, workers and images from this server or from blobs, no inline styles, no inline scripts, no eval.
 constexpr const char* kPolicy =
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; worker-src 'self' blob:; connect-src 'self' blob: "
     "data:; "
@@ -56,7 +55,7 @@ HttpAnswer refusal(int status, std::string_view code, std::string_view message, 
   return {.status = status, .fields = std::move(fields), .type = "application/json", .body = error_body(code, message)};
 }
 
-// Without an early end, which would tell how much of it was right.
+// In constant time, so that timing does not reveal a prefix.
 bool same_token(std::string_view given, std::string_view token) {
   if (given.size() != token.size()) return false;
   unsigned different = 0;
@@ -64,7 +63,7 @@ bool same_token(std::string_view given, std::string_view token) {
   return different == 0;
 }
 
-// "assets/index-D4f_x2Ab.js": what the page's build names after its content never changes under that name.
+// "assets/index-D4f_x2Ab.js": a name with a hash of the content, which can be cached for ever.
 bool is_hashed_asset(std::string_view name) {
   constexpr std::size_t kHash = 8;
   if (!name.starts_with("assets/")) return false;
@@ -76,7 +75,7 @@ bool is_hashed_asset(std::string_view name) {
   return dash > 0 && stem[dash] == '-' && std::ranges::all_of(stem.substr(dash + 1), is_hash);
 }
 
-// Digits that fit the limit; a body's size.
+// Whether a Content-Length is a number within the limit.
 bool is_size(std::string_view text, std::uint64_t limit) {
   std::uint64_t value = 0;
   for (const char c : text) {
@@ -88,9 +87,9 @@ bool is_size(std::string_view text, std::uint64_t limit) {
 
 const char* reason(int status) {
   switch (status) {
-    case 400: return "the request cannot be understood";
+    case 400: return "the request is malformed";
     case 414: return "the address is too long";
-    case 500: return "the program failed to answer; the terminal it runs in may say more";
+    case 500: return "rgs-view failed to answer; its terminal may say more";
     default: return "refused";
   }
 }
@@ -100,7 +99,7 @@ const char* reason(int status) {
 Result<std::string> random_token() {
   std::array<unsigned char, kTokenBytes> bytes{};
   if (::getrandom(bytes.data(), bytes.size(), 0) != static_cast<ssize_t>(bytes.size())) {
-    return make_error(Errc::internal, Error::kNone, "the system gives no random numbers", Error::kNone, Error::kNone,
+    return make_error(Errc::internal, Error::kNone, "the system has no random numbers", Error::kNone, Error::kNone,
                       errno);
   }
   std::string token;
@@ -144,7 +143,7 @@ Status ViewSite::add_page(const std::string& folder) {
   for (fs::recursive_directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed)) {
     if (it->is_symlink(failed) || !it->is_regular_file(failed)) continue;
     if (files_.size() >= kMostPageFiles)
-      return make_error(Errc::open_failed, Error::kNone, "has more files than a page");
+      return make_error(Errc::open_failed, Error::kNone, "has too many files to be the viewer's page");
     if (Status s = add_file(it->path().lexically_relative(folder).string(), it->path().string()); !s) return s;
   }
   if (failed)
@@ -178,32 +177,32 @@ std::optional<std::string> ViewSite::name_of(const std::string& path) const {
 }
 
 std::optional<HttpAnswer> ViewSite::refuse(const HttpRequest& request) const {
-  // A page of another site whose name was made to stand for this machine names its own host (DNS rebinding).
+  // Against DNS rebinding: a page of another site sends its own host.
   const std::string host = request.field("Host");
   if (host != fmt::format("127.0.0.1:{}", port_) && host != fmt::format("localhost:{}", port_))
-    return refusal(403, "other_host", "this server answers to 127.0.0.1 and localhost alone");
+    return refusal(403, "other_host", "this server answers only requests to 127.0.0.1 and localhost");
   if (request.count("Origin") > 0 && request.field("Origin") != "http://" + host)
-    return refusal(403, "other_origin", "this server answers its own page alone");
+    return refusal(403, "other_origin", "this server answers only its own page");
   const auto name = name_of(request.path);
-  if (!name) return refusal(403, "wrong_token", "the address is not the one that rgs-view printed");
-  if (request.count("Transfer-Encoding") > 0) return refusal(411, "no_length", "a body needs its Content-Length");
+  if (!name) return refusal(403, "wrong_token", "this is not the address that rgs-view printed");
+  if (request.count("Transfer-Encoding") > 0) return refusal(411, "no_length", "a body needs a Content-Length");
 
   const std::size_t n_lengths = request.count("Content-Length");
   const std::string length = request.field("Content-Length");
-  if (n_lengths > 1) return refusal(400, "bad_request", "a request has one Content-Length");
+  if (n_lengths > 1) return refusal(400, "bad_request", "a request must have one Content-Length");
   if (actions_.contains(*name)) {
     if (request.method != "POST") return refusal(405, "bad_method", "this address takes POST", {{"Allow", "POST"}});
-    if (n_lengths == 0) return refusal(411, "no_length", "a body needs its Content-Length");
-    if (!is_size(length, HttpLimits{}.body_bytes)) return refusal(413, "too_large", "a body has at most 64 KiB");
+    if (n_lengths == 0) return refusal(411, "no_length", "a body needs a Content-Length");
+    if (!is_size(length, HttpLimits{}.body_bytes)) return refusal(413, "too_large", "a body may have 64 KiB");
     const std::string type = request.field("Content-Type");
     if (!type.empty() && !type.starts_with("application/json") && !type.starts_with("text/plain"))
-      return refusal(415, "bad_type", "a request is application/json");
-    if (request.count("Content-Encoding") > 0) return refusal(415, "bad_type", "a request is not compressed");
+      return refusal(415, "bad_type", "the body must be application/json");
+    if (request.count("Content-Encoding") > 0) return refusal(415, "bad_type", "the body must not be compressed");
     return std::nullopt;
   }
   if (request.method != "GET" && request.method != "HEAD")
-    return refusal(405, "bad_method", "this address takes GET and HEAD", {{"Allow", "GET, HEAD"}});
-  if (n_lengths == 1 && length != "0") return refusal(413, "too_large", "a request for a file has no body");
+    return refusal(405, "bad_method", "this address takes only GET and HEAD", {{"Allow", "GET, HEAD"}});
+  if (n_lengths == 1 && length != "0") return refusal(413, "too_large", "a request for a file must not have a body");
   return std::nullopt;
 }
 
@@ -215,7 +214,7 @@ HttpAnswer ViewSite::answer(const HttpRequest& request) const {
   if (const auto text = texts_.find(name); text != texts_.end())
     return {.type = content_type(name), .body = text->second};
   if (const auto file = files_.find(name); file != files_.end()) return give(file->second, file->first, request);
-  return refusal(404, "not_found", "there is nothing of this name");
+  return refusal(404, "not_found", "there is no file of this name");
 }
 
 HttpAnswer ViewSite::give(const ServedFile& file, const std::string& name, const HttpRequest& request) const {
@@ -230,7 +229,7 @@ HttpAnswer ViewSite::give(const ServedFile& file, const std::string& name, const
                     .file = *opened,
                     .count = file.size()};
   if (is_hashed_asset(name)) answer.fields.emplace_back("Cache-Control", "private, max-age=31536000, immutable");
-  // Of an older file, a part would be added to parts of this one.
+  // A part of a newer file must not be joined to parts of an older one.
   const bool is_wanted = request.count("If-Range") == 0 || request.field("If-Range") == file.tag();
   if (request.method != "GET" || request.count("Range") != 1 || !is_wanted) return answer;
   const ByteRange range = parse_range(request.field("Range"), file.size());

@@ -1,4 +1,4 @@
-// view_site.hpp - what rgs-view gives out, and to whom: the page, the named files, cameras, photographs and frames.
+// view_site.hpp - serves the page, scenes, cameras, photographs and frames to whoever has the token.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,13 +18,12 @@ namespace rgs::view {
 /// 32 hexadecimal digits from the system's random numbers. Error: internal.
 Result<std::string> random_token();
 
-/// {"error": {code, message, offset}} for a request that went wrong; offset is null where there is none.
+/// {"error": {code, message, offset}}; offset may be null.
 std::string error_body(std::string_view code, std::string_view message, std::uint64_t offset = Error::kNone);
-/// The same of what a file or the renderer reports, with the status that says whose fault it is.
+/// The same for an error of a file or the renderer, with an HTTP status.
 HttpAnswer error_answer(const Error& error);
 
-/// Names below the token, as they are after decoding, and what stands under them. Nothing else is given out: a name is looked up and never
-/// becomes a path.
+/// Maps names below the token to files and answers. Nothing else is served: names are looked up and never become paths.
 class ViewSite {
  public:
   ViewSite(std::string token, int port) : token_(std::move(token)), port_(port) {}
@@ -32,10 +31,10 @@ class ViewSite {
   /// Errors: those of ServedFile::look().
   Status add_file(const std::string& name, const std::string& path);
   void add_json(const std::string& name, std::string text) { texts_[name] = std::move(text); }
-  /// All files of the built page's folder, below it too, but for links; index.html stands for the folder. Errors: open_failed, also
-  /// without an index.html.
+  /// Adds all files of the built page's folder, without links; index.html answers for the folder. Errors: open_failed (also without an
+  /// index.html).
   Status add_page(const std::string& folder);
-  /// Answers POST of this name from the body.
+  /// Answers POST requests of this name, from the body.
   void add_action(const std::string& name, std::function<HttpAnswer(const std::string&)> action) {
     actions_[name] = std::move(action);
   }
@@ -47,7 +46,7 @@ class ViewSite {
   std::optional<HttpAnswer> refuse(const HttpRequest& request) const;
   HttpAnswer answer(const HttpRequest& request) const;
   HttpAnswer give(const ServedFile& file, const std::string& name, const HttpRequest& request) const;
-  // The name that a path has below the token; nothing if the token is another.
+  // The part of a path behind the token; nothing if the token is wrong.
   std::optional<std::string> name_of(const std::string& path) const;
 
   std::string token_;

@@ -7,6 +7,8 @@ if command -v c++; then exit 1; fi
 began=$(date +%s)
 python3 -m pip install --no-index --break-system-packages "$1"
 python3 - <<'END'
+import pathlib
+
 import roofgs
 
 scene = roofgs.load("/project/tests/golden/packed_degree3.rgs")
@@ -20,6 +22,8 @@ scene.save("copy.rgs")
 assert len(roofgs.load("copy.rgs")) == len(scene)
 roofgs.convert("/project/tests/golden/packed_degree3.rgs", "copy.ply")  # by the program in the wheel
 assert len(roofgs.load("copy.ply")) == len(scene)
+page = (pathlib.Path(roofgs.__file__).parent / "viewer.html").read_text()
+assert page.count("<!-- rgs-view:insert -->") == 1
 try:
     roofgs.Renderer(device="cuda")
 except roofgs.UnavailableError as error:

@@ -1,5 +1,5 @@
 #!/bin/sh
-# build-notice.sh - the licences of what dist/rgs.wasm is made of, for the package: LICENSE and NOTICE beside this file.
+# build-notice.sh - writes LICENSE and NOTICE: the licences of everything in dist/rgs.wasm.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")"

@@ -1,7 +1,7 @@
 #!/bin/sh
-# build-wasm.sh - the format library for WebAssembly: sh build-wasm.sh [OUT], by default dist/rgs.wasm beside this file.
-# Debian's clang-19 compiles RGS_FORMAT_PORTABLE of format/CMakeLists.txt, wasm/reader.cpp and the decoder of Zstandard, whose
-# sources Debian's packages do not have: they come with the npm package zstd-napi, pinned by the lock file.
+# build-wasm.sh - builds the format library for WebAssembly: sh build-wasm.sh [OUT], by default dist/rgs.wasm beside this file.
+# Debian's clang-19 compiles RGS_FORMAT_PORTABLE of format/CMakeLists.txt, wasm/reader.cpp and the decoder of Zstandard. Its sources
+# are not in Debian's packages; they come with the npm package zstd-napi.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
@@ -13,19 +13,19 @@ llvm=/usr/lib/llvm-19
 mkdir -p "$build/include" "$(dirname "$out")"
 
 for needed in clang-19 clang++-19 wasm-ld-19 ninja; do
-  command -v $needed >/dev/null || { echo "build-wasm.sh: no $needed: sh scripts/install-deps.sh web" >&2; exit 1; }
+  command -v $needed >/dev/null || { echo "build-wasm.sh: no $needed: sh scripts/install-deps.sh page" >&2; exit 1; }
 done
 [ -d "$zstd" ] || { echo "build-wasm.sh: no $zstd: npm ci in web/" >&2; exit 1; }
 
-# Headers alone, and not those of the host's C library that lie beside them.
+# Only these headers, not those of the host's C library beside them.
 for header in hwy tl xxhash.h; do
   ln -sfn "/usr/include/$header" "$build/include/$header"
 done
 
-# Sources by the names that CMake has for them.
+# The same sources as in CMake.
 portable=$(sed -nE '/^set\(RGS_FORMAT_PORTABLE/,/^\)/s/^ +(src.*\.cpp)$/\1/p' "$root/format/CMakeLists.txt")
 stand_ins=$(sed -nE 's/^set\(RGS_FORMAT_STAND_INS (.*)\)$/\1/p' "$root/format/CMakeLists.txt")
-# The package has little room: what reads heads and tables, and says what is wrong, is small and not fast.
+# The package's size is limited: these need not be fast, so they are compiled for size.
 small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/open.cpp src/file/validate.cpp \
 src/levels/page.cpp src/levels/page_table.cpp src/levels/paged_file.cpp "
 decoder="common/debug common/entropy_common common/error_private common/fse_decompress common/xxhash common/zstd_common

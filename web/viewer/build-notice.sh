@@ -1,5 +1,5 @@
 #!/bin/sh
-# build-notice.sh - the licences of what the built page holds, for the package: NOTICE beside this file.
+# build-notice.sh - writes NOTICE: the licences of everything in the built page.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")"

@@ -8,13 +8,13 @@ const kFolderPolicy = [
   "default-src 'none'",
   "script-src 'self' 'wasm-unsafe-eval'",
   "style-src 'self'",
-  // The engine sorts in a worker that it makes of a text, and hands pictures of SOG files to itself.
+  // The engine sorts in a worker made from a text, and loads the images of SOG files from blobs.
   "worker-src 'self' blob:",
   "connect-src 'self' blob:",
   "img-src 'self' blob: data:",
 ];
 
-/** What a text hashes to, as a policy names it. */
+/** The hash of a text as a content security policy names it. */
 async function hashOf(text: string): Promise<string> {
   const digest = await crypto.subtle.digest("SHA-256", new TextEncoder().encode(text));
   return `'sha256-${btoa(String.fromCharCode(...new Uint8Array(digest)))}'`;
@@ -66,7 +66,7 @@ const single: Plugin = {
 export default defineConfig(({ mode }) => ({
   base: "./",
   plugins: mode === "single" ? [single] : [folderPolicy],
-  // A page from a disk runs no worker that is a module.
+  // A page from file:// cannot run module workers.
   worker: { format: mode === "single" ? "iife" : "es" },
   resolve:
     mode === "single"

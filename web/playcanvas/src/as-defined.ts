@@ -1,4 +1,4 @@
-// as-defined.ts - what the engine must be told to draw the image that docs/format/RENDERING.md defines.
+// as-defined.ts - makes the engine draw the image that docs/format/RENDERING.md defines.
 // SPDX-License-Identifier: Apache-2.0
 import type { Declarations } from "@roofgs/reader";
 import {
@@ -14,44 +14,44 @@ import {
   TONEMAP_NONE,
 } from "playcanvas";
 
-/** What keeps Gaussians from being smaller than pixels: docs/format/RENDERING.md, "Low-pass". */
+/** docs/format/RENDERING.md, "Low-pass". */
 export interface AntiAliasing {
   /** Added to the diagonal of the screen-space covariance, square pixels. */
   readonly lowPassPx2: number;
-  /** Whether opacity becomes less for it, as in Mip-Splatting. */
+  /** Whether opacity is lowered in return, as in Mip-Splatting. */
   readonly compensated: boolean;
 }
 
 const kClassic: AntiAliasing = { lowPassPx2: 0.3, compensated: false };
 const kMipSplatting: AntiAliasing = { lowPassPx2: 0.1, compensated: true };
 
-/** As files declare it; without a low-pass it is the usual one of the mode. */
+/** As files declare it; the default low-pass is that of the mode. */
 export interface DeclaredAntiAliasing {
   readonly aaMode: Declarations["aaMode"];
   readonly lowPassPx2?: number | undefined;
 }
 
-/** What a file declares; a low-pass that it states counts in its own mode alone. `coarser`: pages are drawn that stand for others. */
+/** A declared low-pass applies only in its own mode. `coarser`: pages above level 0 are drawn. */
 export function antiAliasingOf({ aaMode, lowPassPx2 }: DeclaredAntiAliasing, coarser = false): AntiAliasing {
   const usual = coarser || aaMode === "mip_splatting" ? kMipSplatting : kClassic;
   return coarser || aaMode === "undeclared" || lowPassPx2 === undefined ? usual : { ...usual, lowPassPx2 };
 }
 
-/** In a chunk of the engine's shaders one text instead of another. */
+/** Replaces a text in a chunk of the engine's shaders. */
 type Change = readonly [chunk: string, from: string, to: string];
 
-// The engine's low pass is 0.3 square half pixels. Here it is a uniform: square half pixels, and 1 where opacity is compensated.
+// The engine's low-pass is 0.3 square half pixels. Here it is a uniform: square half pixels, and 1 if opacity is compensated.
 const kUniform = "rgsLowPass";
 // Yu et al. 2024, "Mip-Splatting", eq. 10.
 const kLeastDetRatio = 0.000025;
 
-// The definition projects Gaussians beyond the picture's edge as if they stood there, the engine does not.
+// The definition clamps Gaussians beyond the picture's edge before it projects them; the engine does not.
 const kFovClamp = 1.3;
 
-// By the engine's formula a Gaussian that is round on the picture, or longest along its rows, has no direction, and is not drawn.
+// The engine does not draw Gaussians that are round on the picture or longest along its rows: their direction is 0 / 0.
 
-// The engine lets a Gaussian end at 2.83 standard deviations, moved down to reach 0 there. The definition lets it end where its
-// alpha is 1/255, at most 3.33 standard deviations away, and alpha at 0.99.
+// The engine cuts a Gaussian off at 2.83 standard deviations and subtracts the rest. The definition cuts it off where alpha is 1/255, at
+// most 3.33 standard deviations away, and limits alpha to 0.99.
 const kGlsl: readonly Change[] = [
   ["gsplatCenterVS", "centerView.z > 0.0", "centerView.z > -camera_params.z"],
   [
@@ -109,9 +109,9 @@ const kWgsl: readonly Change[] = [
   ["gsplatPS", "normExp(A) * gaussianColor.a", "min(half(0.99), normExp(A) * gaussianColor.a)"],
 ];
 
-/** Chunks of devices whose shaders are changed already. */
+/** Shader chunks that have been changed. */
 const changedChunks = new WeakSet<object>();
-/** Scenes whose cameras say before they draw how they do. */
+/** Scenes whose cameras set the uniform before they draw. */
 const watched = new WeakSet<Scene>();
 const antiAliasings = new WeakMap<CameraComponent, AntiAliasing>();
 
@@ -126,16 +126,16 @@ function watch({ scene, graphicsDevice }: AppBase): void {
 }
 
 /**
- * Before anything is drawn: tells engine and camera to show colours as they are in the file, Gaussians of any size, SH seen from
- * where the camera is, and Gaussians that fall off as they were trained. `antiAliasing` is of all that this camera draws: files
- * that declare others want cameras and layers of their own. It may be called again with another. False if this engine's shaders
- * are not those that this package knows; then its own falloff stays, some dB away from the definition.
+ * Call it before anything is drawn. The engine and this camera then show colours as they are in the file, Gaussians of any size, SH
+ * from the camera's position, and the falloff of 3DGS. `antiAliasing` applies to everything that this camera draws: files that declare
+ * another one need a camera and a layer of their own. Call it again to change it. Returns false if this package does not know the
+ * engine's shaders; the engine's own falloff then stays.
  */
 export function drawAsDefined(app: AppBase, camera: CameraComponent, antiAliasing: AntiAliasing = kClassic): boolean {
   const { gsplat } = app.scene;
   antiAliasings.set(camera, antiAliasing);
   watch(app);
-  // What sorts on the GPU projects by shaders that cannot be changed.
+  // The renderer that sorts on the GPU has shaders that cannot be changed.
   gsplat.renderer = GSPLAT_RENDERER_RASTER_CPU_SORT;
   gsplat.dataFormat = GSPLATDATA_LARGE;
   gsplat.minPixelSize = 0;

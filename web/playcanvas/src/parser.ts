@@ -1,4 +1,4 @@
-// parser.ts - lets the engine's gsplat assets be .rgs files.
+// parser.ts - loads .rgs files as gsplat assets of the engine.
 // SPDX-License-Identifier: Apache-2.0
 import { open, type OpenOptions, RgsError, type Source } from "@roofgs/reader";
 import type { AppBase, Asset } from "playcanvas";
@@ -6,14 +6,14 @@ import { antiAliasingOf } from "./as-defined.js";
 import { RgsResource } from "./resource.js";
 import { readStoredParts } from "./stored.js";
 
-/** Of every file: limits, headers, the compiled module. */
+/** Options for every file: limits, headers, the compiled module. */
 export type RgsParserOptions = Omit<OpenOptions, "signal" | "onProgress">;
 
-// The engine's type says text or null; it hands on what it is given.
+// The engine's type is string or null, but it passes on any error.
 type Callback = (error: any, resource?: RgsResource) => void;
 type Contents = ArrayBuffer | Blob | Response | undefined;
 
-/** `app.loader.getHandler("gsplat").addParser(new RgsParser(app))`, and assets whose URL ends in .rgs are read by it. */
+/** After `app.loader.getHandler("gsplat").addParser(new RgsParser(app))` it loads assets whose URL ends in .rgs. */
 export class RgsParser {
   constructor(
     private readonly app: AppBase,
@@ -24,7 +24,7 @@ export class RgsParser {
     return context.ext === "rgs";
   }
 
-  /** Called by the engine. An error is an RgsError wherever the file is to blame. */
+  /** Called by the engine. Errors of the file are RgsErrors. */
   load(
     url: string | { load: string; original: string },
     callback: Callback,

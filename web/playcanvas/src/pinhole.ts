@@ -1,10 +1,10 @@
-// pinhole.ts - a camera of docs/user/CAMERAS.md as the engine's.
+// pinhole.ts - sets the engine's camera from a camera of docs/user/CAMERAS.md.
 // SPDX-License-Identifier: Apache-2.0
 import { ASPECT_MANUAL, type Entity, Mat4, Quat, Vec2 } from "playcanvas";
 
 /** A pinhole camera; axes x right, y down, z forward. */
 export interface Pinhole {
-  /** Pixels, as are the other lengths of the image. */
+  /** Pixels, like all lengths of the image. */
   readonly width: number;
   readonly height: number;
   readonly fx: number;
@@ -34,8 +34,8 @@ export function resizePinhole(pinhole: Pinhole, width: number, height: number): 
 }
 
 /**
- * Puts an entity with a camera component where a pinhole camera stands. `origin` of the file (Declarations.origin) is taken off
- * the position, in FP64: resources are relative to it. The engine stretches the picture to whatever the camera draws into.
+ * Gives an entity with a camera component the position and the projection of a pinhole camera. The file's `origin`
+ * (Declarations.origin) is subtracted in FP64, because resources are relative to it. The picture fills the camera's render target.
  */
 export function setPinhole(entity: Entity, pinhole: Pinhole, origin: readonly number[] = [0, 0, 0]): void {
   const { width, height, fx, fy, cx = width / 2, cy = height / 2, position, rotation } = pinhole;

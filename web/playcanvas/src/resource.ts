@@ -1,4 +1,4 @@
-// resource.ts - Gaussians of an .rgs file on the GPU as they are stored, decoded in the shader.
+// resource.ts - keeps Gaussians on the GPU as the file stores them; the shader decodes them.
 // SPDX-License-Identifier: Apache-2.0
 import type { StoredGaussians } from "@roofgs/reader";
 import {
@@ -18,13 +18,13 @@ import { kReadWgsl } from "./shader-wgsl.js";
 import { type Colour, kRowTexels, kShTextures, kTableColumns, pack, type Packed, shTextureWords } from "./stored.js";
 
 export interface RgsResourceOptions {
-  /** Whether the engine sorts on the CPU, and so needs the means there; true unless told otherwise. */
+  /** Whether the engine sorts on the CPU, which needs the means there; true by default. */
   prepareCenters?: boolean;
   /** What the file declares, for drawAsDefined(). */
   antiAliasing?: AntiAliasing;
 }
 
-/** What the engine asks of the data behind a resource. */
+/** The data interface that the engine expects. */
 class Data {
   readonly numSplats: number;
   readonly shBands: number;
@@ -60,11 +60,11 @@ class Data {
 }
 
 /**
- * A gsplat resource of 80 bytes a Gaussian at SH degree 3 (48 at 1 and 64 at 2, 36 at 0), for any number of files' or pages'
- * Gaussians, all of one SH degree. Give it to a gsplat component: `entity.addComponent("gsplat", { resource })`.
+ * A gsplat resource of files or pages of one SH degree. It takes 36, 48, 64 or 80 bytes per Gaussian at degree 0, 1, 2 or 3. Use it in
+ * a gsplat component: `entity.addComponent("gsplat", { resource })`.
  */
 export class RgsResource extends GSplatResourceBase {
-  /** What the file declares, where that was told. */
+  /** The option of that name. */
   readonly antiAliasing: AntiAliasing | undefined;
   private readonly packed: Packed;
 
@@ -86,7 +86,7 @@ export class RgsResource extends GSplatResourceBase {
       { readGLSL: kReadGlsl, readWGSL: kReadWgsl },
     );
     this.streams.init(this._format, n);
-    // The one texture of another size than the others.
+    // The table has another size than the other textures.
     this.streams.textures.get("rgsTable")?.destroy();
     const rows = Math.max(1, Math.ceil(nRows / kTableColumns));
     const table = Texture.createDataTexture2D(device, "rgsTable", kTableColumns * kRowTexels, rows, PIXELFORMAT_RGBA32F);
@@ -98,8 +98,7 @@ export class RgsResource extends GSplatResourceBase {
   }
 
   /**
-   * Draws no SH above a degree, and parts in colours of their own. Components show it after
-   * `workBufferUpdate = WORKBUFFER_UPDATE_ONCE`.
+   * Limits the SH degree, and tints parts. To apply it, set `workBufferUpdate = WORKBUFFER_UPDATE_ONCE` on the component.
    */
   setTable(shDegree: number, colours?: readonly Colour[]): void {
     this.fill("rgsTable", (out) => this.packed.table(out as Float32Array, shDegree, colours));

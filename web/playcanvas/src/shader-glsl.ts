@@ -1,4 +1,4 @@
-// shader-glsl.ts - reads a Gaussian as it is stored: docs/format/FORMAT.md, "Attributes". The engine adds loadRgs...() of each texture.
+// shader-glsl.ts - decodes a stored Gaussian: docs/format/FORMAT.md, "Attributes". The engine adds a loadRgs...() for each texture.
 // SPDX-License-Identifier: Apache-2.0
 import { kRowTexels, kTableColumns } from "./stored.js";
 

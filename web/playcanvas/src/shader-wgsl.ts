@@ -1,4 +1,4 @@
-// shader-wgsl.ts - what shader-glsl.ts says, for WebGPU.
+// shader-wgsl.ts - shader-glsl.ts for WebGPU.
 // SPDX-License-Identifier: Apache-2.0
 import { kRowTexels, kTableColumns } from "./stored.js";
 

@@ -1,4 +1,4 @@
-// stored.ts - a file's Gaussians as a GPU reads them, and how they lie in textures.
+// stored.ts - packs stored Gaussians into textures.
 // SPDX-License-Identifier: Apache-2.0
 import type { ReadOptions, RgsFile, StoredGaussians } from "@roofgs/reader";
 
@@ -14,22 +14,22 @@ export const kShTextures = [1, 1, 2, 3] as const;
 /** Red, green, blue, 0 to 1. */
 export type Colour = readonly [number, number, number];
 
-/** Gaussians of whole files and pages, their words as textures hold them. */
+/** Gaussians of files or pages, packed for textures. */
 export interface Packed {
   readonly n: number;
   readonly shDegree: number;
-  /** [n, 4] bits of the mean's FP32, row of the table. */
+  /** [n, 4] FP32 bits of the mean, row of the table. */
   mean(out: Uint32Array): void;
   /** [n, 4] eight FP16: rotation w, x, y, z, scale x, y, z, opacity. */
   geometry(out: Uint32Array): void;
-  /** [n, words] of SH codes 16 `texture` and on; words: see shTextureWords(). */
+  /** [n, shTextureWords()] SH codes from 16 * `texture` on. */
   sh(texture: number, out: Uint32Array): void;
   readonly nRows: number;
   /** [nRows, kRowTexels, 4]. `shDegree` above which steps are 0; colours by part, if any. */
   table(out: Float32Array, shDegree: number, colours?: readonly Colour[]): void;
 }
 
-/** Words a Gaussian of an SH texture: 1 of degree 0, where there is no other, else 4. */
+/** 32-bit words per Gaussian in an SH texture. */
 export function shTextureWords(shDegree: number): 1 | 4 {
   return shDegree === 0 ? 1 : 4;
 }
@@ -91,7 +91,7 @@ export function pack(parts: readonly StoredGaussians[]): Packed {
           for (let degree = 0; degree < 4; ++degree, at += 4) {
             const drawn = degree <= shDegreeDrawn;
             for (let c = 0; c < 3; ++c) out[at + c] = drawn ? (part.steps[12 * set + 3 * degree + c] as number) : 0;
-            // A colour below 0 is none.
+            // -1: no tint.
             out[at + 3] = degree === 0 ? 2 ** -part.scaleExponent : (colour?.[degree - 1] ?? -1);
           }
         }
@@ -100,7 +100,7 @@ export function pack(parts: readonly StoredGaussians[]): Packed {
   };
 }
 
-/** All Gaussians of a file as they are stored, of one with levels of detail those of the finest, page by page. */
+/** All Gaussians of a file's finest level as stored. */
 export async function readStoredParts(file: RgsFile, options: ReadOptions = {}): Promise<StoredGaussians[]> {
   if (!file.levels) return [await file.readStored(options)];
   const parts: StoredGaussians[] = [];

@@ -7,7 +7,7 @@ import { basename, join } from "node:path";
 import test from "node:test";
 import { fileURLToPath } from "node:url";
 import { build } from "vite";
-import { hasChromium, kDeviceNames, launch } from "../../reader/test/chromium.mjs";
+import { hasChromium, kDeviceNames, launch, newPage } from "../../reader/test/chromium.mjs";
 import { golden, scenes } from "../../reader/test/dump.mjs";
 import { hasNginx, skip, startNginx } from "../../reader/test/servers.mjs";
 import { program, psnr, readCameras, renderAll } from "./pictures.mjs";
@@ -23,7 +23,7 @@ const bytes = (base64) => Buffer.from(base64, "base64");
 const drawings = new Map(kDeviceNames.map((device) => [device, new Map()]));
 
 for (const device of kDeviceNames) {
-  test(`pictures by ${device}`, { timeout: 900_000 }, async (t) => {
+  test(`pictures by ${device}`, async (t) => {
     if (!hasChromium) return skip(t, "chromium is not installed");
     if (!hasNginx) return skip(t, "nginx is not installed");
     const server = await startNginx();
@@ -42,7 +42,7 @@ for (const device of kDeviceNames) {
 
     const problems = [];
     const open = async (scene, asDefined = true) => {
-      const page = await browser.newPage();
+      const page = await newPage(browser);
       // The engine says on the console what it also gives to the callback.
       if (scene) page.on("console", (message) => ["error", "warning"].includes(message.type()) && problems.push(message.text()));
       page.on("pageerror", (error) => problems.push(String(error)));

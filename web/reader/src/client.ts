@@ -1,4 +1,4 @@
-// client.ts - the page's side of a worker: requests as promises.
+// client.ts - the caller's side of the worker: requests as promises.
 // SPDX-License-Identifier: Apache-2.0
 import { RgsError } from "./errors.js";
 import type { Answer, Request, Requests } from "./service.js";
@@ -8,7 +8,7 @@ export interface Port {
   send(request: Request, transfer: ArrayBuffer[]): void;
   /** Called once, before anything is sent. */
   listen(on: { answer(answer: Answer): void; fail(error: unknown): void }): void;
-  /** Whether somebody waits for an answer: a worker of Node keeps the process alive only then. */
+  /** `held` while an answer is awaited: a worker of Node keeps the process alive only then. */
   hold(held: boolean): void;
   end(): void;
 }
@@ -34,7 +34,7 @@ export class Client {
     port.listen({
       answer: (answer) => this.receive(answer),
       fail: (error) =>
-        this.end(new RgsError({ code: "unavailable", text: `the worker does not run: ${describe(error)}` }, { cause: error })),
+        this.end(new RgsError({ code: "unavailable", text: `the worker does not start: ${describe(error)}` }, { cause: error })),
     });
   }
 
@@ -46,7 +46,7 @@ export class Client {
     const id = this.nextId++;
     return new Promise((resolve, reject) => {
       const abort = (): void => {
-        // The answer, which comes all the same, is for nobody.
+        // Its answer will be ignored.
         this.port.send({ id: 0, name: "cancel", args: { id } }, []);
         this.waiting.delete(id);
         this.port.hold(this.waiting.size > 0);

@@ -1,8 +1,8 @@
-// decoder.ts - one .rgs file in one instance of rgs.wasm. Everything here is synchronous and runs in a worker.
+// decoder.ts - decodes one .rgs file in one instance of rgs.wasm, synchronously, in a worker.
 // SPDX-License-Identifier: Apache-2.0
 import { RgsError, type RgsErrorCode } from "./errors.js";
 
-/** Gaussians as a renderer wants them, structure of arrays. */
+/** Decoded Gaussians, structure of arrays. */
 export interface Gaussians {
   readonly n: number;
   /** 0 to 3. */
@@ -15,9 +15,9 @@ export interface Gaussians {
   readonly scales: Float32Array;
   /** [n] 0 to 1. */
   readonly opacities: Float32Array;
-  /** [n, 3] SH of degree 0, by channel. */
+  /** [n, 3] SH of degree 0. */
   readonly sh0: Float32Array;
-  /** [n, (shDegree + 1)^2 - 1, 3] the other SH, by coefficient, then channel. */
+  /** [n, (shDegree + 1)^2 - 1, 3] the other SH. */
   readonly shN: Float32Array;
 }
 
@@ -34,19 +34,19 @@ export interface StoredGaussians {
   /** [n, shBytes] codes; value = step * code. shBytes: 4, 12, 28, 48 by degree. */
   readonly sh: Int8Array;
   readonly chunkSize: number;
-  /** [nChunks, 8] means' box and what else is known of a chunk: min x, y, z, radius, max x, y, z, largest opacity. */
+  /** [nChunks, 8] box of the means, radius, largest opacity: min x, y, z, radius, max x, y, z, opacity. */
   readonly chunkBounds: Float32Array;
-  /** [nChunks] which of `steps` a chunk's codes have. */
+  /** [nChunks] index of the chunk's step set. */
   readonly chunkSteps: Uint32Array;
   /** [nStepSets, 4, 3] by degree and channel. */
   readonly steps: Float32Array;
 }
 
-/** Bounds that a caller puts on files he does not trust; more is limit_exceeded. */
+/** Limits for untrusted files; beyond them the error is limit_exceeded. */
 export interface Limits {
   maxFileBytes?: number;
   maxGaussians?: number;
-  /** Most that coded sections may decode to. */
+  /** Decoded bytes of all coded sections. */
   maxDecodedBytes?: number;
 }
 
@@ -103,11 +103,11 @@ const enum Row {
   nStepSets,
 }
 
-/** What is decoded at a time of a file that is still coming, and where in the file it is. */
+/** The groups of chunks in which a file is decoded while it is read. */
 export interface Groups {
-  /** Chunks of a group; fewer in the last. */
+  /** Chunks in a group; fewer in the last one. */
   readonly nChunks: number;
-  /** By group what it has in MEAN, GEOM and SHI8. */
+  /** The ranges of each group in MEAN, GEOM and SHI8. */
   readonly ranges: readonly (readonly Range[])[];
 }
 
@@ -117,14 +117,14 @@ const kMostMemory = 2 ** 32 - 2 ** 20;
 function outOfMemory(): RgsError {
   return new RgsError({
     code: "host_out_of_memory",
-    text: "there is not enough memory for this file here; one with levels of detail can be read page by page",
+    text: "this file does not fit into memory; a file with levels of detail can be read page by page",
   });
 }
 
 const shBytes = (degree: number): number => [4, 12, 28, 48][degree] as number;
 const shFloats = (degree: number): number => 3 * (degree + 1) ** 2;
 
-/** JavaScript's typed arrays, or host_out_of_memory. */
+/** Typed arrays, or host_out_of_memory. */
 function allocate<T>(make: () => T): T {
   try {
     return make();
@@ -177,7 +177,7 @@ export class Decoder {
     this.run(() => this.wasm.rgs_add_part(this.file, offset, this.put(bytes), bytes.length));
   }
 
-  /** Ranges that are missing before openParts(). */
+  /** The ranges that openParts() still needs. */
   needs(fileBytes: number): Range[] {
     const n = this.check(() => this.wasm.rgs_needs(this.file, fileBytes));
     const values = this.numbers();
@@ -257,8 +257,8 @@ export class Decoder {
   }
 
   /**
-   * All Gaussians of the opened whole file, those of the finest level if it has levels. Gives the share that is done now and
-   * then, and is not finished before its iterator is: checks of the file as a whole come last.
+   * All Gaussians of the finest level of the whole file. Yields the share that is done. The file is checked as a whole at the end, so
+   * run the iterator to its end.
    */
   *gaussians(n: number, shDegree: number): Generator<number, Gaussians> {
     const out = emptyGaussians(n, shDegree);
@@ -273,7 +273,7 @@ export class Decoder {
     }
   }
 
-  /** The same as stored, of a file without levels. */
+  /** The same as stored, for files without levels of detail. */
   *storedGaussians(
     n: number,
     shape: { shDegree: number; chunkSize: number; scaleExponent: number },
@@ -298,7 +298,7 @@ export class Decoder {
     return { ...out, ...this.tables() };
   }
 
-  /** Of a file without levels of which the large sections are still coming: reader.cpp says what must be there. */
+  /** For a file without levels whose large sections are still being read; reader.cpp says what must be present. */
   openEarly(address: number, bytes: number): Groups {
     this.check(() => this.wasm.rgs_open_early(this.file, address, bytes));
     const [nChunks, ...values] = this.numbers();
@@ -307,7 +307,7 @@ export class Decoder {
     return { nChunks: nChunks as number, ranges };
   }
 
-  /** The next chunks of such a file, whose bytes have come, `firstChunk` being the first of them. */
+  /** Decodes the next chunks of such a file, from `firstChunk` on; their bytes must be present. */
   nextEarly(firstChunk: number, nChunks: number, shape: { shDegree: number; chunkSize: number; scaleExponent: number }): StoredGaussians {
     this.check(() => this.wasm.rgs_next_early(this.file, nChunks));
     const n = this.rows()(Row.n);
@@ -322,12 +322,12 @@ export class Decoder {
     return { ...out, ...this.tables(firstChunk, Math.ceil(n / shape.chunkSize)) };
   }
 
-  /** All has come and all chunks were given: whether nothing is wrong with the file. */
+  /** Checks such a file as a whole, after all its chunks. */
   finishEarly(): void {
     this.check(() => this.wasm.rgs_finish_early(this.file));
   }
 
-  /** Positions in the source, of a whole file that keeps them. */
+  /** Positions in the source, null if the file keeps none. */
   sourceIndex(): Float64Array | null {
     return this.run(() => this.wasm.rgs_source_index(this.file)) === 1 ? this.numbers() : null;
   }
@@ -341,7 +341,7 @@ export class Decoder {
     });
   }
 
-  /** The rows that were decoded last, behind the first `at` of `out`. */
+  /** Copies the rows that were decoded last to `out`, from row `at` on. */
   private copyGaussians(out: Gaussians, at: number): void {
     const row = this.rows();
     const n = row(Row.n);
@@ -360,7 +360,7 @@ export class Decoder {
     const row = this.rows();
     const n = row(Row.n);
     const buffer = this.wasm.memory.buffer;
-    // As bytes: arrays of a file that is stored as it is begin at multiples of 4 alone.
+    // As bytes, because arrays in the file are aligned to 4 bytes only.
     const copy = (field: Row, to: Float32Array | Uint16Array | Int8Array, rowBytes: number): void => {
       new Uint8Array(to.buffer).set(new Uint8Array(buffer, row(field), n * rowBytes), at * rowBytes);
     };
@@ -369,7 +369,7 @@ export class Decoder {
     copy(Row.storedSh, out.sh, shBytes(out.shDegree));
   }
 
-  /** Of `nChunks` chunks from `first` on, with the steps that they have; of all, if not told otherwise. */
+  /** Tables of `nChunks` chunks from `first` on, with their step sets; of all by default. */
   private tables(first = 0, nChunks = this.rows()(Row.nChunks)): Pick<StoredGaussians, "chunkBounds" | "chunkSteps" | "steps"> {
     const row = this.rows();
     const buffer = this.wasm.memory.buffer;
@@ -416,7 +416,7 @@ export class Decoder {
     return (field) => fields[field] as number;
   }
 
-  /** `f`, whose negative result is the library's error. */
+  /** Throws the library's error if `f` returns a negative number. */
   private check(f: () => number): number {
     const result = this.run(f);
     if (result >= 0) return result;
@@ -437,7 +437,7 @@ export class Decoder {
     });
   }
 
-  /** After a trap, or memory that ran out halfway, nothing in the instance holds any more. */
+  /** After a trap, or out of memory, the instance cannot be used any more. */
   private run<T>(f: () => T): T {
     if (this.broken !== undefined) throw this.broken;
     try {

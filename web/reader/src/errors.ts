@@ -1,7 +1,7 @@
 // errors.ts - the one error type, with the codes of the C++ library (rgs/result.hpp, errc_name()).
 // SPDX-License-Identifier: Apache-2.0
 
-/** What went wrong. Those from `truncated` to `corrupt_data` speak of the file, the others of what is around it. */
+/** Codes from `truncated` to `corrupt_data` mean that the file is at fault. */
 export type RgsErrorCode =
   | "internal"
   | "cancelled"
@@ -35,11 +35,11 @@ export interface RgsErrorFields {
   code: RgsErrorCode;
   /** What is wrong and, where it helps, what to do. */
   text: string;
-  /** Byte of the file at which it was noticed. */
+  /** The byte of the file where the error was found. */
   offset?: number | undefined;
-  /** What should have been there: a count, a size, a checksum. */
+  /** The expected count, size or checksum. */
   expected?: bigint | undefined;
-  /** What was there. */
+  /** The one found instead. */
   found?: bigint | undefined;
 }
 
@@ -65,7 +65,7 @@ export class RgsError extends Error implements RgsErrorFields {
     this.found = found;
   }
 
-  /** What survives a message between threads, which turns a class into a plain Error. */
+  /** For messages between threads, which do not keep the class. */
   get fields(): RgsErrorFields {
     return { code: this.code, text: this.text, offset: this.offset, expected: this.expected, found: this.found };
   }

@@ -1,4 +1,4 @@
-// head.ts - what a file says of itself, from the numbers that rgs_head() and rgs_levels() of wasm/reader.cpp put side by side.
+// head.ts - header, declarations, sections and pages, from the numbers of rgs_head() and rgs_levels() in wasm/reader.cpp.
 // SPDX-License-Identifier: Apache-2.0
 
 const kAxes = ["undeclared", "right", "left", "up", "down", "forward", "backward"] as const;
@@ -24,7 +24,7 @@ export interface Header {
   readonly versionMajor: number;
   readonly versionMinor: number;
   readonly fileBytes: number;
-  /** Of a file with levels of detail: of the finest. So are chunks and step sets. */
+  /** Of the finest level; so are chunks and step sets. */
   readonly nGaussians: number;
   readonly nChunks: number;
   readonly nStepSets: number;
@@ -35,7 +35,7 @@ export interface Header {
   readonly scaleExponent: number;
 }
 
-/** What a viewer must not have to guess: docs/format/FORMAT.md, "Declarations". */
+/** docs/format/FORMAT.md, "DECL: declarations". */
 export interface Declarations {
   /** Where +x, +y and +z point. */
   readonly axes: readonly [Axis, Axis, Axis];
@@ -47,7 +47,7 @@ export interface Declarations {
   readonly depthMapping: (typeof kDepthMappings)[number];
   readonly depthSource: (typeof kDepthSources)[number];
   readonly order: (typeof kOrders)[number];
-  /** Depth range of a quantised sort key, world units. */
+  /** Depth range of the quantised sort key, world units. */
   readonly zNear: number;
   readonly zFar: number;
   /** 0: unknown. */
@@ -76,7 +76,7 @@ export interface Declarations {
 }
 export type Axis = (typeof kAxes)[number];
 
-/** Where a file comes from. The texts are the writer's: show them as text. */
+/** Where a file comes from. The texts are untrusted: show them as plain text. */
 export interface Provenance {
   readonly sourceBytes: number;
   readonly sourceXxh3: bigint;
@@ -88,7 +88,7 @@ export interface Section {
   /** Four characters, such as `MEAN`. */
   readonly type: string;
   readonly flags: number;
-  /** A number where the type is not known to this reader. */
+  /** A number if this reader does not know the codec. */
   readonly codec: Codec | number;
   readonly offset: number;
   readonly storedBytes: number;
@@ -104,40 +104,39 @@ export interface Head {
   readonly sections: readonly Section[];
 }
 
-/** A page of a file with levels of detail: Gaussians of one level that stand for those of the pages below it. */
+/** A page of a file with levels of detail. Its Gaussians replace those of its descendants. */
 export interface Page {
   readonly index: number;
   /** 0: the scene itself. */
   readonly level: number;
-  /** Index of the page above it, -1 of the root. */
+  /** Index of the parent, -1 for the root. */
   readonly parent: number;
   /** Its children are the pages firstChild .. firstChild + nChildren - 1. */
   readonly firstChild: number;
   readonly nChildren: number;
-  /** First Gaussian, counted over all pages in their order. */
+  /** Index of its first Gaussian, counted over all pages in order. */
   readonly first: number;
-  /** Gaussians of the page itself. */
+  /** Gaussians in the page. */
   readonly count: number;
-  /** Footprint of a pixel, world units, from which on the page may stand for what is below it; 0 of level 0. */
+  /** The footprint of a pixel, world units, from which on the page may replace its descendants; 0 for level 0. */
   readonly error: number;
-  /** Holds all of the page and of what is below it, out to 3 standard deviations. */
+  /** Box of the page and its descendants, out to 3 standard deviations. */
   readonly bounds: Box;
-  /** Holds most of what shows: a footprint is measured to where it is nearest. */
+  /** Box of most of what is visible; its nearest point gives the footprint. */
   readonly core: Box;
-  /** Where it is in the file. */
+  /** Byte of the file. */
   readonly offset: number;
   readonly storedBytes: number;
   readonly nStepSets: number;
   readonly scaleExponent: number;
 }
 
-/** Reads numbers one after the other. */
 class Numbers {
   private at = 0;
   constructor(private readonly values: Float64Array) {}
   next(): number {
     const value = this.values[this.at++];
-    if (value === undefined) throw new Error("rgs.wasm and its reader are not of one version");
+    if (value === undefined) throw new Error("rgs.wasm and the scripts of the reader are of different versions");
     return value;
   }
   hash(): bigint {
@@ -150,10 +149,10 @@ class Numbers {
   box(): Box {
     return { min: this.vector(), max: this.vector() };
   }
-  /** A code of a closed list, which the library has checked. */
+  /** The name of a code, which the library has checked. */
   of<T extends string>(names: readonly T[]): T {
     const name = names[this.next()];
-    if (name === undefined) throw new Error("rgs.wasm and its reader are not of one version");
+    if (name === undefined) throw new Error("rgs.wasm and the scripts of the reader are of different versions");
     return name;
   }
 }
@@ -162,7 +161,7 @@ function fourCharacters(code: number): string {
   return String.fromCharCode(code & 0xff, (code >>> 8) & 0xff, (code >>> 16) & 0xff, code >>> 24);
 }
 
-/** `text`: source name and tool, UTF-8, as rgs_head() leaves them. */
+/** `text` is rgs_text() of rgs_head(): source name and tool, UTF-8. */
 export function parseHead(values: Float64Array, text: Uint8Array): Head {
   const in_ = new Numbers(values);
   const header: Header = {
@@ -237,15 +236,15 @@ export function parseHead(values: Float64Array, text: Uint8Array): Head {
 const kLevelsNumbers = 6;
 const kPageNumbers = 23;
 
-/** The tree of pages of a file with levels of detail, coarse to fine: page 0 is the root. */
+/** The tree of pages, coarse to fine: page 0 is the root. */
 export class Levels {
   readonly nPages: number;
   readonly nLevels: number;
   /** Gaussians of all pages. */
   readonly nStored: number;
-  /** No page has more chunks. */
+  /** Most chunks in a page. */
   readonly pageChunks: number;
-  /** What Page.error promises: PSNR of a page's picture against what is below it, dB; 0: not stated. */
+  /** The PSNR that Page.error stands for: a page's picture against that of its descendants, dB; 0: not stated. */
   readonly qualityDb: number;
   readonly codec: Codec;
 
@@ -282,7 +281,7 @@ export class Levels {
     };
   }
 
-  /** Pages of one level, which are all that is drawn where that level is. */
+  /** All pages of one level. */
   ofLevel(level: number): Page[] {
     const pages: Page[] = [];
     for (let i = 0; i < this.nPages; ++i) {

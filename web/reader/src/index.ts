@@ -1,4 +1,4 @@
-// index.ts - what both entries, of browsers and of Node, have in common.
+// index.ts - exports that the entries for browsers and Node share.
 // SPDX-License-Identifier: Apache-2.0
 export type { Gaussians, Limits, StoredGaussians } from "./decoder.js";
 export { RgsError, type RgsErrorCode } from "./errors.js";

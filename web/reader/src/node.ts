@@ -1,4 +1,4 @@
-// node.ts - the entry of Node.
+// node.ts - the entry for Node.
 // SPDX-License-Identifier: Apache-2.0
 import { type TransferListItem, Worker } from "node:worker_threads";
 import type { Port } from "./client.js";

@@ -1,4 +1,4 @@
-// reader.ts - an opened file, and how one is opened.
+// reader.ts - opens a file, and reads it whole, part by part, or by pages.
 // SPDX-License-Identifier: Apache-2.0
 import { Client, type Port } from "./client.js";
 import type { Gaussians, Groups, Limits, Range, StoredGaussians } from "./decoder.js";
@@ -8,7 +8,7 @@ import { BlobSource, MemorySource, type RangeSource, UrlSource, type UrlOptions 
 
 export type Source = ArrayBuffer | ArrayBufferView | Blob | URL | string | RangeSource;
 
-/** What has come so far. `total` is undefined while nobody knows. */
+/** `total` is undefined while it is not known. */
 export interface Progress {
   phase: "read" | "decode";
   /** Bytes while reading, Gaussians while decoding. */
@@ -17,18 +17,18 @@ export interface Progress {
 }
 
 export interface ReadOptions {
-  /** Stops the work; promises reject with its reason. */
+  /** Stops the call, which rejects with the signal's reason. */
   signal?: AbortSignal | undefined;
   onProgress?: ((progress: Progress) => void) | undefined;
 }
 
 export interface OpenOptions extends ReadOptions {
   limits?: Limits;
-  /** Of a URL. */
+  /** For a URL. */
   url?: UrlOptions;
-  /** rgs.wasm, compiled, for who wants to load it himself; otherwise the worker fetches it from beside its script. */
+  /** The compiled rgs.wasm, for callers that load it themselves; otherwise the worker fetches it from beside its script. */
   wasm?: WebAssembly.Module;
-  /** In browsers: makes a worker that runs `@roofgs/reader/worker`, where none can be loaded from beside the script. */
+  /** In browsers: starts a worker that runs `@roofgs/reader/worker`, if it cannot be loaded from beside the script. */
   worker?: () => Worker;
 }
 
@@ -36,24 +36,23 @@ export interface OpenOptions extends ReadOptions {
 const kMagic = [0x89, 0x52, 0x47, 0x53, 0x0d, 0x0a, 0x1a, 0x0a];
 const kFirstBytes = 1 << 16;
 const kPieceBytes = 1 << 22;
-/** Requests at a time. */
+/** Most requests in flight. */
 const kPieces = 3;
 /** Sections that grow with the scene. */
 const kLarge = new Set(["MEAN", "GEOM", "SHI8", "PERM"]);
-/** Groups of a part, so that memory for parts is bounded. */
+/** Most groups in a part, which bounds the memory for parts. */
 const kMostGroups = 16;
 
-/** An opened file. A worker of its own decodes it until close(). */
+/** An opened file. Its own worker decodes it until close(). */
 export class RgsFile {
-  /** What the file says of itself. */
   readonly header: Header;
   readonly declarations: Declarations;
-  /** Null where the file states none, or where it lies behind pages and has not been read. */
+  /** Null if the file has none, or if it lies behind pages and has not been read. */
   readonly provenance: Provenance | null;
   readonly sections: readonly Section[];
-  /** Null of a file without levels of detail. */
+  /** Null without levels of detail. */
   readonly levels: Levels | null;
-  /** Bytes of the file as it is, which may be fewer than its header says. */
+  /** Actual bytes of the file; may be fewer than its header says. */
   readonly fileBytes: number;
   private last: Promise<unknown> = Promise.resolve();
 
@@ -74,36 +73,35 @@ export class RgsFile {
   }
 
   /**
-   * All Gaussians, of a file with levels those of the finest. Reads the whole file and checks all of it first and last: every
-   * checksum, every value. Peak memory is the file and the result.
+   * All Gaussians of the finest level. Reads the whole file and checks every checksum and every value. Peak memory is the file and the
+   * result.
    */
   async read(options: ReadOptions = {}): Promise<Gaussians> {
     return (await this.readAll(options)).gaussians;
   }
 
-  /** The same with their positions in the source, FP64 [n], null where the file keeps none. */
+  /** The same with positions in the source, FP64 [n]; null if the file keeps none. */
   readAll(options: ReadOptions = {}): Promise<{ gaussians: Gaussians; sourceIndex: Float64Array | null }> {
     const { nGaussians: n, shDegree } = this.header;
     return this.whole(options, (call) => this.client.call("wholeGaussians", { n, shDegree }, call));
   }
 
-  /** All Gaussians as a GPU reads them. Files with levels have them by page alone: bad_argument. */
+  /** All Gaussians as a GPU reads them. bad_argument for files with levels of detail: use readPageStored(). */
   async readStored(options: ReadOptions = {}): Promise<StoredGaussians> {
     if (this.levels) {
-      throw new RgsError({ code: "bad_argument", text: "a file with levels of detail is read as stored page by page" });
+      throw new RgsError({ code: "bad_argument", text: "a file with levels of detail is read by readPageStored() only" });
     }
     const { nGaussians: n, ...shape } = this.shape;
     return (await this.whole(options, (call) => this.client.call("wholeStored", { n, shape }, call))).gaussians;
   }
 
   /**
-   * The same part by part while the file is read, from the first Gaussian to the last: the first part has some ten thousand and
-   * comes early, each other one doubles what has come. Parts have been checked, but the file as a whole is only when the last one
-   * has come and the generator ends. No other read() begins before that.
+   * The same in parts, while the file is read: the first part has some ten thousand Gaussians, and each further one doubles the count.
+   * Parts are checked when they are given; the file as a whole is checked when the generator ends. Other read() calls wait until then.
    */
   async *storedParts({ signal, onProgress }: ReadOptions = {}): AsyncGenerator<StoredGaussians, void, undefined> {
     if (this.levels) {
-      throw new RgsError({ code: "bad_argument", text: "a file with levels of detail is read as stored page by page" });
+      throw new RgsError({ code: "bad_argument", text: "a file with levels of detail is read by readPageStored() only" });
     }
     const { nGaussians: n, ...shape } = this.shape;
     const total = this.fileBytes;
@@ -119,17 +117,17 @@ export class RgsFile {
     const call = { signal: stop.signal };
     const unread = new Unread(total);
     let read = 0;
-    let coming: Promise<void> = Promise.resolve();
+    let inFlight: Promise<void> = Promise.resolve();
     const load = (ranges: readonly Range[]): Promise<void> =>
       inLanes(ranges.flatMap((range) => unread.take(range)), async (range) => {
         await this.wholePart(range, stop.signal);
         read += range.bytes;
         onProgress?.({ phase: "read", done: read, total });
       });
-    // What is wrong with a file is said as read() says it: of several defects the same.
+    // Reports the same defect as read(), if there are several.
     const asRead = async (error: unknown): Promise<never> => {
       if (stop.signal.aborted) throw error;
-      await coming;
+      await inFlight;
       await load(all);
       await this.client.call("wholeStored", { n, shape }, call);
       throw error;
@@ -147,28 +145,28 @@ export class RgsFile {
         return;
       }
       const parts = partsOf(groups);
-      coming = load(parts[0]?.ranges ?? []);
+      inFlight = load(parts[0]?.ranges ?? []);
       for (const [i, { ranges: _, ...chunks }] of parts.entries()) {
-        await coming;
-        // One part ahead of what is decoded.
-        coming = load(parts[i + 1]?.ranges ?? all);
-        coming.catch(() => undefined);
+        await inFlight;
+        // Read one part ahead of decoding.
+        inFlight = load(parts[i + 1]?.ranges ?? all);
+        inFlight.catch(() => undefined);
         yield await this.client.call("nextEarly", { ...chunks, shape }, call).catch(asRead);
       }
-      await coming;
+      await inFlight;
       await load(all);
       await this.client.call("finishEarly", {}, call).catch(asRead);
       onProgress?.({ phase: "decode", done: n, total: n });
     } finally {
-      stop.abort(new RgsError({ code: "cancelled", text: "nobody reads on" }));
+      stop.abort(new RgsError({ code: "cancelled", text: "the caller stopped reading" }));
       signal?.removeEventListener("abort", abort);
-      // Until then the memory is another's.
+      // Before that the memory belongs to another read.
       if (hasBegun) await this.client.call("endWhole", {}).catch(() => undefined);
       end();
     }
   }
 
-  /** Pages 0 .. nPresent - 1 lie within the file as it is. */
+  /** Pages 0 .. nPresent - 1 lie within the actual file. */
   get nPresent(): number {
     const { levels } = this;
     if (!levels) return 0;
@@ -183,7 +181,7 @@ export class RgsFile {
     return low;
   }
 
-  /** Gaussians of a page, checksum and every value checked. */
+  /** Gaussians of a page; checks its checksum and every value. */
   async readPage(page: number, options: ReadOptions = {}): Promise<Gaussians> {
     const bytes = await this.storedPage(page, options);
     const { shDegree } = this.header;
@@ -198,7 +196,7 @@ export class RgsFile {
     return this.client.call("pageStored", { page, bytes, shape }, call);
   }
 
-  /** Ends the worker; what is at work rejects. */
+  /** Ends the worker; calls in progress reject. */
   close(): void {
     this.client.end();
   }
@@ -209,12 +207,12 @@ export class RgsFile {
   }
 
   private async storedPage(page: number, options: ReadOptions): Promise<Uint8Array> {
-    if (!this.levels) throw new RgsError({ code: "bad_argument", text: "the file has no levels of detail, and so no pages" });
+    if (!this.levels) throw new RgsError({ code: "bad_argument", text: "the file has no levels of detail, so it has no pages" });
     const { offset, storedBytes } = this.levels.page(page);
     if (offset + storedBytes > this.fileBytes) {
       throw new RgsError({
         code: "pages_missing",
-        text: "the end of the file is missing, and with it this page",
+        text: "the end of the file is missing, including this page",
         offset: this.fileBytes,
       });
     }
@@ -259,12 +257,12 @@ export class RgsFile {
   }
 }
 
-/** The buffer of bytes that are ours alone, to be handed over. */
+/** The buffer of bytes that nobody else uses, to be transferred. */
 function own(bytes: Uint8Array): ArrayBuffer {
   return bytes.buffer as ArrayBuffer;
 }
 
-/** The same, but for the signal's reason as soon as it aborts: who waits for others' work need not. */
+/** `result`, or a rejection with the signal's reason as soon as it aborts. */
 function untilAborted<T>(result: Promise<T>, signal: AbortSignal | undefined): Promise<T> {
   if (!signal) return result;
   return new Promise((resolve, reject) => {
@@ -275,7 +273,7 @@ function untilAborted<T>(result: Promise<T>, signal: AbortSignal | undefined): P
   });
 }
 
-/** What a source gives is checked: sources may be the caller's. The bytes are ours, to be handed over. */
+/** Checks the number of bytes, because the source may be the caller's. */
 async function readExactly(source: RangeSource, range: Range, signal: AbortSignal | undefined): Promise<Uint8Array> {
   signal?.throwIfAborted();
   const bytes = range.bytes === 0 ? new Uint8Array(0) : await source.read(range.offset, range.bytes, signal);
@@ -283,7 +281,7 @@ async function readExactly(source: RangeSource, range: Range, signal: AbortSigna
   if (bytes.length !== range.bytes) {
     throw new RgsError({
       code: "read_failed",
-      text: "the source gives another number of bytes than was asked for",
+      text: "the source returned the wrong number of bytes",
       offset: range.offset,
       expected: BigInt(range.bytes),
       found: BigInt(bytes.length),
@@ -292,14 +290,14 @@ async function readExactly(source: RangeSource, range: Range, signal: AbortSigna
   return bytes;
 }
 
-/** Of a file's bytes those that nobody has asked for yet. */
+/** The bytes of a file that have not been requested yet. */
 class Unread {
   private gaps: Range[];
   constructor(bytes: number) {
     this.gaps = [{ offset: 0, bytes }];
   }
 
-  /** Takes what a range has of them, in pieces. */
+  /** Takes those within a range, in pieces. */
   take({ offset, bytes }: Range): Range[] {
     const end = offset + bytes;
     const taken: Range[] = [];
@@ -320,7 +318,7 @@ class Unread {
   }
 }
 
-/** What openEarly needs: all but the large sections, and of these the beginning, which has their frame tables. */
+/** The ranges that openEarly needs: everything but the large sections, and their beginnings, which hold the frame tables. */
 function beforeGaussians(sections: readonly Section[], total: number): Range[] {
   const ranges: Range[] = [];
   let at = 0;
@@ -332,13 +330,13 @@ function beforeGaussians(sections: readonly Section[], total: number): Range[] {
   return [...ranges, { offset: at, bytes: total - at }];
 }
 
-/** Groups together, so that there are few requests and few parts: each part as much as all before it, up to kMostGroups. */
+/** Joins groups into parts, each as large as all before it together, up to kMostGroups. */
 function partsOf({ nChunks, ranges }: Groups): { firstChunk: number; nChunks: number; ranges: Range[] }[] {
   const parts = [];
   for (let first = 0; first < ranges.length; ) {
     const count = Math.min(Math.max(1, first), kMostGroups, ranges.length - first);
     const last = ranges[first + count - 1] as readonly Range[];
-    // Groups lie one behind the other in each section.
+    // Groups are contiguous in each section.
     const together = (ranges[first] as readonly Range[]).map(({ offset }, i) => {
       const end = last[i] as Range;
       return { offset, bytes: end.offset + end.bytes - offset };
@@ -349,7 +347,7 @@ function partsOf({ nChunks, ranges }: Groups): { firstChunk: number; nChunks: nu
   return parts;
 }
 
-/** Some at a time, in order. */
+/** Starts the work in order, kPieces at a time. */
 async function inLanes<T>(items: readonly T[], work: (item: T) => Promise<void>): Promise<void> {
   const queue = items.values();
   const lane = async (): Promise<void> => {
@@ -358,7 +356,7 @@ async function inLanes<T>(items: readonly T[], work: (item: T) => Promise<void>)
   await Promise.all(Array.from({ length: kPieces }, lane));
 }
 
-/** All of a file, some pieces at a time; the first failure stops the others. */
+/** A whole file, kPieces at a time; the first failure stops the others. */
 async function inPieces(
   total: number,
   signal: AbortSignal | undefined,
@@ -386,7 +384,7 @@ async function inPieces(
   }
 }
 
-/** What the worker would say of the file, before all of it has come from a server without ranges. */
+/** Checks the magic as the worker would, before a server without ranges has sent the whole file. */
 function checkMagic(beginning: Uint8Array): void {
   const offset = kMagic.findIndex((byte, i) => i < beginning.length && beginning[i] !== byte);
   if (offset >= 0) throw new RgsError({ code: "bad_magic", text: "not an .rgs file (wrong magic bytes)", offset });
@@ -405,7 +403,7 @@ async function sourceOf(source: Source, options: OpenOptions): Promise<RangeSour
     };
     return UrlSource.open(String(source), options.url ?? {}, options.signal, onProgress, options.limits?.maxFileBytes);
   }
-  // What it gives may be part of something that it keeps, and buffers are handed over whole.
+  // A copy, because buffers are transferred whole and the caller may keep its own.
   const own = source as RangeSource;
   return {
     size: own.size,
@@ -413,7 +411,7 @@ async function sourceOf(source: Source, options: OpenOptions): Promise<RangeSour
   };
 }
 
-/** Opens a file with a worker that `start` makes: see web.ts and node.ts. */
+/** `start` starts the worker: see web.ts and node.ts. */
 export async function openWith(start: () => Port, source: Source, options: OpenOptions): Promise<RgsFile> {
   const { signal } = options;
   signal?.throwIfAborted();
@@ -425,7 +423,7 @@ export async function openWith(start: () => Port, source: Source, options: OpenO
     const send = (offset: number, bytes: Uint8Array): Promise<void> =>
       client.call("part", { offset, bytes }, { signal, transfer: [own(bytes)] });
     const part = async (range: Range): Promise<void> => send(range.offset, await readExactly(from, range, signal));
-    // A file of unknown size is taken to be as long as its header says, unless it ends before that can be seen.
+    // If the size is unknown, the header's is used, unless the first bytes show the end of the file.
     let size = from.size ?? Number.MAX_SAFE_INTEGER;
     const first = { offset: 0, bytes: Math.min(kFirstBytes, size) };
     if (from.size === undefined) {

@@ -1,4 +1,4 @@
-// service.ts - what the worker does: requests of one RgsFile, one after the other, each with one answer.
+// service.ts - the worker: answers the requests of one RgsFile, one after the other.
 // SPDX-License-Identifier: Apache-2.0
 import { buffersOf, Decoder, type Gaussians, type Groups, type Limits, type Range, type StoredGaussians } from "./decoder.js";
 import { RgsError, type RgsErrorFields } from "./errors.js";
@@ -10,29 +10,29 @@ interface Shape {
   scaleExponent: number;
 }
 
-/** What can be asked for, with arguments and result. */
+/** Requests, with arguments and result. */
 export interface Requests {
   start: [{ limits: Limits; wasm?: WebAssembly.Module | undefined }, void];
   part: [{ offset: number; bytes: Uint8Array }, void];
   needs: [{ fileBytes: number }, Range[]];
-  /** `unread`: of the table of pages; null without levels. */
+  /** `unread`: the rest of the page table; null without levels of detail. */
   openParts: [{ fileBytes: number }, { head: { values: Float64Array; text: Uint8Array }; unread: Range | null }];
   extend: [{ offset: number; bytes: Uint8Array }, Range];
   levels: [Record<string, never>, Float64Array];
   page: [{ page: number; bytes: Uint8Array; shDegree: number }, Gaussians];
   pageStored: [{ page: number; bytes: Uint8Array; shape: Shape }, StoredGaussians];
-  /** Memory for all of the file. */
+  /** Allocates memory for the whole file. */
   whole: [{ bytes: number }, void];
   wholePart: [{ offset: number; bytes: Uint8Array }, void];
   wholeGaussians: [{ n: number; shDegree: number }, { gaussians: Gaussians; sourceIndex: Float64Array | null }];
   wholeStored: [{ n: number; shape: Shape }, { gaussians: StoredGaussians; sourceIndex: Float64Array | null }];
-  /** Null of a file that cannot be decoded while it comes, damaged ones among them. */
+  /** Null if the file cannot be decoded while it is read, for instance because it is damaged. */
   openEarly: [Record<string, never>, Groups | null];
   nextEarly: [{ firstChunk: number; nChunks: number; shape: Shape }, StoredGaussians];
   finishEarly: [Record<string, never>, void];
-  /** The memory of a whole file goes. */
+  /** Releases the memory of the whole file. */
   endWhole: [Record<string, never>, void];
-  /** The request of that number ends with `cancelled` if it is at work. */
+  /** Ends the request of that id with `cancelled`, if it waits or runs. */
   cancel: [{ id: number }, void];
 }
 export type Request = { [K in keyof Requests]: { id: number; name: K; args: Requests[K][0] } }[keyof Requests];
@@ -43,7 +43,7 @@ export type Answer =
 
 export type Send = (answer: Answer, transfer: ArrayBuffer[]) => void;
 
-/** Lets messages in, `cancel` among them. Timers of browsers would wait 4 ms. */
+/** Lets messages arrive. A timer would wait 4 ms in browsers. */
 function turn(): Promise<void> {
   return new Promise((resolve) => {
     const { port1, port2 } = new MessageChannel();
@@ -55,7 +55,7 @@ function turn(): Promise<void> {
   });
 }
 
-/** What a file says of itself, with the checksums of all it holds. */
+/** Header, declarations and sections with their checksums. */
 function identityOf(decoder: Decoder): string {
   const { values, text } = decoder.head();
   const { header, declarations, sections } = parseHead(values, text);
@@ -67,11 +67,11 @@ export class Service {
   private limits: Limits = {};
   private decoder: Decoder | undefined;
   private whole: { decoder: Decoder; address: number; bytes: number } | undefined;
-  private readonly cancelled = new Set<number>();  // of requests that wait or are at work
+  private readonly cancelled = new Set<number>();  // ids of requests that wait or run
   private readonly open = new Set<number>();
   private last: Promise<void> = Promise.resolve();
 
-  /** `load` gives the module that a request did not bring. Messages have their turn after so many ms of work. */
+  /** `load` is called if no request brings the module. Messages are let in every `turnMs` of work. */
   constructor(
     private readonly load: () => Promise<WebAssembly.Module>,
     private readonly send: Send,
@@ -130,7 +130,7 @@ export class Service {
       case "pageStored":
         return this.opened.readPageStored(request.args.page, request.args.bytes, request.args.shape);
       case "whole": {
-        // An instance of its own, because memory that has grown does not shrink again.
+        // A separate instance, because WebAssembly memory never shrinks.
         const decoder = new Decoder(this.module as WebAssembly.Module, this.limits);
         const { bytes } = request.args;
         this.whole = { decoder, address: decoder.allocateWhole(bytes), bytes };
@@ -174,7 +174,7 @@ export class Service {
     }
   }
 
-  /** Opens the whole file, which must be the one whose head the caller has: others may have replaced it meanwhile. */
+  /** Opens the whole file; fails if it was replaced after the caller read its head. */
   private openWhole(): Decoder {
     const { decoder, address, bytes } = this.wholeFile;
     decoder.openWhole(address, bytes);
@@ -184,7 +184,7 @@ export class Service {
     return decoder;
   }
 
-  /** Runs work to its end, with a turn for messages now and then. */
+  /** Runs work to its end and lets messages in meanwhile. */
   private async finish<T>(id: number, work: Generator<number, T>): Promise<T> {
     for (let began = performance.now(); ; ) {
       const step = work.next();

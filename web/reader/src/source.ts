@@ -1,12 +1,12 @@
-// source.ts - where the bytes of a file come from: memory, a Blob, a web server, or what the caller makes.
+// source.ts - sources of a file's bytes: memory, a Blob, a web server, or the caller's own.
 // SPDX-License-Identifier: Apache-2.0
 import { RgsError } from "./errors.js";
 
-/** A file that is read by ranges. Several may be asked for at a time. */
+/** A file that is read by ranges, several at a time. */
 export interface RangeSource {
-  /** Bytes of the file; undefined where nobody knows: then it is what the file's header says. */
+  /** Bytes of the file; if undefined, the file's header is believed. */
   readonly size: number | undefined;
-  /** Exactly these bytes. `offset + bytes` is at most `size`; of unknown size, fewer at the end of the file. */
+  /** Exactly these bytes; `offset + bytes` is at most `size`. If the size is unknown, fewer at the end of the file. */
   read(offset: number, bytes: number, signal?: AbortSignal): Promise<Uint8Array>;
 }
 
@@ -14,15 +14,17 @@ export interface UrlOptions {
   /** Sent with each request. */
   headers?: Record<string, string>;
   credentials?: RequestCredentials;
-  /** Tries of a request that fails for a reason that may pass; 3 by default. */
+  /** Tries of a request that fails for a reason that may be temporary; 3 by default. */
   attempts?: number;
-  /** A server that sends nothing for so long counts as gone; 30,000 by default. */
+  /** A request fails if the server sends nothing for so long; 30,000 by default. */
   silenceMs?: number;
+  /** @internal Calls `ring` after so many ms, unless what it returns is called before. */
+  startTimer?: (ms: number, ring: () => void) => () => void;
 }
 
-/** Most that is asked for at a time. */
+/** Bytes of the first request. */
 const kFirstBytes = 1 << 16;
-/** A server that knows no ranges sends everything; decoding takes no more than that either. */
+/** Largest file that is kept whole, from a server without ranges. */
 const kMostWhole = 2 ** 32;
 const kTooLarge = "the server has no ranges, and the file is too large to be kept whole";
 
@@ -53,10 +55,10 @@ export class BlobSource implements RangeSource {
   }
 }
 
-/** Fails in a way that another try may mend. */
-class Passing extends Error {}
+/** A failure that another try may mend. */
+class Temporary extends Error {}
 
-/** What must stay as it is from answer to answer. */
+/** What must not change from answer to answer. */
 interface Pin {
   size: number | undefined;
   etag: string | null;
@@ -72,13 +74,13 @@ export class UrlSource implements RangeSource {
     private readonly url: string,
     private readonly options: UrlOptions,
     private readonly pin: Pin,
-    /** What the first request brought. */
+    /** Bytes of the first answer. */
     private readonly first: Uint8Array,
   ) {}
 
   /**
-   * Asks for the beginning of the file. A server without ranges sends all of it, which is kept, up to `maxBytes`: `onProgress` is
-   * called with all that has come so far, and ends it by throwing an RgsError.
+   * Requests the beginning of the file. A server without ranges sends the whole file, which is kept, up to `maxBytes`; `onProgress` is
+   * called with all bytes so far, and may throw an RgsError to end it.
    */
   static async open(
     url: string,
@@ -106,7 +108,7 @@ export class UrlSource implements RangeSource {
         throw failed("the server answers with another range than was asked for");
       }
       const first = await readBody(answer, expected, kFirstBytes, timed);
-      // A short answer without a total is all there is.
+      // A short answer without a total is the whole file.
       const size = range?.total ?? (first.length < kFirstBytes ? first.length : undefined);
       const etag = answer.headers.get("etag");
       return new UrlSource(url, options, { size, etag, modified: answer.headers.get("last-modified") }, first);
@@ -148,25 +150,30 @@ export class UrlSource implements RangeSource {
   }
 }
 
-/** One try: its signal ends with the caller's, or when nothing has come for too long. */
+/** One try. Its signal aborts with the caller's, or when the server is silent for too long. */
 interface Timed {
   signal: AbortSignal;
   heard(): void;
 }
 
+function started(ms: number, ring: () => void): () => void {
+  const timer = setTimeout(ring, ms);
+  return () => clearTimeout(timer);
+}
+
 async function retried<T>(options: UrlOptions, signal: AbortSignal | undefined, attempt: (timed: Timed) => Promise<T>): Promise<T> {
-  const { attempts = 3, silenceMs = 30_000 } = options;
+  const { attempts = 3, silenceMs = 30_000, startTimer = started } = options;
   for (let i = 1; ; ++i) {
     signal?.throwIfAborted();
     const own = new AbortController();
     let silent = false;
-    let timer: ReturnType<typeof setTimeout> | undefined;
+    let stopTimer = (): void => undefined;
     const heard = (): void => {
-      clearTimeout(timer);
-      timer = setTimeout(() => {
+      stopTimer();
+      stopTimer = startTimer(silenceMs, () => {
         silent = true;
         own.abort();
-      }, silenceMs);
+      });
     };
     const abort = (): void => own.abort(signal?.reason);
     signal?.addEventListener("abort", abort, { once: true });
@@ -179,9 +186,9 @@ async function retried<T>(options: UrlOptions, signal: AbortSignal | undefined, 
       const text = silent ? `the server has sent nothing for ${silenceMs / 1000} s` : `the request failed: ${reason(error)}`;
       if (i >= attempts) throw new RgsError({ code: "read_failed", text }, { cause: error });
     } finally {
-      clearTimeout(timer);
+      stopTimer();
       signal?.removeEventListener("abort", abort);
-      own.abort();  // whatever of the answer nobody reads
+      own.abort();  // drops the unread rest of the answer
     }
     await pause(200 * 2 ** (i - 1), signal);
   }
@@ -206,9 +213,9 @@ function pause(ms: number, signal: AbortSignal | undefined): Promise<void> {
   });
 }
 
-const kMayPass = new Set([408, 425, 429, 500, 502, 503, 504]);
+const kTemporary = new Set([408, 425, 429, 500, 502, 503, 504]);
 
-/** An answer of 200 or 206, or of 416 to the first request. */
+/** Resolves with an answer of 200 or 206, or of 416 to the first request. */
 async function request(
   url: string,
   options: UrlOptions,
@@ -218,7 +225,7 @@ async function request(
   etag: string | null,
 ): Promise<Response> {
   const headers: Record<string, string> = { ...options.headers, range: `bytes=${offset}-${offset + bytes - 1}` };
-  // A weak one says nothing of bytes. Not from pages and their workers: browsers ask other servers' leave for this header.
+  // Weak tags do not identify bytes. Not in browsers, where this header would need a CORS preflight.
   if (etag !== null && !etag.startsWith("W/") && typeof location === "undefined") headers["if-range"] = etag;
   const init: RequestInit = { headers, signal, redirect: "follow" };
   if (options.credentials !== undefined) init.credentials = options.credentials;
@@ -235,11 +242,11 @@ async function request(
   }
   if (answer.status === 416 && offset === 0) return answer;
   await answer.body?.cancel();
-  if (kMayPass.has(answer.status)) throw new Passing(`HTTP ${answer.status}`);
+  if (kTemporary.has(answer.status)) throw new Temporary(`HTTP ${answer.status}`);
   throw new RgsError({ code: offset === 0 ? "open_failed" : "read_failed", text: `the server answers with HTTP ${answer.status}` });
 }
 
-/** Of Content-Range, which a server of another origin may keep from a page. */
+/** Content-Range, which CORS may hide; null if absent. */
 function rangeOf(answer: Response): { begin: number; end: number; total: number | undefined } | null {
   const text = answer.headers.get("content-range");
   if (text === null) return null;
@@ -248,14 +255,14 @@ function rangeOf(answer: Response): { begin: number; end: number; total: number 
   return { begin: Number(match[1]), end: Number(match[2]) + 1, total: match[3] === "*" ? undefined : Number(match[3]) };
 }
 
-/** Of all of the body as it is read, undefined where that is not known. */
+/** Length of the decoded body, undefined where it is not known. */
 function lengthOf(answer: Response): number | undefined {
   const text = answer.headers.get("content-length");
   const coded = (answer.headers.get("content-encoding") ?? "identity") !== "identity";
   return !coded && text !== null && /^\d{1,15}$/.test(text) ? Number(text) : undefined;
 }
 
-/** The body, of exactly `bytes` bytes where that is known, of at most `most` otherwise: `tooLarge` says why, if that is a limit. */
+/** The body: exactly `bytes` bytes if known, at most `most` otherwise. `tooLarge`: the error's text if `most` is a limit. */
 async function readBody(
   answer: Response,
   bytes: number | undefined,
@@ -290,6 +297,6 @@ async function readBody(
     done += next.value.length;
     onProgress?.(out.subarray(0, done));
   }
-  if (bytes !== undefined && done < bytes) throw new Passing(`the answer ends after ${done} of ${bytes} bytes`);
+  if (bytes !== undefined && done < bytes) throw new Temporary(`the answer ends after ${done} of ${bytes} bytes`);
   return done === out.length ? out : out.slice(0, done);
 }

@@ -1,4 +1,4 @@
-// web.ts - the entry of browsers.
+// web.ts - the entry for browsers.
 // SPDX-License-Identifier: Apache-2.0
 import type { Port } from "./client.js";
 import { type OpenOptions, openWith, type RgsFile, type Source } from "./reader.js";
@@ -6,7 +6,7 @@ import type { Answer } from "./service.js";
 export * from "./index.js";
 
 function startWorker(make: OpenOptions["worker"]): Port {
-  // In this form bundlers see it.
+  // Bundlers recognise this form.
   const worker = make?.() ?? new Worker(new URL("./worker-web.js", import.meta.url), { type: "module" });
   return {
     send: (request, transfer) => worker.postMessage(request, transfer),

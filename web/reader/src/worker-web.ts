@@ -11,7 +11,7 @@ const scope = self as unknown as Scope;
 async function load(): Promise<WebAssembly.Module> {
   const answer = await fetch(new URL("./rgs.wasm", import.meta.url));
   if (!answer.ok) throw new Error(`rgs.wasm: HTTP ${answer.status}`);
-  // Not compileStreaming(): servers that do not know the type are many, and the file is small.
+  // Not compileStreaming(): many servers send the wrong type, and the file is small.
   return WebAssembly.compile(await answer.arrayBuffer());
 }
 

@@ -16,5 +16,12 @@ export const kDeviceNames = Object.keys(kDevices);
 
 /** A browser that can draw by a device, or need not draw. */
 export function launch(device) {
-  return chromium.launch({ executablePath: kChromium, args: ["--no-sandbox", "--disable-dev-shm-usage", ...(device ? kDevices[device] : [])] });
+  return chromium.launch({ executablePath: kChromium, timeout: 0, args: ["--no-sandbox", "--disable-dev-shm-usage", ...(device ? kDevices[device] : [])] });
+}
+
+/** A page that is waited for as long as it takes: --test-timeout alone ends a test that hangs. `from`: a browser or a context. */
+export async function newPage(from, options) {
+  const page = await from.newPage(options);
+  page.setDefaultTimeout(0);
+  return page;
 }

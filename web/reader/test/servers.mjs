@@ -40,8 +40,7 @@ export async function startNginx(directives = "") {
   const folder = mkdtempSync(join(tmpdir(), "rgs-web-nginx-"));
   const files = join(folder, "files");
   mkdirSync(files);
-  // The port is free when it is chosen; another process may take it before nginx does.
-  for (let attempt = 0; attempt < 5; ++attempt) {
+  for (;;) {
     const port = await freePort();
     writeFileSync(
       join(folder, "nginx.conf"),
@@ -57,28 +56,29 @@ export async function startNginx(directives = "") {
     );
     const child = spawn(kNginx, ["-c", join(folder, "nginx.conf"), "-e", join(folder, "error.log")], { stdio: "ignore" });
     const url = `http://127.0.0.1:${port}`;
-    for (let i = 0; i < 500 && child.exitCode === null; ++i) {
+    while (child.exitCode === null) {
       const answers = await fetch(url).then((answer) => answer.text(), () => null);
-      if (answers !== null) {
-        return {
-          url,
-          files,
-          log: () => readFileSync(join(folder, "access.log"), "utf8"),
-          async end() {
-            child.kill("SIGTERM");
-            await ended(child);
-            rmSync(folder, { recursive: true });
-          },
-        };
+      if (answers === null) {
+        await new Promise(setImmediate);
+        continue;
       }
-      await new Promise((resolve) => setTimeout(resolve, 10));
+      return {
+        url,
+        files,
+        log: () => readFileSync(join(folder, "access.log"), "utf8"),
+        async end() {
+          child.kill("SIGTERM");
+          await ended(child);
+          rmSync(folder, { recursive: true });
+        },
+      };
     }
-    child.kill("SIGKILL");
-    await ended(child);
+    // Another process may take a port that was free.
+    const why = readFileSync(join(folder, "error.log"), "utf8");
+    if (/Address already in use/.test(why)) continue;
+    rmSync(folder, { recursive: true });
+    throw new Error(`nginx does not start: ${why}`);
   }
-  const why = readFileSync(join(folder, "error.log"), "utf8");
-  rmSync(folder, { recursive: true });
-  throw new Error(`nginx does not start: ${why}`);
 }
 
 /** The server that does everything wrong: its addresses are explained in its head. */

@@ -1,4 +1,4 @@
-// no_console.cpp - stand-ins for what libc++ ends a program with: it would print first, and so ask JavaScript for files.
+// no_console.cpp - replaces functions of libc++ that print before they abort, which would need files from JavaScript.
 // SPDX-License-Identifier: Apache-2.0
 #include <__verbose_abort>
 

@@ -1,9 +1,9 @@
-// reader.cpp - the format library for JavaScript: what src/decoder.ts calls. One file at a time or several, one thread.
+// reader.cpp - the format library for JavaScript; src/decoder.ts calls it. Any number of files, one thread.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Functions that can fail return a negative number or null; rgs_error() then says why. Numbers that do not fit into a return
-// value are in rgs_numbers(), as FP64 (every count and place of a file is below 2^53), texts in rgs_text(). Addresses are of this
-// module's memory. The file's bytes come from JavaScript: parts of its beginning, stored bytes of a page, or all of it.
+// A function that fails returns a negative number or null; rgs_error() then gives the error. Further results are in rgs_numbers(), as
+// FP64 (counts and offsets are below 2^53), and in rgs_text(). Addresses are in this module's memory. JavaScript passes the file's bytes:
+// parts of its beginning, a stored page, or the whole file.
 
 #include <algorithm>
 #include <array>
@@ -34,13 +34,13 @@ struct Free {
 };
 using Memory = std::unique_ptr<std::byte[], Free>;
 
-/// Gaussians of a range of chunks or of a page, in the layout that is asked for: pointers to arrays of `n` rows.
+/// Gaussians of a range of chunks or of a page: pointers to arrays of `n` rows.
 struct Rows {
   std::uint32_t n = 0;
   const float *means = nullptr, *rotations = nullptr, *scales = nullptr,
               *opacities = nullptr;                // [n, 3], [n, 4], [n, 3], [n]
   const float *sh0 = nullptr, *sh_rest = nullptr;  // [n, 3], [n, sh_coefficients - 1, 3]
-  // As a GPU reads them, and what is needed to make sense of them; of a page alone the last four.
+  // As stored, with chunk table and step sets. The last four are set for pages only.
   const std::byte *stored_means = nullptr, *stored_geometry = nullptr, *stored_sh = nullptr;
   const std::byte *chunks = nullptr, *steps = nullptr;
   std::uint32_t n_chunks = 0, n_step_sets = 0;
@@ -55,10 +55,10 @@ struct File {
   std::optional<FileView> view;
   std::optional<PagedFile> paged;
   std::unique_ptr<PageDecoder> decoder;
-  // A whole file that is being read.
+  // While a whole file is read.
   std::optional<Validation> validation;
   std::uint64_t next = 0;  // chunk, or page
-  // Memory of what was decoded last.
+  // Holds the rows that were decoded last.
   std::optional<DirectData> data;
   std::vector<std::byte> page;
   std::vector<float> floats;
@@ -80,7 +80,7 @@ template <class... T>
 void put(T... values) {
   (numbers.push_back(static_cast<double>(values)), ...);
 }
-void put_hash(std::uint64_t hash) {  // which FP64 does not hold
+void put_hash(std::uint64_t hash) {  // as two numbers: FP64 holds 53 bits
   put(hash >> 32, hash & 0xFFFFFFFFu);
 }
 void put_box(const Box& box) {
@@ -96,8 +96,7 @@ std::span<const std::byte> beginning_of(const File& file) {
   return most;
 }
 
-// Bytes of the whole file. Where nobody knows (-1), as of servers that do not say, what the header has for it: docs/format/FORMAT.md,
-// "Header".
+// Bytes of the whole file; if unknown (-1), those that the header states: docs/format/FORMAT.md, "Header".
 std::uint64_t whole_bytes(const File& file, double file_bytes) {
   if (file_bytes >= 0) return static_cast<std::uint64_t>(file_bytes);
   const auto beginning = beginning_of(file);
@@ -106,7 +105,7 @@ std::uint64_t whole_bytes(const File& file, double file_bytes) {
   return stated;
 }
 
-/// Makes room for n Gaussians as floats, in `rows`; null where a coefficient of that degree does not exist.
+/// Allocates `rows` for n Gaussians as floats; null where the degree has no coefficients.
 struct FloatRows {
   float *means, *rotations, *scales, *opacities, *sh0, *sh_rest;
 };
@@ -126,7 +125,7 @@ FloatRows make_float_rows(File& file, std::uint32_t n) {
   return f;
 }
 
-/// `read(first, out)` gives Gaussians `first` .. of the n.
+/// `read(first, out)` reads Gaussians from `first` on.
 template <class Read>
 Status read_floats(File& file, std::uint32_t n, const Read& read) {
   const FloatRows f = make_float_rows(file, n);
@@ -172,12 +171,12 @@ Result<PageRows> decode_page(File& file, std::uint32_t page, std::span<const std
   return file.decoder->decode(page, stored, file.page);
 }
 
-// What our writers make one coded frame of, so that none is decoded twice.
+// Rows of a coded frame of our writers, so that no frame is decoded twice.
 std::uint64_t chunks_at_a_time(const Header& h) {
   return std::max<std::uint64_t>(1, 16384 / h.chunk_size);
 }
 
-// The next `n` chunks, whose bytes are there.
+// The next `n` chunks, whose bytes are present.
 Status decode_chunks(File& file, std::uint64_t n, bool as_stored) {
   const FileView& view = *file.view;
   auto data = read_chunks(view, file.next, n, {.validate = false, .threads = 1});
@@ -198,7 +197,7 @@ Status decode_chunks(File& file, std::uint64_t n, bool as_stored) {
   });
 }
 
-// Some chunks of the file that is there as a whole; 0 rows at its end.
+// Some chunks of the whole file; 0 rows at its end.
 Status next_chunks(File& file, bool as_stored) {
   const Header& h = file.view->header();
   if (file.next == h.n_chunks) {
@@ -210,7 +209,7 @@ Status next_chunks(File& file, bool as_stored) {
 
 constexpr std::array kOfGaussians = {SectionType::means, SectionType::geometry, SectionType::sh};
 
-// Chunks of a group: at least one frame of each section, so that few are decoded twice.
+// Chunks in a group: at least one frame of each section, so that few frames are decoded twice.
 std::uint64_t group_chunks(const FileView& view) {
   std::uint64_t n = chunks_at_a_time(view.header());
   for (const SectionType type : kOfGaussians) {
@@ -219,7 +218,7 @@ std::uint64_t group_chunks(const FileView& view) {
   return n;
 }
 
-// Where in the file what rows first .. end - 1 of a section decode from is.
+// The bytes of the file from which rows first .. end - 1 of a section decode.
 FileRange range_of(const FileView& view, SectionType type, std::uint64_t first, std::uint64_t end) {
   const FrameTable& table = view.frames(type);
   if (table.frames.empty()) {
@@ -248,7 +247,7 @@ RGS_EXPORT(rgs_start) void rgs_start() {
   std::set_new_handler([] { rgs_out_of_memory(); });
 }
 
-/// Null if there is no more memory.
+/// Null if out of memory.
 RGS_EXPORT(rgs_allocate) void* rgs_allocate(std::uint32_t bytes) {
   return std::malloc(std::max<std::uint32_t>(bytes, 1));
 }
@@ -256,7 +255,7 @@ RGS_EXPORT(rgs_free) void rgs_free(void* memory) {
   std::free(memory);
 }
 
-/// Code and text in rgs_text(), a line each; offset, expected and found in rgs_numbers(), as two halves.
+/// Code and text on a line each in rgs_text(); offset, expected and found as two halves each in rgs_numbers().
 RGS_EXPORT(rgs_error) void rgs_error() {
   text = std::string(errc_name(last_error.code)) + "\n" + last_error.what;
   numbers.clear();
@@ -290,13 +289,13 @@ RGS_EXPORT(rgs_file_free) void rgs_file_free(File* file) {
   delete file;
 }
 
-/// Takes `bytes` of rgs_allocate(): what the file has at `offset`.
+/// Takes ownership of `address`, from rgs_allocate(): the file's bytes at `offset`.
 RGS_EXPORT(rgs_add_part) void rgs_add_part(File* file, double offset, std::byte* bytes, std::uint32_t size) {
   file->memory.emplace_back(bytes);
   file->parts.push_back({static_cast<std::uint64_t>(offset), {bytes, size}});
 }
 
-/// How many ranges of the file (offset, bytes), of `file_bytes` bytes or -1, rgs_open_parts() needs beyond the parts, at least one of which begins at 0.
+/// The ranges (offset, bytes) that rgs_open_parts() still needs, and their number. One part must begin at 0. `file_bytes` may be -1.
 RGS_EXPORT(rgs_needs) int rgs_needs(File* file, double file_bytes) {
   const bool levels = has_levels(beginning_of(*file));
   const auto ranges = levels ? PagedFile::needs(file->parts, file->limits)
@@ -307,7 +306,7 @@ RGS_EXPORT(rgs_needs) int rgs_needs(File* file, double file_bytes) {
   return static_cast<int>(ranges->size());
 }
 
-/// 1: a file with levels of detail, 0: one without. The parts are not needed any more.
+/// Returns 1 if the file has levels of detail, else 0. The parts are released.
 RGS_EXPORT(rgs_open_parts) int rgs_open_parts(File* file, double file_bytes) {
   const bool levels = has_levels(beginning_of(*file));
   if (levels) {
@@ -324,7 +323,7 @@ RGS_EXPORT(rgs_open_parts) int rgs_open_parts(File* file, double file_bytes) {
   return levels ? 1 : 0;
 }
 
-/// The range of the table of pages that is not known yet, in rgs_numbers().
+/// The unread range of the page table, in rgs_numbers().
 RGS_EXPORT(rgs_unread_table) void rgs_unread_table(File* file) {
   const FileRange range = file->paged->unread_table();
   numbers.clear();
@@ -368,7 +367,7 @@ RGS_EXPORT(rgs_head) void rgs_head(File* file) {
   }
 }
 
-/// The tree of pages, as far as it is known: a line about all of them, then one a page.
+/// The tree of pages: one record about all of them, then one for each page.
 RGS_EXPORT(rgs_levels) void rgs_levels(File* file) {
   const PagedFile& paged = *file->paged;
   numbers.clear();
@@ -386,7 +385,7 @@ RGS_EXPORT(rgs_levels) void rgs_levels(File* file) {
   }
 }
 
-/// Page `page` of its stored bytes, every value checked, to rgs_rows().
+/// Decodes a page from its stored bytes to rgs_rows(), and checks every value.
 RGS_EXPORT(rgs_read_page)
 int rgs_read_page(File* file, std::uint32_t page, const std::byte* stored, std::uint32_t size, int as_stored) {
   const auto decoded = decode_page(*file, page, {stored, size});
@@ -396,8 +395,7 @@ int rgs_read_page(File* file, std::uint32_t page, const std::byte* stored, std::
   return s ? 0 : fail(s.error());
 }
 
-/// A file that is there as a whole in memory of rgs_allocate(), which it takes. All that is checked of a file before its
-/// Gaussians are.
+/// Opens a whole file and takes ownership of its memory, from rgs_allocate(). Checks everything but the Gaussians.
 RGS_EXPORT(rgs_open_whole) int rgs_open_whole(File* file, std::byte* bytes, std::uint32_t size) {
   file->image.reset(bytes);
   const std::span<const std::byte> whole(bytes, size);
@@ -423,9 +421,9 @@ RGS_EXPORT(rgs_open_whole) int rgs_open_whole(File* file, std::byte* bytes, std:
   return 0;
 }
 
-/// A file without levels that is still coming, in memory of rgs_allocate() that stays the caller's: there is all but sections
-/// MEAN, GEOM, SHI8 and PERM, and the frame tables of these. In rgs_numbers() chunks a group, then of each group of chunks offset
-/// and bytes of what it has in MEAN, in GEOM and in SHI8.
+/// Opens a file without levels while it is still being read, in memory of rgs_allocate() that stays the caller's. Everything but the
+/// sections MEAN, GEOM, SHI8 and PERM must be present, and the frame tables of these. rgs_numbers(): chunks in a group, then for each
+/// group its ranges in MEAN, GEOM and SHI8.
 RGS_EXPORT(rgs_open_early) int rgs_open_early(File* file, const std::byte* bytes, std::uint32_t size) {
   auto opened = FileView::open({bytes, size}, file->limits);
   if (!opened) return fail(opened.error());
@@ -449,7 +447,7 @@ RGS_EXPORT(rgs_open_early) int rgs_open_early(File* file, const std::byte* bytes
   return 0;
 }
 
-/// The next `n_chunks` of such a file as stored to rgs_rows(), with chunk table and SH steps of the whole file.
+/// Decodes the next `n_chunks` of such a file as stored to rgs_rows(), with chunk table and step sets of the whole file.
 RGS_EXPORT(rgs_next_early) int rgs_next_early(File* file, std::uint32_t n_chunks) {
   const Header& h = file->view->header();
   const Status s = decode_chunks(*file, std::min<std::uint64_t>(n_chunks, h.n_chunks - file->next), true);
@@ -462,24 +460,23 @@ RGS_EXPORT(rgs_next_early) int rgs_next_early(File* file, std::uint32_t n_chunks
   return 0;
 }
 
-/// All of such a file is there and all its chunks were given: whether nothing is wrong with it.
+/// Checks such a file as a whole, after all its chunks.
 RGS_EXPORT(rgs_finish_early) int rgs_finish_early(File* file) {
-  // Once more, for what is between the sections.
+  // Opened again, for the bytes between the sections.
   const auto whole = FileView::open(file->view->bytes(), file->limits);
   if (!whole) return fail(whole.error());
   const Status s = file->validation->finish();
   return s ? 0 : fail(s.error());
 }
 
-/// The next Gaussians of such a file to rgs_rows(), those of the finest level if it has levels; no rows: that was all, and
-/// nothing is wrong with the file. `as_stored`: only without levels.
+/// Decodes the next Gaussians of the finest level of a whole file to rgs_rows(). No rows: that was all, and the file is sound.
+/// `as_stored`: only without levels.
 RGS_EXPORT(rgs_next) int rgs_next(File* file, int as_stored) {
   const Status s = file->paged ? next_leaf(*file) : next_chunks(*file, as_stored != 0);
   return s ? 0 : fail(s.error());
 }
 
-/// Chunk table and SH steps of a file without levels of which all has been read: chunks [n_chunks, 48] and steps
-/// [n_step_sets, 48] bytes in rgs_rows().
+/// Chunk table and step sets of a whole file without levels: chunks [n_chunks, 48] and steps [n_step_sets, 48] bytes in rgs_rows().
 RGS_EXPORT(rgs_tables) void rgs_tables(File* file) {
   const FileView& view = *file->view;
   rows = {.chunks = view.chunk_table().data(),
@@ -488,7 +485,7 @@ RGS_EXPORT(rgs_tables) void rgs_tables(File* file) {
           .n_step_sets = static_cast<std::uint32_t>(view.header().n_step_sets)};
 }
 
-/// Positions in the source of the Gaussians of such a file, FP64 [n] at rgs_numbers(): 0 if it keeps none.
+/// Positions of the Gaussians in the source, FP64 [n], in rgs_numbers(); returns 0 if the file keeps none.
 RGS_EXPORT(rgs_source_index) int rgs_source_index(File* file) {
   const FileView& view = file->head();
   numbers.clear();

@@ -1,4 +1,4 @@
-// cameras-panel.ts - cameras as small pictures to jump to: their photographs, or what the engine draws from there.
+// cameras-panel.ts - a button for each camera with its photograph, or with what the engine draws from there.
 // SPDX-License-Identifier: Apache-2.0
 import type { CameraEntry } from "./cameras.js";
 import { element } from "./page.js";
@@ -10,7 +10,7 @@ export interface CamerasPanel {
   list: readonly CameraEntry[];
   photos: ReadonlyMap<string, string>;
   jump(index: number): void;
-  /** RGBA from a camera; called when a picture comes into sight, one at a time. */
+  /** RGBA; called one at a time, when a button scrolls into view. */
   draw(camera: CameraEntry, width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>>;
 }
 

@@ -1,4 +1,4 @@
-// cameras.ts - cameras of docs/user/CAMERAS.md, the page's own view, and a way through cameras.
+// cameras.ts - reads camera files (docs/user/CAMERAS.md), and holds the page's view and the path through the cameras.
 // SPDX-License-Identifier: Apache-2.0
 import type { Pinhole } from "@roofgs/playcanvas";
 
@@ -8,18 +8,18 @@ export interface CameraEntry extends Pinhole {
   img_name: string;
 }
 
-/** Where the page looks from, for a picture of any size. */
+/** The view of the page, for a picture of any size. */
 export interface ViewState {
   /** World. */
   readonly position: readonly number[];
   /** [3][3] camera to world, columns right, down, forward. */
   readonly rotation: readonly (readonly number[])[];
-  /** Focal length by the picture's width, and the vertical one by the horizontal. */
+  /** Focal length as a share of the picture's width; vertical focal length as a share of the horizontal one. */
   readonly focal: number;
   readonly aspect: number;
-  /** Principal point from the picture's centre, by its width. */
+  /** Principal point from the picture's centre, as a share of its width. */
   readonly offset: readonly [number, number];
-  /** What orbiting goes around, world. */
+  /** Centre of orbiting, world. */
   readonly pivot: readonly number[];
 }
 
@@ -46,7 +46,7 @@ export function turned(v: Vector, axis: Vector, angle: number): number[] {
   return add(along, axis, dot(axis, v) * (1 - c));
 }
 
-/** The rotation that looks along `forward` with `up` as far up as can be. */
+/** The rotation that looks along `forward` with `up` upwards. */
 export function looking(forward: Vector, up: Vector): number[][] {
   const ahead = normalised(forward);
   let right = cross(ahead, up);
@@ -55,10 +55,10 @@ export function looking(forward: Vector, up: Vector): number[][] {
   return fromAxes(right, cross(ahead, right), ahead);
 }
 
-/** The project's own list, or that of 3DGS programs: docs/user/CAMERAS.md. */
+/** A camera list of this project or of 3DGS programs: docs/user/CAMERAS.md. */
 export function parseCameras(text: string): CameraEntry[] {
   const found: unknown = JSON.parse(text);
-  if (!Array.isArray(found)) throw new Error("the camera file is no list of cameras");
+  if (!Array.isArray(found)) throw new Error("the camera file is not a list of cameras");
   if (found.length === 0) throw new Error("the camera file holds no cameras");
   return found.map((entry: Record<string, unknown>, id) => {
     const numbers = ["width", "height", "fx", "fy"].map((name) => Number(entry[name]));
@@ -71,7 +71,7 @@ export function parseCameras(text: string): CameraEntry[] {
     }
     const all = [...numbers, ...(position ?? []), ...(rotation ?? []).flat()];
     if (all.length !== 16 || !all.every((value) => Number.isFinite(value)) || !numbers.every((value) => value > 0)) {
-      throw new Error(`camera ${id} of the camera file is not one`);
+      throw new Error(`camera ${id} of the camera file lacks a field or has a bad value`);
     }
     const { cx = width / 2, cy = height / 2 } = entry as { cx?: number; cy?: number };
     const name = String(entry["img_name"] ?? entry["name"] ?? id);

@@ -1,9 +1,9 @@
-// checksum.ts - what a frame of Zstandard may end with.
+// checksum.ts - XXH64, the checksum at the end of a Zstandard frame.
 // SPDX-License-Identifier: Apache-2.0
 
 const kU64 = 0xffffffffffffffffn;
 const kPrimes: readonly [bigint, bigint, bigint, bigint, bigint] = [0x9e3779b185ebca87n, 0xc2b2ae3d27d4eb4fn, 0x165667b19e3779f9n, 0x85ebca77c2b2ae63n, 0x27d4eb2f165667c5n];
-/** Halves of the first two. */
+/** Low and high halves of the first two. */
 const [kLow1, kHigh1] = [0x85ebca87, 0x9e3779b1];
 const [kLow2, kHigh2] = [0x27d4eb4f, 0xc2b2ae3d];
 
@@ -19,7 +19,7 @@ function upperProduct(a: number, b: number): number {
   return (Math.imul(a1, b1) + (first >>> 16) + (second >>> 16)) | 0;
 }
 
-/** The four sums of all whole stripes of 32 bytes. In halves of 32 bits: with a bigint for each step it takes six times as long. */
+/** The four accumulators after all whole stripes of 32 bytes. Computed in 32-bit halves, because bigints are six times slower. */
 function sumsOf(view: DataView, nStripes: number): bigint[] {
   const [p1, p2] = kPrimes;
   return [(p1 + p2) & kU64, p2, 0n, -p1 & kU64].map((start, lane) => {
@@ -43,7 +43,7 @@ function sumsOf(view: DataView, nStripes: number): bigint[] {
   });
 }
 
-/** XXH64 with seed 0, the low 32 bits: https://github.com/Cyan4973/xxHash/blob/dev/doc/xxhash_spec.md. */
+/** The low 32 bits of XXH64 with seed 0: https://github.com/Cyan4973/xxHash/blob/dev/doc/xxhash_spec.md. */
 export function checksumOf(bytes: Uint8Array): number {
   const [p1, p2, p3, p4, p5] = kPrimes;
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);

@@ -1,19 +1,19 @@
-// compare.ts - two pictures in one: a border that slides, one after the other, or their difference with its PSNR.
+// compare.ts - compares two pictures: by a slider, by flicker, or by a difference map with its PSNR.
 // SPDX-License-Identifier: Apache-2.0
 import { difference } from "./difference.js";
 import type { Mode } from "./link.js";
 import { element } from "./page.js";
 import type { Stage } from "./stage.js";
 
-/** Milliseconds that flicker shows each picture. */
+/** Milliseconds that each picture of flicker stays. */
 const kFlickerMs = 500;
-/** Width at which differences are looked at, at most. */
+/** Largest width of a difference map. */
 const kMapWidth = 1280;
 
 export interface Pictures {
-  /** What is on the right: another scene of the engine, the true picture, or nothing. */
-  right: "scene" | "truth" | "none";
-  /** RGBA of both sides in one size. */
+  /** On the right: another scene drawn by the engine, the reference picture, or nothing. */
+  right: "scene" | "reference" | "none";
+  /** RGBA of one side. */
   capture(side: "left" | "right", width: number, height: number): Promise<Uint8ClampedArray>;
 }
 
@@ -25,7 +25,7 @@ export class Compare {
   private run = 0;
   private readonly slider = element("split", HTMLInputElement);
   private readonly map = element("map", HTMLCanvasElement);
-  private readonly truth = element("truth", HTMLCanvasElement);
+  private readonly reference = element("reference-picture", HTMLCanvasElement);
   private readonly psnr = element("psnr", HTMLOutputElement);
 
   constructor(
@@ -45,7 +45,7 @@ export class Compare {
     this.apply();
   }
 
-  /** What is shown, after anything has changed. */
+  /** Brings the page in line with the mode. */
   apply(): void {
     const { mode, split, pictures } = this;
     clearInterval(this.timer);
@@ -68,25 +68,25 @@ export class Compare {
     this.on.changed();
   }
 
-  /** What is shown has changed: the map is of something else. */
+  /** Hides the difference map, because the pictures have changed. */
   outdate(): void {
     if (this.mode !== "difference") return;
     this.run += 1;
     this.map.hidden = this.psnr.hidden = true;
   }
 
-  /** The view is at rest: the map is drawn anew. */
+  /** Draws the difference map again, because the view is at rest. */
   rest(): void {
     if (this.mode === "difference") void this.drawMap().catch((error: unknown) => this.on.error(error));
   }
 
   private showSides(): void {
     const { mode, split, pictures, flickered } = this;
-    const truth = pictures.right === "truth";
-    const border = mode === "slider" ? split : flickered || (truth && mode === "single") ? 0 : 1;
-    this.stage.setShow(truth ? { only: 0 } : { split: pictures.right === "none" ? 1 : border });
-    this.truth.hidden = !truth || border === 1;
-    this.truth.style.clipPath = `inset(0 0 0 ${100 * border}%)`;
+    const isReference = pictures.right === "reference";
+    const border = mode === "slider" ? split : flickered || (isReference && mode === "single") ? 0 : 1;
+    this.stage.setShow(isReference ? { only: 0 } : { split: pictures.right === "none" ? 1 : border });
+    this.reference.hidden = !isReference || border === 1;
+    this.reference.style.clipPath = `inset(0 0 0 ${100 * border}%)`;
     element("left", HTMLElement).hidden = pictures.right === "none" || border === 0;
     element("right", HTMLElement).hidden = pictures.right === "none" || border === 1;
   }

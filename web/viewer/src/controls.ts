@@ -1,33 +1,33 @@
-// controls.ts - mouse, touch, keys and gamepads move the view: around a point, or through the air.
+// controls.ts - mouse, touch, keys and gamepads orbit, pan, zoom and fly.
 // SPDX-License-Identifier: Apache-2.0
 import { add, axisOf, cross, dot, fromAxes, length, normalised, turned, type ViewState } from "./cameras.js";
 
-/** Radians a pixel of dragging, and a second of an arrow key. */
+/** Radians per pixel of dragging, and per second of an arrow key. */
 const kDrag = 0.006;
 const kArrow = 1.2;
 const kPressSeconds = 1 / 30;
-/** Radians a second of a gamepad's stick, and how far a stick at rest may be off. */
+/** Radians per second of a gamepad's stick, and its dead zone. */
 const kLook = 1.5;
 const kDeadZone = 0.15;
-/** Of a double tap: milliseconds from the first finger's going to the second's, and pixels between them and within each. */
+/** A double tap: milliseconds from one lift to the next, and pixels between taps and within one. */
 const kDoubleTapMs = 350;
 const kTapPx = 24;
-/** No nearer to straight up or down than this, cosine. */
+/** Cosine of the steepest view. */
 const kUpright = 0.995;
 
 export interface World {
   up: readonly number[];
-  /** World units that are crossed in a second. */
+  /** World units per second. */
   speed: number;
 }
 
-/** The view after turning around `pivot`, or around the camera itself, by angles to the right and downwards, radians. */
+/** Turns the view around its pivot or around the camera, by angles to the right and downwards, radians. */
 export function orbited(view: ViewState, world: World, right: number, down: number, around: "pivot" | "camera"): ViewState {
   const [x, y, z] = [axisOf(view.rotation, 0), axisOf(view.rotation, 1), axisOf(view.rotation, 2)] as const;
   const turn = (v: readonly number[]): number[] => turned(v, world.up, -right);
   let pitched = (v: readonly number[]): number[] => turned(v, x, -down);
   const steep = Math.abs(dot(pitched(z), world.up));
-  // Back from where a camera looks straight down one may come.
+  // A camera that starts steeper may only become less steep.
   if (steep > kUpright && steep > Math.abs(dot(z, world.up))) pitched = (v) => [...v];
   const all = (v: readonly number[]): number[] => turn(pitched(v));
   const [newX, newZ] = [normalised(all(x)), normalised(all(z))];
@@ -36,13 +36,13 @@ export function orbited(view: ViewState, world: World, right: number, down: numb
   return { ...view, position, rotation };
 }
 
-/** The view moved along its own axes, world units right, down, forward; the pivot comes along. */
+/** Moves view and pivot along the view's axes: right, down, forward, world units. */
 export function moved(view: ViewState, by: readonly number[]): ViewState {
   const step = [0, 1, 2].reduce((sum, axis) => add(sum, axisOf(view.rotation, axis), by[axis] as number), [0, 0, 0]);
   return { ...view, position: add(view.position, step), pivot: add(view.pivot, step) };
 }
 
-/** Nearer to the pivot by a factor; it is never reached. */
+/** Scales the distance to the pivot. */
 export function approached(view: ViewState, factor: number): ViewState {
   return { ...view, position: add(view.pivot, add(view.position, view.pivot, -1), factor) };
 }
@@ -62,12 +62,12 @@ const kArrows: Record<string, readonly [number, number]> = {
   ArrowDown: [0, 1],
 };
 
-/** Those whose buttons are where the standard says: https://w3c.github.io/gamepad/#remapping. */
+/** Gamepads with the standard mapping: https://w3c.github.io/gamepad/#remapping. */
 function gamepads(): Gamepad[] {
   try {
     return navigator.getGamepads().filter((pad) => pad !== null && pad.connected && pad.mapping === "standard") as Gamepad[];
   } catch {
-    // A page around this one may forbid it.
+    // A page that embeds this one may forbid it.
     return [];
   }
 }
@@ -76,7 +76,7 @@ export class Controls {
   private readonly held = new Set<string>();
   private isPadHeld = false;
   private readonly fingers = new Map<number, { x: number; y: number }>();
-  /** A finger that has not moved since it came down; the tap before it; and when there were two. */
+  /** A finger that has not moved since it touched; the last tap; the time of the last double tap. */
   private touched: { id: number; x: number; y: number } | undefined;
   private tapped: { x: number; y: number; at: number } | undefined;
   private doubleTapped = -Infinity;
@@ -104,7 +104,7 @@ export class Controls {
     }
     element.addEventListener("contextmenu", (event) => event.preventDefault());
     element.addEventListener("dblclick", (event) => {
-      // Some browsers tell of two taps, others do not.
+      // Some browsers send dblclick for a double tap as well.
       if (event.timeStamp - this.doubleTapped > kDoubleTapMs) page.focus(event.offsetX, event.offsetY);
     });
     element.addEventListener(
@@ -118,7 +118,7 @@ export class Controls {
     element.addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       if (event.code in kFlying || event.code in kArrows) {
-        // A press that is shorter than a frame counts too.
+        // So that a press shorter than a frame counts.
         if (!event.repeat) this.press(event.code, kPressSeconds);
         this.held.add(event.code);
         event.preventDefault();
@@ -130,7 +130,7 @@ export class Controls {
     element.addEventListener("blur", () => this.held.clear());
   }
 
-  /** Whether the view is being moved. */
+  /** Whether the user is moving the view. */
   get active(): boolean {
     return this.held.size > 0 || this.fingers.size > 0 || this.isPadHeld;
   }
@@ -142,7 +142,7 @@ export class Controls {
     for (const pad of gamepads()) this.fly(pad, seconds);
   }
 
-  /** Left stick: sideways and ahead; right stick: look around; triggers: down and up. */
+  /** Left stick: sideways and forward. Right stick: look around. Triggers: down and up. */
   private fly({ axes, buttons }: Gamepad, seconds: number): void {
     const past = (value = 0): number => (Math.abs(value) >= kDeadZone ? value : 0);
     const by = [past(axes[0]), past(buttons[6]?.value) - past(buttons[7]?.value), -past(axes[1])];
@@ -186,7 +186,7 @@ export class Controls {
     finger.x = event.clientX;
     finger.y = event.clientY;
     if (first && second) {
-      // Two fingers: apart and together comes nearer and goes away, both along move sideways.
+      // Two fingers: pinch to zoom, drag to pan.
       const now = Math.hypot(first.x - second.x, first.y - second.y);
       this.change((view) => this.shifted(approached(view, apart / Math.max(1, now)), by, 0.5));
     } else if (event.buttons & 4 || (event.buttons & 1 && event.shiftKey)) {
@@ -198,7 +198,7 @@ export class Controls {
     }
   }
 
-  /** Sideways, so that what is at the pivot follows the pointer. */
+  /** Pans so that the pivot follows the pointer. */
   private shifted(view: ViewState, by: { x: number; y: number }, share: number): ViewState {
     const perPixel = length(add(view.position, view.pivot, -1)) / (view.focal * this.element.clientWidth);
     return moved(view, [-by.x * perPixel * share, -by.y * perPixel * share, 0]);

@@ -1,8 +1,8 @@
-// declared.ts - what PLY and SOG declare of anti-aliasing, as rgs-convert reads it: docs/user/INTERCHANGE.md, "Declarations".
+// declared.ts - the anti-aliasing that PLY and SOG files declare, read as rgs-convert does: docs/user/INTERCHANGE.md, "Declarations".
 // SPDX-License-Identifier: Apache-2.0
 import type { DeclaredAntiAliasing } from "@roofgs/playcanvas";
 
-/** Comments of a PLY's header, without that word; the last one holds. Throws at a value that one of ours cannot have. */
+/** `comments` of a PLY's header, without the word "comment"; the last one wins. Throws bad_value if a comment of ours has a bad value. */
 export function antiAliasingOfComments(comments: readonly string[]): DeclaredAntiAliasing {
   let aaMode: DeclaredAntiAliasing["aaMode"] = "classic";
   let lowPassPx2: number | undefined;
@@ -23,10 +23,10 @@ export function antiAliasingOfComments(comments: readonly string[]): DeclaredAnt
 }
 
 function badValue(comment: string): Error {
-  return Object.assign(new Error(), { code: "bad_value", text: `the comment "${comment}" states a value that it cannot have` });
+  return Object.assign(new Error(), { code: "bad_value", text: `the comment "${comment}" has a bad value` });
 }
 
-/** meta.json of an SOG: "model" is splat-transform's, "antialias" is what other viewers look for. */
+/** meta.json of an SOG: splat-transform writes "model"; other viewers look for "antialias". */
 export function antiAliasingOfMeta({ model, antialias }: { model?: unknown; antialias?: unknown }): DeclaredAntiAliasing {
   return { aaMode: (model === undefined ? antialias === true : model === "antialiased") ? "mip_splatting" : "classic" };
 }

@@ -1,18 +1,18 @@
-// difference.ts - how far two pictures are apart.
+// difference.ts - PSNR and difference map of two pictures.
 // SPDX-License-Identifier: Apache-2.0
 
 export interface Difference {
-  /** Of RGB, peak 255, dB; Infinity of equal pictures. */
+  /** Over RGB with peak 255, dB; Infinity if the pictures are equal. */
   psnrDb: number;
-  /** RGBA; black where both are equal, over red to white at 32 of 255. */
+  /** RGBA: black where the pictures are equal, then red, white from a difference of 32 of 255 on. */
   map: Uint8ClampedArray<ArrayBuffer>;
 }
 
 const kMost = 32;
 
-/** Two RGBA pictures of one size. */
+/** `a` and `b` are RGBA of the same size. */
 export function difference(a: Uint8Array | Uint8ClampedArray, b: Uint8Array | Uint8ClampedArray): Difference {
-  if (a.length !== b.length) throw new RangeError("pictures of two sizes have no difference");
+  if (a.length !== b.length) throw new RangeError("the pictures differ in size");
   const map = new Uint8ClampedArray(a.length);
   let sum = 0;
   for (let i = 0; i < a.length; i += 4) {

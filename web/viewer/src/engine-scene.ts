@@ -1,4 +1,4 @@
-// engine-scene.ts - PLY, compressed PLY, SOG and SPZ, by the engine.
+// engine-scene.ts - PLY, compressed PLY, SOG and SPZ, loaded by the engine.
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf } from "@roofgs/playcanvas";
 import { Asset, type GSplatResourceBase } from "playcanvas";
@@ -17,16 +17,16 @@ export interface OpenEngineScene {
   onProgress(done: number, total: number): void;
 }
 
-/** What the engine made of a file, and how it goes again. */
+/** A resource of the engine, and how to release it. */
 interface Made {
   resource: GSplatResourceBase;
   end(): void;
-  /** Right, up, backward instead of right, down, forward: it is turned, so that it stands as it does in other files. */
+  /** Axes are right, up, backward; the scene is turned to right, down, forward. */
   isYUp?: boolean;
   antiAliasing: AntiAliasing;
 }
 
-/** Assets of the engine so far. */
+/** Counts assets, for their names. */
 let nAssets = 0;
 
 async function makeSpz(stage: Stage, answer: Response): Promise<Made> {
@@ -37,11 +37,11 @@ async function makeSpz(stage: Stage, answer: Response): Promise<Made> {
 
 async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenEngineScene): Promise<Made> {
   const contents = kind === "ply" ? answer : await answer.arrayBuffer();
-  // The engine takes what has the same address for the same scene.
+  // The engine takes assets of the same address for the same scene.
   const filename = `scene${(nAssets += 1)}.${kind}`;
   const asset = new Asset(name, "gsplat", { url: filename, filename, contents } as object);
   const { assets } = stage.app;
-  // The engine asks the page's own server for images that a SOG lacks.
+  // Without this the engine would request images that a SOG lacks from the page's server.
   const images: Asset[] = [];
   const missing: string[] = [];
   const withhold = (added: Asset): void => {
@@ -68,7 +68,7 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
     if (missing.length > 0) throw lacking(missing);
   } catch (error) {
     end();
-    // Those of a scene that is there go with it.
+    // Images of a scene that was loaded are removed with it.
     for (const image of images) assets.remove(image);
     throw missing.length > 0 ? lacking(missing) : error;
   } finally {
@@ -84,19 +84,19 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
   }
 }
 
-/** The code is the one that rgs-convert has for it. */
+/** With the code that rgs-convert reports. */
 function lacking(images: readonly string[]): Error {
   return Object.assign(new Error(), { code: "missing_section", text: `the zip archive lacks ${images.join(", ")}, which its meta.json names` });
 }
 
-/** What the engine throws where it takes a damaged file for a sound one says nothing to people. */
+/** Replaces errors that the engine throws at damaged files by sentences. */
 function asSentence(kind: EngineKind, error: unknown): Error {
   if (error instanceof TypeError || error instanceof RangeError) {
     const parts = kind === "sog" ? "the zip archive or its meta.json" : "the file";
     return Object.assign(new Error(), { code: "bad_header", text: `${parts} lacks what ${kind.toUpperCase()} must have` });
   }
   const text = String((error as { message?: string } | null)?.message ?? error).replace(/^Error: /, "");
-  // It says so wherever a PLY ends too early.
+  // The engine says so wherever a PLY ends too early.
   if (/^Stream finished before end of header/.test(text)) return Object.assign(new Error(), { code: "truncated", text: "the file ends before the last Gaussian that its header counts" });
   return error instanceof Error ? error : new Error(text);
 }
@@ -105,7 +105,7 @@ export class EngineScene extends Scene {
   readonly nGaussians: number;
   readonly shDegree: number;
   readonly box: Box;
-  /** As it stands, [n, 3]. */
+  /** [n, 3], turned. */
   private readonly means: Float32Array | null;
 
   static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
@@ -146,7 +146,7 @@ export class EngineScene extends Scene {
     if (this.means) yield this.means;
   }
 
-  /** The engine's own formats are drawn with all that they hold. */
+  /** The engine draws its own formats with all their SH. */
   setShDegree(): void {}
 
   override antiAliasing(): AntiAliasing {
@@ -159,7 +159,7 @@ export class EngineScene extends Scene {
   }
 }
 
-/** 2nd to 98th percentile of some thousand means. */
+/** 2nd to 98th percentile of a sample of the means. */
 function robustBox(centers: Float32Array | null): Box | null {
   if (!centers || centers.length < 3) return null;
   const n = centers.length / 3;

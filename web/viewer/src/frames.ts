@@ -1,4 +1,4 @@
-// frames.ts - pictures of the project's own renderer, which a server draws: one request at a time, small ones while moving.
+// frames.ts - reference pictures, drawn by the server: one request at a time, small ones while the view moves.
 // SPDX-License-Identifier: Apache-2.0
 import type { CameraEntry } from "./cameras.js";
 import { ServerError } from "./messages.js";
@@ -15,16 +15,16 @@ export interface FrameRequest {
 
 export interface Frame {
   bitmap: ImageBitmap;
-  /** Milliseconds of the renderer, and from request to picture. */
+  /** Milliseconds that drawing took, and from the request to the decoded picture. */
   renderMs: number;
   totalMs: number;
   pagesMissing: number;
   small: boolean;
 }
 
-/** Of a picture while the camera moves, by its side. */
+/** Scale of the pictures that are drawn while the view moves. */
 const kMovingScale = 0.25;
-/** Of a server that is busy, and the seconds between if it does not say. */
+/** Tries while the server is busy, and the seconds between them where it does not say. */
 const kTries = 10;
 const kPauseSeconds = 1;
 const kMostPauseSeconds = 10;
@@ -38,7 +38,7 @@ export class Frames {
     private readonly on: { frame(frame: Frame): void; error(error: unknown): void },
   ) {}
 
-  /** Draws this view when the server has time; a later view takes its place. */
+  /** Requests a view as soon as the request in flight is over; a later call replaces it. */
   ask(request: FrameRequest, moving: boolean): void {
     this.waiting = { request, moving };
     if (!this.busy) void this.work();
@@ -48,7 +48,7 @@ export class Frames {
     this.waiting = undefined;
   }
 
-  /** One picture as it is, for comparison. */
+  /** A PNG in full size, for comparison. */
   async exact(request: FrameRequest): Promise<ImageBitmap> {
     return (await this.fetch(request, "png")).bitmap;
   }

@@ -1,12 +1,12 @@
-// kind.ts - what is in a file.
+// kind.ts - recognises files by their first bytes.
 // SPDX-License-Identifier: Apache-2.0
 
 export type Kind = "rgs" | "ply" | "sog" | "spz" | "cameras";
 
-/** Bytes that tell. */
+/** Bytes that kindOf() needs. */
 export const kBeginningBytes = 16;
 
-/** What a file holds by its first bytes, null if this page does not know it. Names say nothing: anybody gives them. */
+/** The kind of a file by its first bytes, not by its name; null if this page does not know it. */
 export function kindOf(beginning: Uint8Array): Kind | null {
   const begins = (...bytes: number[]): boolean => bytes.every((byte, i) => beginning[i] === byte);
   if (begins(0x89, 0x52, 0x47, 0x53)) return "rgs";

@@ -1,4 +1,4 @@
-// link.ts - what a link restores, as text behind the # of the page's address.
+// link.ts - the state that a link restores, as text behind the # of the page's address.
 // SPDX-License-Identifier: Apache-2.0
 import type { ViewState } from "./cameras.js";
 
@@ -7,7 +7,7 @@ export type Mode = "single" | "slider" | "flicker" | "difference";
 export interface PageState {
   view: ViewState;
   mode: Mode;
-  /** Share of the picture's width at which the slider stands. */
+  /** Position of the slider as a share of the picture's width. */
   split: number;
   /** 0 to 1. */
   background: readonly number[];
@@ -37,7 +37,7 @@ export function writeLink(state: PageState): string {
   }).toString();
 }
 
-/** What a link says; fields that are missing or not numbers are left out. */
+/** Leaves out fields that are missing or are not numbers. */
 export function readLink(hash: string): Partial<PageState> {
   const parameters = new URLSearchParams(hash.replace(/^#/, ""));
   const numbers = (name: string, n: number): number[] | undefined => {

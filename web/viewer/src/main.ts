@@ -1,4 +1,4 @@
-// main.ts - puts the page together.
+// main.ts - the page: opens scenes, connects settings, keys and comparison.
 // SPDX-License-Identifier: Apache-2.0
 import "./style.css";
 import { add, axisOf, type CameraEntry, cross, dot, length, looking, normalised, parseCameras, pathPosition, pinholeOf, type ViewState, viewOf } from "./cameras.js";
@@ -15,10 +15,10 @@ import { openScene, type Read, readFile } from "./open-scene.js";
 import type { Scene, Tint } from "./scene.js";
 import { type Side, Stage } from "./stage.js";
 
-/** Milliseconds without a change after which the view is at rest. */
+/** The view is at rest after so many milliseconds without a change. */
 const kRestMs = 200;
 const kFieldOfView = Math.PI / 3;
-/** Distance from which on Gaussians are drawn: docs/format/RENDERING.md, "A Gaussian on the image". */
+/** Nearest distance at which Gaussians are drawn: docs/format/RENDERING.md, "A Gaussian on the image". */
 const kNear = 0.2;
 /** Seconds from one camera to the next. */
 const kPathSeconds = 2;
@@ -41,13 +41,13 @@ class Page {
   private restTimer = 0;
   private frames: Frames | undefined;
   private frame: Frame | undefined;
-  /** Of the scenes, when it was noticed last. */
+  /** Changes of the scenes that notice() has seen. */
   private nChanges = 0;
   private speed: { at: number; frames: number; rate: number } = { at: 0, frames: 0, rate: 0 };
-  /** Scenes that are being opened. It never rejects. */
+  /** Resolves when all scenes requested so far are open; never rejects. */
   private opening: Promise<void> = Promise.resolve();
-  /** Of the left scene. */
-  private trueScene = 0;
+  /** The left scene's number on the server that draws reference pictures. */
+  private referenceScene = 0;
   /** Captures come one after the other. */
   private capturing: Promise<unknown> = Promise.resolve();
 
@@ -60,7 +60,7 @@ class Page {
       stage,
       {
         get right() {
-          return page.trueShown ? "truth" : page.scenes[1] ? "scene" : "none";
+          return page.referenceShown ? "reference" : page.scenes[1] ? "scene" : "none";
         },
         capture: (side, width, height) => this.captureSide(side, width, height),
       },
@@ -75,17 +75,17 @@ class Page {
     const { frames } = manifest;
     if (frames) {
       this.frames = new Frames(frames.url, {
-        frame: (frame) => this.showTrue(frame),
-        error: (error) => this.fail("The true picture", error),
+        frame: (frame) => this.showReference(frame),
+        error: (error) => this.fail("The reference picture", error),
       });
-      element("true-label", HTMLLabelElement).hidden = false;
+      element("reference-label", HTMLLabelElement).hidden = false;
     }
     this.connect();
   }
 
   // Opening ------------------------------------------------------------------------------------------------------------
 
-  /** `reading`: scenes of the manifest, which were begun before there was a stage. */
+  /** `reading`: scenes of the manifest, which are in flight already. */
   async begin(reading: readonly Promise<Read>[]): Promise<void> {
     const { settings, photos, cameras, scenes } = this.manifest;
     this.photos = new Map(photos.map(({ camera, url }) => [camera, url]));
@@ -93,10 +93,10 @@ class Page {
     if (settings?.sh_degree !== undefined) input("sh").value = String(settings.sh_degree);
     const link = readLink(location.hash);
     this.restore(link);
-    // What is dropped meanwhile comes after it.
+    // Files that are dropped meanwhile come after these.
     if (cameras !== null) void this.inTurn(() => this.fetchCameras(cameras));
-    for (const [trueScene, { name }] of scenes.entries()) {
-      void this.inTurn(() => this.open({ name, reading: reading[trueScene] as Promise<Read>, mode: link.mode ?? "slider", trueScene }));
+    for (const [referenceScene, { name }] of scenes.entries()) {
+      void this.inTurn(() => this.open({ name, reading: reading[referenceScene] as Promise<Read>, mode: link.mode ?? "slider", referenceScene }));
     }
     await this.opening;
     if (!this.scenes[1]) this.compare.setMode(this.compare.mode === "single" ? (link.mode ?? "single") : this.compare.mode);
@@ -112,7 +112,7 @@ class Page {
     this.applySettings();
   }
 
-  /** Somebody has put a link into the address bar. */
+  /** A link was put into the address bar. */
   private follow(link: Partial<PageState>): void {
     if (this.playing !== undefined) this.play();
     this.restore(link);
@@ -120,20 +120,20 @@ class Page {
     this.refreshView();
   }
 
-  /** Files of a drop or a choice: cameras, and scenes for the first free side, the right one if none is. */
+  /** Opens dropped or chosen files: cameras, and scenes on the first free side, or on the right. */
   async openFiles(files: readonly File[]): Promise<void> {
     for (const file of files) performance.mark(`open ${file.name}`);
     for (const file of files) void this.inTurn(() => this.openFile(file));
     await this.opening;
   }
 
-  /** One scene after the other: which side is free shows when the one before is there. */
+  /** Opens one scene after the other, because each looks for a free side. */
   private inTurn(work: () => Promise<void>): Promise<void> {
     this.opening = this.opening.then(work).catch((error: unknown) => this.fail("The page", error));
     return this.opening;
   }
 
-  /** Resolves when nothing is being opened, what has been asked for meanwhile included. */
+  /** Resolves when no scene is being opened any more, including those requested meanwhile. */
   private async allOpened(): Promise<void> {
     for (let last: Promise<void> | undefined; last !== this.opening; ) {
       last = this.opening;
@@ -152,10 +152,10 @@ class Page {
   }
 
   /**
-   * On the first free side, the right one if none is. If it cannot be opened, which is said, the side has what it had. `mode`: of two
-   * scenes, unless another has been chosen. `trueScene`: by what number the server of true pictures knows it.
+   * Opens a scene on the first free side, or on the right. If that fails, the side keeps what it had. `mode` for two scenes, unless the
+   * user has chosen one. `referenceScene`: the scene's number on the server that draws reference pictures.
    */
-  private async open({ name, reading, mode, trueScene }: { name: string; reading: Promise<Read>; mode: Mode; trueScene?: number }): Promise<void> {
+  private async open({ name, reading, mode, referenceScene }: { name: string; reading: Promise<Read>; mode: Mode; referenceScene?: number }): Promise<void> {
     const side: Side = this.scenes[0] ? 1 : 0;
     this.showWelcome(false);
     showLoading(`Opening ${name}`);
@@ -167,7 +167,7 @@ class Page {
       scene = await openScene(this.stage, { name, read, side, onProgress: showProgress, onError: (error) => this.fail(name, error) });
       if (before) before.hidden = true;
       this.show(scene, side);
-      if (side === 0) this.trueScene = trueScene ?? 0;
+      if (side === 0) this.referenceScene = referenceScene ?? 0;
       this.compare.setMode(side === 1 && this.compare.mode === "single" ? mode : this.compare.mode);
       this.markPicture(name);
       await scene.complete();
@@ -186,13 +186,13 @@ class Page {
     }
   }
 
-  /** There is nothing to look at any more: the next scene is seen as the first one would have been. */
+  /** Without a scene, the next one starts from its own first view. */
   private forgetView(view: ViewState | undefined): void {
     this.view = view;
     if (!view) history.replaceState(null, "", location.pathname + location.search);
   }
 
-  /** In the browser's timeline: from `open NAME`, or the page's beginning, to the first picture. */
+  /** Adds a measure to the browser's timeline: from the mark `open NAME`, or the page's start, to the first picture. */
   private markPicture(name: string): void {
     const begin = performance.getEntriesByName(`open ${name}`, "mark").at(-1)?.startTime ?? 0;
     void this.stage.drawn().then(() => performance.measure(`first picture of ${name}`, { start: begin }));
@@ -224,11 +224,11 @@ class Page {
 
   private nameScenes(): void {
     const [left, right] = this.scenes;
-    const names = [left?.name, this.trueShown ? `${left?.name ?? ""}, true picture` : right?.name].filter((name) => name !== undefined);
+    const names = [left?.name, this.referenceShown ? `${left?.name ?? ""}, reference picture` : right?.name].filter((name) => name !== undefined);
     element("title", HTMLElement).textContent = names.join(" | ") || kTitle;
     document.title = [...names, kTitle].join(" | ");
     element("left", HTMLElement).textContent = left?.name ?? "";
-    element("right", HTMLElement).textContent = this.trueShown ? (names.at(-1) ?? "") : (right?.name ?? "");
+    element("right", HTMLElement).textContent = this.referenceShown ? (names.at(-1) ?? "") : (right?.name ?? "");
     const what = left ? `${left.name}, ${countText(left.nGaussians)} ${left.nGaussians === 1 ? "Gaussian" : "Gaussians"}${names[1] ? `, beside ${names[1]}` : ""}` : "No scene yet";
     this.canvas.setAttribute("aria-label", what);
     say(what);
@@ -244,7 +244,7 @@ class Page {
     return { up: normalised(up && length(up) > 0.1 ? up : (this.scenes[0]?.up ?? [0, -1, 0])), speed: 0.15 * size };
   }
 
-  /** From the first camera, else from the front and 20 degrees above (docs/user/CAMERAS.md). */
+  /** The first camera, or a view from the front, 20 degrees above (docs/user/CAMERAS.md). */
   private firstView(scene: Scene): ViewState {
     const { min, max } = scene.box;
     const middle = min.map((value, i) => (value + (max[i] as number)) / 2);
@@ -255,14 +255,14 @@ class Page {
     if (length(front) < 0.1) front = cross(up, [0, 1, 0]);
     front = normalised(front);
     const away = normalised(add(front, up, Math.tan(Math.PI / 9)));
-    // Of one Gaussian the box is a point; nothing nearer than kNear is drawn.
+    // The box of a single Gaussian is a point. Nothing nearer than kNear is drawn.
     const radius = length(add(max, min, -1)) / 2 || 1;
     const position = add(middle, away, Math.max(radius / Math.sin(kFieldOfView / 2), radius + 2 * kNear));
     const rotation = looking(add(middle, position, -1), up);
     return { position, rotation, focal: 0.5 / Math.tan(kFieldOfView / 2), aspect: 1, offset: [0, 0], pivot: middle };
   }
 
-  /** A point to go around, straight ahead and as far away as the scene's middle. */
+  /** A pivot straight ahead, as far away as the scene's middle. */
   private ahead(position: readonly number[], forward: readonly number[], middle: readonly number[]): number[] {
     return add(position, forward, Math.max(0.1, dot(add(middle, position, -1), forward)));
   }
@@ -272,10 +272,10 @@ class Page {
     this.stage.setView(view);
     this.compare.outdate();
     this.changed();
-    if (this.trueShown) this.askTrue(true);
+    if (this.referenceShown) this.askReference(true);
   }
 
-  /** The picture has another size. */
+  /** Applies the view to a picture of another size. */
   refreshView(): void {
     if (this.view) this.setView(this.view);
   }
@@ -290,7 +290,7 @@ class Page {
     say(`Camera ${camera.img_name}`);
   }
 
-  /** Goes around what is under the pointer: of the Gaussians near its ray the nearest. */
+  /** Makes the nearest Gaussian along the pointer's ray the pivot. */
   private focus(x: number, y: number): void {
     const { view, canvas } = this;
     const { mode, split } = this.compare;
@@ -304,7 +304,7 @@ class Page {
     const [ex, ey, ez] = add(view.position, scene.origin, -1) as [number, number, number];
     let best = Infinity;
     let depth = 0;
-    // Of millions: nothing is allocated.
+    // Called for millions of Gaussians, so it allocates nothing.
     for (const means of scene.centres()) {
       for (let i = 0; i < means.length; i += 3) {
         const tx = (means[i] as number) - ex;
@@ -313,7 +313,7 @@ class Page {
         const along = tx * rx + ty * ry + tz * rz;
         if (along <= kNear) continue;
         const aside = Math.sqrt(Math.max(0, tx * tx + ty * ty + tz * tz - along * along)) / along;
-        // Half a degree aside counts as much as a third of the way.
+        // Half a degree off the ray costs as much as a third of the distance.
         const cost = along * (1 + (aside / 0.009) ** 2 / 3);
         if (aside < 0.03 && cost < best) {
           best = cost;
@@ -357,10 +357,11 @@ class Page {
 
   // Before each frame --------------------------------------------------------------------------------------------------
 
-  step(seconds: number): void {
+  /** Returns whether pages are still to come, or the view is moving. */
+  step(seconds: number): boolean {
     this.controls.step(seconds);
     const { view } = this;
-    if (!view) return;
+    if (!view) return false;
     if (this.playing !== undefined) {
       this.playing = (this.playing + seconds / (kPathSeconds * (this.cameras.length - 1))) % 1;
       const { position, segment, share } = pathPosition(this.cameras.map((camera) => camera.position), this.playing);
@@ -378,9 +379,10 @@ class Page {
       scene.look({ position, focalPx: view.focal * width, detailPx: Number(input("detail").value), budget }, performance.now());
     }
     this.notice();
-    // They last for one frame.
+    // Boxes last for one frame.
     if (input("boxes").checked && this.stage.isToDraw) this.drawBoxes();
     this.showNumbers();
+    return this.controls.active || this.playing !== undefined || this.scenes.some((scene) => scene !== undefined && scene.pages.wanted > 0);
   }
 
   private drawBoxes(): void {
@@ -391,7 +393,7 @@ class Page {
     }
   }
 
-  /** What scenes draw has changed: pages have come, for instance. */
+  /** Reacts to changes in what scenes draw, such as new pages. */
   private notice(): void {
     const changes = this.scenes.reduce((sum, scene) => sum + (scene?.nChanges ?? 0), 0);
     if (changes === this.nChanges) return;
@@ -413,13 +415,13 @@ class Page {
       .filter((scene) => scene !== undefined)
       .map((scene) => {
         const { drawn, wanted } = scene.pages;
-        const pages = scene.hasPages ? `, ${drawn} pages${wanted > 0 ? `, ${wanted} to come` : ""}` : "";
+        const pages = scene.hasPages ? `, ${drawn} pages${wanted > 0 ? `, ${wanted} wanted` : ""}` : "";
         return `${countText(scene.nDrawn)} of ${countText(scene.nGaussians)} Gaussians, ${bytesText(scene.bytesRead)} of ${bytesText(scene.bytes)}${pages}`;
       });
     lines.push(`${this.speed.rate.toFixed(0)} frames a second`);
-    if (this.frame && this.trueShown) {
+    if (this.frame && this.referenceShown) {
       const { renderMs, totalMs, pagesMissing } = this.frame;
-      lines.push(`true picture ${renderMs.toFixed(0)} ms, here after ${totalMs.toFixed(0)} ms${pagesMissing > 0 ? `, ${pagesMissing} pages to come` : ""}`);
+      lines.push(`reference picture: drawn in ${renderMs.toFixed(0)} ms, shown after ${totalMs.toFixed(0)} ms${pagesMissing > 0 ? `, ${pagesMissing} pages missing` : ""}`);
     }
     overlay.textContent = lines.join("\n");
   }
@@ -464,7 +466,7 @@ class Page {
       const shown = element("panel", HTMLElement).classList.toggle("shown");
       element("menu", HTMLButtonElement).setAttribute("aria-expanded", String(shown));
     });
-    // Until it is pressed the system's choice holds.
+    // The system's choice holds until the button is pressed.
     const system = matchMedia("(prefers-color-scheme: dark)");
     const root = document.documentElement;
     const isDark = (): boolean => (root.dataset["theme"] ?? (system.matches ? "dark" : "light")) === "dark";
@@ -495,11 +497,11 @@ class Page {
     element("tint", HTMLSelectElement).addEventListener("change", () => {
       for (const scene of this.scenes) scene?.setTint(this.tint);
     });
-    input("true").addEventListener("change", () => {
+    input("reference").addEventListener("change", () => {
       this.nameScenes();
-      if (!this.trueShown) this.frames?.stop();
-      else this.askTrue(false);
-      this.compare.setMode(this.trueShown ? this.compare.mode : this.scenes[1] ? "slider" : "single");
+      if (!this.referenceShown) this.frames?.stop();
+      else this.askReference(false);
+      this.compare.setMode(this.referenceShown ? this.compare.mode : this.scenes[1] ? "slider" : "single");
     });
     document.addEventListener("keydown", (event) => this.key(event));
     document.addEventListener("dragover", (event) => event.preventDefault());
@@ -523,14 +525,14 @@ class Page {
       KeyF: () => mode("flicker"),
       KeyX: () => mode("difference"),
       KeyC: () => mode("slider"),
-      KeyT: () => this.frames && toggle("true"),
+      KeyT: () => this.frames && toggle("reference"),
       KeyI: () => toggle("stats"),
       KeyO: () => input("file").click(),
     };
     actions[event.code]?.();
   }
 
-  /** Anything that a link holds. */
+  /** Called after a change of anything that a link restores. */
   private changed(): void {
     clearTimeout(this.restTimer);
     this.restTimer = window.setTimeout(() => {
@@ -540,7 +542,7 @@ class Page {
       }
       const hash = this.link;
       if (hash) history.replaceState(null, "", `#${hash}`);
-      if (this.trueShown) this.askTrue(false);
+      if (this.referenceShown) this.askReference(false);
       if (this.compare.mode === "difference" && element("map", HTMLCanvasElement).hidden) this.compare.rest();
     }, kRestMs);
     if (this.controls.active) this.stage.request();
@@ -560,31 +562,31 @@ class Page {
       await navigator.clipboard.writeText(location.href);
       say("Link copied");
     } catch {
-      showError("The browser does not let this page copy; the link is in the address bar.");
+      showError("The browser does not let this page copy. The link is in the address bar.");
     }
   }
 
   // Pictures -----------------------------------------------------------------------------------------------------------
 
-  private get trueShown(): boolean {
-    return this.frames !== undefined && input("true").checked;
+  private get referenceShown(): boolean {
+    return this.frames !== undefined && input("reference").checked;
   }
 
   private frameRequest(width: number, height: number): FrameRequest | undefined {
     if (!this.view) return undefined;
     const detail = Number(input("detail").value);
-    return { scene: this.trueScene, camera: pinholeOf(this.view, width, height), width, height, background: this.background, sh_degree: Number(input("sh").value), detail };
+    return { scene: this.referenceScene, camera: pinholeOf(this.view, width, height), width, height, background: this.background, sh_degree: Number(input("sh").value), detail };
   }
 
-  private askTrue(moving: boolean): void {
+  private askReference(moving: boolean): void {
     const { width, height } = this.stage.size;
     const request = this.frameRequest(width, height);
     if (request && this.scenes[0]) this.frames?.ask(request, moving);
   }
 
-  private showTrue(frame: Frame): void {
+  private showReference(frame: Frame): void {
     this.frame = frame;
-    const canvas = element("truth", HTMLCanvasElement);
+    const canvas = element("reference-picture", HTMLCanvasElement);
     canvas.width = frame.bitmap.width;
     canvas.height = frame.bitmap.height;
     canvas.getContext("2d")?.drawImage(frame.bitmap, 0, 0);
@@ -599,11 +601,11 @@ class Page {
   }
 
   private async captureSide(side: "left" | "right", width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
-    // What is compared or saved is all of it.
+    // Only complete scenes are compared or saved.
     await this.allOpened();
     const request = this.frameRequest(width, height);
     if (!this.view || !request) throw new Error("there is no scene");
-    if (side === "left" || !this.trueShown) return this.capture(side === "left" ? 0 : 1, this.view, width, height);
+    if (side === "left" || !this.referenceShown) return this.capture(side === "left" ? 0 : 1, this.view, width, height);
     const bitmap = await (this.frames as Frames).exact(request);
     const context = new OffscreenCanvas(width, height).getContext("2d") as OffscreenCanvasRenderingContext2D;
     context.drawImage(bitmap, 0, 0);
@@ -615,10 +617,10 @@ class Page {
     await this.allOpened();
     const { width, height } = this.stage.size;
     const { mode, split } = this.compare;
-    const two = this.trueShown || this.scenes[1] !== undefined;
-    const border = mode === "slider" && two ? Math.round(split * width) : this.trueShown && mode === "single" ? 0 : width;
+    const two = this.referenceShown || this.scenes[1] !== undefined;
+    const border = mode === "slider" && two ? Math.round(split * width) : this.referenceShown && mode === "single" ? 0 : width;
     if (!this.scenes[0]) {
-      showError("There is nothing to save yet: open a scene first.");
+      showError("There is no picture to save yet. Open a scene first.");
       return;
     }
     const canvas = new OffscreenCanvas(width, height);
@@ -650,15 +652,15 @@ class Page {
 async function main(): Promise<void> {
   let page: Page | undefined;
   let stage: Stage;
-  // What scenes take and what the engine takes does not wait for each other.
+  // Scenes are requested while the engine starts.
   const manifest = readManifest();
   const reading = manifest.then(({ scenes }) => scenes.map((entry) => readFile({ entry, onProgress: showProgress })));
   void reading.then((all) => all.forEach((each) => each.catch(() => undefined))).catch(() => undefined);
   try {
     const device = new URLSearchParams(location.search).get("device");
-    // WebGPU on demand alone: not every browser that has it draws with it.
+    // WebGPU only on request: not every browser that has it can draw with it.
     stage = await Stage.start(element("picture", HTMLCanvasElement), device === "webgpu" ? ["webgpu", "webgl2"] : ["webgl2"], {
-      frame: (seconds) => page?.step(seconds),
+      frame: (seconds) => page?.step(seconds) ?? false,
       resized: () => page?.refreshView(),
       lost: () => showError(kLost),
       restored: () => {

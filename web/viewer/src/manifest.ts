@@ -1,9 +1,9 @@
-// manifest.ts - what the page is given: view.json beside it, or inside it, or in its own address.
+// manifest.ts - what the page is to show: from view.json beside it or inside it, or from its own address.
 // SPDX-License-Identifier: Apache-2.0
 
 export interface SceneEntry {
   name: string;
-  /** Relative to the page, or `#rgs-file-0`, an element of it. */
+  /** Relative to the page, or `#rgs-file-0`: the id of an element of the page. */
   url: string;
   bytes?: number;
 }
@@ -14,23 +14,23 @@ export interface Manifest {
   scenes: SceneEntry[];
   cameras: string | null;
   photos: { camera: string; url: string }[];
-  /** Where pictures of the project's own renderer come from. */
+  /** The server that draws reference pictures. */
   frames: { url: string; backend: "cpu" | "cuda" } | null;
   settings?: { background?: number[]; sh_degree?: number };
 }
 
 const kEmpty: Manifest = { version: 1, scenes: [], cameras: null, photos: [], frames: null };
 
-/** Fields that are missing are empty; another version is refused. */
+/** Missing fields are empty. Throws if the version is not 1. */
 export function parseManifest(text: string): Manifest {
   const found = JSON.parse(text) as Partial<Manifest>;
-  if (found.version !== 1) throw new Error("view.json is of another version than this page");
+  if (found.version !== 1) throw new Error("view.json has a version that this page does not know");
   const manifest = { ...kEmpty, ...found };
   if (!Array.isArray(manifest.scenes) || manifest.scenes.length > 2) throw new Error("view.json names more than two scenes");
   return manifest;
 }
 
-/** Last part of an address, to be shown. */
+/** The file name in an address, for display. */
 export function nameOf(url: string): string {
   const path = url.split(/[?#]/)[0] ?? "";
   const last = path.slice(path.lastIndexOf("/") + 1);
@@ -59,9 +59,9 @@ export async function readManifest(): Promise<Manifest> {
   return answer?.ok ? parseManifest(await answer.text()) : kEmpty;
 }
 
-/** Bytes of an element `#id` of this page, which a program put there as base64. */
+/** Decodes the base64 content of the element `#id`, which rgs-view --export put there. */
 export async function readInside(url: string): Promise<Blob> {
   const text = document.getElementById(url.slice(1))?.textContent;
-  if (text === null || text === undefined) throw new Error(`this page has no part ${url}`);
+  if (text === null || text === undefined) throw new Error(`this page has no element ${url}`);
   return (await fetch(`data:application/octet-stream;base64,${text.replace(/\s+/g, "")}`)).blob();
 }

@@ -1,4 +1,4 @@
-// messages.ts - errors as sentences that a person can act on. Names are a stranger's and are shown as text alone.
+// messages.ts - errors as sentences that a person can act on. File names are untrusted: they are shown as plain text.
 // SPDX-License-Identifier: Apache-2.0
 
 interface CodedError {
@@ -8,20 +8,20 @@ interface CodedError {
   offset?: number | null;
 }
 
-/** Codes that do not speak of the file's bytes: docs of @roofgs/reader. */
+/** For codes that do not mean a damaged file. */
 const kAdvice: Record<string, string> = {
-  open_failed: "could not be fetched. Is the server still running, and may this page read from it? Then reload the page",
-  read_failed: "stopped coming. Is the server still running? Start rgs-view again if not, then reload the page",
-  bad_magic: "is no scene that this page knows. It opens .rgs, .ply, .spz and .sog; rgs-convert makes .rgs of others",
-  unsupported_version: "was made by a newer program than this page knows. Take the page of that version",
-  unsupported_feature: "holds what this page cannot draw",
-  limit_exceeded: "asks for more than this page allows",
-  unavailable: "could not be read, as the reader's worker does not run here. A stricter policy of the server, or an extension, may be why",
-  host_out_of_memory: "does not fit into this browser's memory. Convert it with rgs-convert --lod: such files are read page by page",
-  pages_missing: "has lost its end. What is there is drawn; copy the file again for the rest",
+  open_failed: "could not be fetched. Check that the server is running and lets this page read from it, then reload the page",
+  read_failed: "stopped loading. Start rgs-view again if it has ended, then reload the page",
+  bad_magic: "is not a scene that this page can open. It opens .rgs, .ply, .spz and .sog; rgs-convert makes .rgs of other formats",
+  unsupported_version: "was made by a newer program than this page. Use the page of that version",
+  unsupported_feature: "has something that this page cannot draw",
+  limit_exceeded: "exceeds the limits of this page",
+  unavailable: "could not be read: the reader's worker does not start. The server's content security policy or a browser extension may block it",
+  host_out_of_memory: "does not fit into this browser's memory. Convert it with rgs-convert --lod, so that it is read page by page",
+  pages_missing: "is incomplete: its end is missing. What is there is drawn; copy the file again for the rest",
 };
 
-/** What the server of true pictures refuses; its codes are not of a file's bytes. */
+/** The server refused to draw a reference picture; its codes do not mean a damaged file. */
 export class ServerError extends Error {
   constructor(
     readonly code: string,
@@ -31,7 +31,7 @@ export class ServerError extends Error {
   }
 }
 
-/** One sentence about what happened to `name`, with code and byte where the file is to blame. */
+/** One sentence about what happened to `name`, with the error's code and byte. */
 export function sentence(name: string, error: unknown): string {
   if (error instanceof ServerError) return `${name} could not be made: ${error.code}: ${error.message}.`;
   const { code, text, message, offset } = (error ?? {}) as CodedError;
@@ -43,9 +43,9 @@ export function sentence(name: string, error: unknown): string {
 }
 
 export const kNoGraphics =
-  "This browser has no WebGL 2, which drawing needs. Update it, or switch on hardware acceleration in its settings.";
-export const kNotAsDefined = "The picture is not quite what the files mean: this page does not know the shaders of its engine.";
-export const kLost = "The graphics device was lost, for instance because its driver restarted. If the picture does not come back, reload the page.";
+  "This browser has no WebGL 2, which this page needs. Update it, or enable hardware acceleration in its settings.";
+export const kNotAsDefined = "This page does not know its engine's shaders, so the picture differs slightly from what the files define.";
+export const kLost = "The graphics device was lost, perhaps because its driver restarted. If the picture does not come back, reload the page.";
 
 export function bytesText(bytes: number): string {
   return bytes < 1e6 ? `${(bytes / 1e3).toFixed(0)} kB` : bytes < 1e9 ? `${(bytes / 1e6).toFixed(1)} MB` : `${(bytes / 1e9).toFixed(2)} GB`;

@@ -1,4 +1,4 @@
-// open-scene.ts - what is in a file, by its first bytes, and the scene that it becomes.
+// open-scene.ts - recognises a file by its first bytes and opens it as a scene.
 // SPDX-License-Identifier: Apache-2.0
 import { open } from "@roofgs/reader";
 import { type EngineKind, EngineScene } from "./engine-scene.js";
@@ -9,12 +9,12 @@ import { beginFile, type OpenedFile, RgsScene } from "./rgs-scene.js";
 import type { Scene } from "./scene.js";
 import type { Side, Stage } from "./stage.js";
 
-/** Bytes read; `total` 0: nobody knows. */
+/** Bytes read; `total` is 0 where it is not known. */
 export type OnProgress = (done: number, total: number) => void;
 
 /**
- * A file of which it is known what it is. Of an .rgs the beginning is on its way; others are asked for when they are read, as a server
- * need not wait for who takes nothing.
+ * A file whose kind is known. The beginning of an .rgs is already in flight; other files are requested when they are read, because a
+ * server need not keep a connection open that nobody reads from.
  */
 export type Read = { kind: "rgs"; opened: OpenedFile } | { kind: EngineKind | "cameras"; answer(): Promise<Response> };
 
@@ -25,7 +25,7 @@ async function beginningOf(answer: Response): Promise<Uint8Array> {
   return value?.subarray(0, kBeginningBytes) ?? new Uint8Array(0);
 }
 
-/** A file of the page's server, of the page itself, or one that was dropped. Rejects if it is nothing that this page opens. */
+/** A file from the page's server, from the page itself, or a dropped one. Rejects if this page cannot open it. */
 export async function readFile({ entry, file, onProgress }: { entry: SceneEntry; file?: File | undefined; onProgress: OnProgress }): Promise<Read> {
   const blob = file ?? (entry.url.startsWith("#") ? await readInside(entry.url) : undefined);
   const ofOthers = async (): Promise<Read | null> => {
@@ -40,7 +40,7 @@ export async function readFile({ entry, file, onProgress }: { entry: SceneEntry;
     };
     return { kind, answer };
   };
-  // A name says what to ask first, so that as a rule nothing is read twice, and no more.
+  // The name only decides what is tried first, which saves a request.
   const isNamedRgs = /\.rgs$/i.test(entry.name);
   const other = isNamedRgs ? null : await ofOthers();
   if (other) return other;
@@ -63,13 +63,13 @@ export interface OpenScene {
   read: Read;
   side: Side;
   onProgress: OnProgress;
-  /** Of what comes later, page by page. */
+  /** For errors in pages that are read later. */
   onError(error: unknown): void;
 }
 
-/** The scene with what is there first; complete() brings the rest. */
+/** Resolves with the first part of the scene; complete() reads the rest. */
 export async function openScene(stage: Stage, { name, read, side, onProgress, onError }: OpenScene): Promise<Scene> {
-  if (read.kind === "cameras") throw new Error("it is a list of cameras, not a scene");
+  if (read.kind === "cameras") throw new Error("it is a camera file, not a scene");
   if (read.kind !== "rgs") return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), side, onProgress });
   const { opened } = read;
   try {

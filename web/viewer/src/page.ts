@@ -1,4 +1,4 @@
-// page.ts - parts of the page by their ids, and what is said to whoever looks at it.
+// page.ts - elements by id, error messages, loading progress, announcements to screen readers.
 // SPDX-License-Identifier: Apache-2.0
 import { bytesText } from "./messages.js";
 
@@ -8,7 +8,7 @@ export function element<T extends HTMLElement>(id: string, type: abstract new ()
   return found;
 }
 
-/** A sentence that stays until it is closed; said once while it stands there. */
+/** Shows an error until somebody closes it. The same error is not shown twice. */
 export function showError(sentence: string): void {
   const list = element("errors", HTMLElement);
   if ([...list.children].some(({ firstChild }) => firstChild?.textContent === sentence)) return;
@@ -19,16 +19,16 @@ export function showError(sentence: string): void {
   close.addEventListener("click", () => line.remove());
   line.append(sentence, close);
   list.append(line);
-  // A person can read four.
+  // More than four would cover the picture.
   while (list.children.length > 4) list.firstElementChild?.remove();
 }
 
-/** It no longer holds. */
+/** Removes an error that no longer holds. */
 export function withdrawError(sentence: string): void {
   for (const line of [...element("errors", HTMLElement).children]) if (line.firstChild?.textContent === sentence) line.remove();
 }
 
-/** For screen readers. */
+/** Announces a text to screen readers. */
 export function say(text: string): void {
   element("status", HTMLElement).textContent = text;
 }
@@ -43,7 +43,7 @@ export function hideLoading(): void {
   element("loading", HTMLElement).hidden = true;
 }
 
-/** Bytes read; `total` 0: nobody knows. */
+/** Bytes read; `total` is 0 where it is not known. */
 export function showProgress(done: number, total: number): void {
   if (total > 0) element("progress", HTMLProgressElement).value = done / total;
   element("progress-text", HTMLElement).textContent = `Reading ${bytesText(done)}${total > 0 ? ` of ${bytesText(total)}` : ""}`;

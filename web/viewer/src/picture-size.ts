@@ -1,12 +1,12 @@
-// picture-size.ts - how many pixels are drawn.
+// picture-size.ts - the size of the picture in pixels.
 // SPDX-License-Identifier: Apache-2.0
 
-/** Of a device pixel as much as this: beyond it nobody sees more. */
+/** Most pixels per CSS pixel; more are not visible. */
 const kMostScale = 2;
-/** Browsers give a canvas no more, and the picture would be stretched. */
+/** Browsers stretch larger canvases. */
 const kMostPixels = 7680 * 4320;
 
-/** Pixels of the picture of an element of so many CSS pixels. `mostSide`: of the device's textures. */
+/** Size of the picture for an element in CSS pixels. `mostSide`: the largest texture of the device. */
 export function pictureSize(element: { width: number; height: number }, pixelRatio: number, mostSide: number): { width: number; height: number } {
   const { width, height } = element;
   const scale = Math.min(pixelRatio, kMostScale, mostSide / Math.max(1, width, height), Math.sqrt(kMostPixels / Math.max(1, width * height)));

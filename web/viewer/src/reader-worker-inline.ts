@@ -1,4 +1,4 @@
-// reader-worker-inline.ts - the reader's worker in a page that is one file.
+// reader-worker-inline.ts - the reader's worker for the single-file page.
 // SPDX-License-Identifier: Apache-2.0
 import ReaderWorker from "@roofgs/reader/worker?worker&inline";
 

@@ -1,3 +1,3 @@
-// reader-worker.ts - the reader's worker: beside the script, as the reader finds it by itself.
+// reader-worker.ts - for the page in a folder: the reader finds its worker by itself.
 // SPDX-License-Identifier: Apache-2.0
 export const worker: (() => Worker) | undefined = undefined;

@@ -1,4 +1,4 @@
-// rgs-scene.ts - an opened .rgs file: all of it part by part, or page by page from coarse to fine.
+// rgs-scene.ts - an opened .rgs file, drawn part by part while it is read, or by pages from coarse to fine.
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf, type Colour, RgsResource } from "@roofgs/playcanvas";
 import type { Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
@@ -6,11 +6,11 @@ import { chooseCut, type Cut, type CutView } from "./levels.js";
 import { type Box, Scene, type Tint } from "./scene.js";
 import type { Side, Stage } from "./stage.js";
 
-/** Requests at a time. */
+/** Most pages in flight. */
 const kPagesAtATime = 4;
-/** Pages that are kept beyond those drawn, by Gaussians. */
+/** Most Gaussians of resident pages, as a multiple of the budget. */
 const kKept = 2;
-/** Milliseconds between two rebuilds of what is on the GPU. */
+/** Least time between two uploads to the GPU. */
 const kRebuildMs = 250;
 
 const kLevelColours: readonly Colour[] = [
@@ -23,17 +23,17 @@ const kLevelColours: readonly Colour[] = [
   [0.7, 0.3, 0.9],
 ];
 
-/** A file of which the Gaussians that are drawn first are on their way. */
+/** An opened file whose first Gaussians are in flight. */
 export interface OpenedFile {
   file: RgsFile;
-  /** Of a file with levels the coarsest page alone. */
+  /** Only the root if the file has levels of detail. */
   parts: AsyncGenerator<StoredGaussians, void, undefined>;
   first: Promise<IteratorResult<StoredGaussians, void>>;
-  /** Of a file without levels, so far. */
+  /** Only counted if the file has no levels of detail. */
   bytesRead: number;
 }
 
-/** Begins to read a file's Gaussians. `onProgress`: bytes read. */
+/** Starts reading a file's Gaussians. `onProgress`: bytes read. */
 export function beginFile(file: RgsFile, onProgress: (done: number, total: number) => void): OpenedFile {
   async function* root(): AsyncGenerator<StoredGaussians, void, undefined> {
     yield await file.readPageStored(0);
@@ -45,7 +45,7 @@ export function beginFile(file: RgsFile, onProgress: (done: number, total: numbe
   };
   const parts = file.levels ? root() : file.storedParts({ onProgress: progress });
   const opened = { file, parts, first: parts.next(), bytesRead: 0 };
-  // Who waits for it sees the error.
+  // Whoever awaits it gets the error; until then it is not unhandled.
   opened.first.catch(() => undefined);
   return opened;
 }
@@ -55,7 +55,6 @@ function upOf(file: RgsFile): readonly number[] | null {
   return i < 0 ? null : [0, 1, 2].map((k) => (k === i ? (axes[i] === "up" ? 1 : -1) : 0));
 }
 
-/** An .rgs file: all of it at once, or page by page from coarse to fine. */
 export class RgsScene extends Scene {
   readonly nGaussians: number;
   readonly shDegree: number;
@@ -68,16 +67,16 @@ export class RgsScene extends Scene {
   private drawn: number[] = [];
   private resources: RgsResource[] = [];
   private shown = { shDegree: 3, tint: "none" as Tint };
-  private readonly kept = new Map<number, StoredGaussians>();
+  private readonly resident = new Map<number, StoredGaussians>();
   private readonly stop = new AbortController();
-  private readonly loading = new Set<number>();
-  private readonly damaged = new Set<number>();
+  private readonly inFlight = new Set<number>();
+  private readonly quarantined = new Set<number>();
   private wanted: number[] = [];
   private rebuilt = -Infinity;
   private read = 0;
   private reported = false;
   private view: CutView | undefined;
-  /** Of the colours by error. */
+  /** The view that the colours by error were computed for. */
   private tinted: CutView | undefined;
 
   constructor(
@@ -103,7 +102,7 @@ export class RgsScene extends Scene {
       this.keep(0, first);
       this.rebuild([0]);
       if (file.nPresent < file.levels.nPages) {
-        this.onError({ code: "pages_missing", text: `${file.nPresent} of ${file.levels.nPages} pages are there` });
+        this.onError({ code: "pages_missing", text: `the file has ${file.nPresent} of its ${file.levels.nPages} pages` });
       }
     } else {
       this.drawn = [0];
@@ -170,14 +169,18 @@ export class RgsScene extends Scene {
     }
     this.rebuilt = now;
     this.rebuild(cut.draw);
-    this.forget(view.budget);
+    this.evict(view.budget);
   }
 
-  /** What error shows depends on the view. */
+  /** Projected errors, and so the colours by error, depend on the view. */
   private tintAnew(view: CutView, now: number): void {
     const { tinted } = this;
-    if (this.shown.tint !== "error" || now - this.rebuilt < kRebuildMs) return;
+    if (this.shown.tint !== "error") return;
     if (tinted && tinted.focalPx === view.focalPx && tinted.position.every((value, i) => value === view.position[i])) return;
+    if (now - this.rebuilt < kRebuildMs) {
+      this.stage.request();
+      return;
+    }
     this.tinted = view;
     this.rebuilt = now;
     this.setTable();
@@ -190,28 +193,28 @@ export class RgsScene extends Scene {
     for (const resource of this.resources) resource.destroy();
   }
 
-  /** What the view needs, of which some is asked for; more when it has come. */
+  /** Chooses the cut and requests some of the wanted pages; runs again when a page arrives. */
   private plan(): Cut | undefined {
     const { file, view } = this;
     const { levels } = file;
     if (!levels || !view || this.stop.signal.aborted) return undefined;
-    const cut = chooseCut((index) => levels.page(index), (index) => this.kept.has(index), view);
-    this.wanted = cut.want.filter((index) => index < file.nPresent && !this.damaged.has(index));
+    const cut = chooseCut((index) => levels.page(index), (index) => this.resident.has(index), view);
+    this.wanted = cut.want.filter((index) => index < file.nPresent && !this.quarantined.has(index));
     for (const index of this.wanted) {
-      if (this.loading.size >= kPagesAtATime) break;
-      if (this.loading.has(index)) continue;
+      if (this.inFlight.size >= kPagesAtATime) break;
+      if (this.inFlight.has(index)) continue;
       void this.fetchPage(index).catch((error: unknown) => {
         this.fail(error);
-        // A server that is away has its slots for ever; what is damaged is not asked for again.
+        // If the server has gone, nothing more is requested. A damaged page is quarantined.
         if ((error as { code?: string }).code === "read_failed") return;
-        this.loading.delete(index);
-        this.damaged.add(index);
+        this.inFlight.delete(index);
+        this.quarantined.add(index);
       });
     }
     return cut;
   }
 
-  /** What cannot be read is said once; the page goes on with what it has. */
+  /** Reports the first error only. */
   private fail(error: unknown): void {
     if (this.stop.signal.aborted || this.reported) return;
     this.reported = true;
@@ -221,16 +224,16 @@ export class RgsScene extends Scene {
   private async fetchPage(index: number): Promise<void> {
     const { levels } = this.file;
     if (!levels) return;
-    this.loading.add(index);
+    this.inFlight.add(index);
     const stored = await this.file.readPageStored(index, { signal: this.stop.signal });
-    this.loading.delete(index);
+    this.inFlight.delete(index);
     this.keep(index, stored);
     this.plan();
     this.stage.request();
   }
 
   private keep(index: number, stored: StoredGaussians): void {
-    this.kept.set(index, stored);
+    this.resident.set(index, stored);
     this.read += this.file.levels?.page(index).storedBytes ?? 0;
   }
 
@@ -245,23 +248,23 @@ export class RgsScene extends Scene {
 
   private rebuild(draw: number[]): void {
     this.drawn = draw;
-    this.parts = draw.map((index) => this.kept.get(index) as StoredGaussians).filter(({ n }) => n > 0);
+    this.parts = draw.map((index) => this.resident.get(index) as StoredGaussians).filter(({ n }) => n > 0);
     if (this.parts.length > 0) this.upload();
   }
 
-  /** Drops pages that were drawn longest ago. */
-  private forget(budget: number): void {
+  /** Evicts the pages that were drawn longest ago. */
+  private evict(budget: number): void {
     for (const index of this.drawn) {
-      const stored = this.kept.get(index) as StoredGaussians;
-      this.kept.delete(index);
-      this.kept.set(index, stored);
+      const stored = this.resident.get(index) as StoredGaussians;
+      this.resident.delete(index);
+      this.resident.set(index, stored);
     }
     let n = 0;
-    for (const { n: count } of this.kept.values()) n += count;
-    for (const [index, stored] of this.kept) {
+    for (const { n: count } of this.resident.values()) n += count;
+    for (const [index, stored] of this.resident) {
       if (n <= kKept * budget || this.drawn.includes(index)) break;
       if (index !== 0) {
-        this.kept.delete(index);
+        this.resident.delete(index);
         n -= stored.n;
       }
     }

@@ -1,4 +1,4 @@
-// scene.ts - an opened scene: what it is, what of it is drawn.
+// scene.ts - an opened scene on one side of the stage.
 // SPDX-License-Identifier: Apache-2.0
 import type { AntiAliasing } from "@roofgs/playcanvas";
 import { Entity, type GSplatResourceBase, WORKBUFFER_UPDATE_ONCE } from "playcanvas";
@@ -12,23 +12,19 @@ export interface Box {
 
 export type Tint = "none" | "level" | "error";
 
-/** What is shown of how far loading is. `total` 0: nobody knows. */
-export type OnProgress = (text: "read" | "decode", done: number, total: number) => void;
-
-/** One scene on one side of the stage. */
 export abstract class Scene {
   abstract readonly nGaussians: number;
   abstract readonly shDegree: number;
-  /** Most of what shows, world. */
+  /** The box of most Gaussians, world. */
   abstract readonly box: Box;
-  /** Where the world's up is, if the file says so. */
+  /** The up direction that the file declares, or null. */
   readonly up: readonly number[] | null = null;
   readonly origin: readonly number[] = [0, 0, 0];
   readonly hasPages: boolean = false;
-  /** How often something else has been drawn. */
+  /** Counts changes of what is drawn. */
   nChanges = 0;
   private readonly entity: Entity;
-  /** What draws resources, a part of the scene each. */
+  /** One entity for each resource: a part of the scene. */
   private readonly drawing: Entity[] = [];
 
   constructor(
@@ -46,35 +42,34 @@ export abstract class Scene {
   get bytesRead(): number {
     return this.bytes;
   }
-  /** Pages drawn and wanted, of scenes that have some. */
+  /** Counts of pages drawn and wanted; 0 without levels of detail. */
   get pages(): { drawn: number; wanted: number } {
     return { drawn: 0, wanted: 0 };
   }
-  /** Boxes that an overlay shows, in coordinates of the entity. */
+  /** Boxes for the overlay, in the entity's coordinates. */
   boxes(): Box[] {
     return [{ min: this.local(this.box.min), max: this.local(this.box.max) }];
   }
   /** Means for picking, [n, 3] relative to `origin`. */
   abstract centres(): Iterable<Float32Array>;
   abstract setShDegree(degree: number): void;
-  /** What the file declares, `detailPx` being the error that may be drawn; undefined if nothing. */
+  /** What the file declares, for a view that allows an error of `detailPx`; undefined if it declares nothing. */
   antiAliasing(_detailPx: number): AntiAliasing | undefined {
     return undefined;
   }
   setTint(_tint: Tint): void {}
-  /** Before a frame; only scenes with pages care. */
+  /** Called before each frame; chooses the cut of scenes with levels of detail. */
   look(_view: CutView, _now: number): void {}
 
-  /** `origin`: where the stage's coordinates begin in the world. */
+  /** `origin` of the stage's coordinates, world. */
   place(origin: readonly number[]): void {
     const [x, y, z] = this.origin.map((value, i) => value - (origin[i] as number)) as [number, number, number];
     this.entity.setLocalPosition(x, y, z);
   }
 
-  /** What is still to come of a scene of which a part is drawn. Rejects if the file is not sound: then nothing of it may stay. */
+  /** Reads the rest of a scene whose first part is drawn. Rejects if the file is damaged; the scene must then be destroyed. */
   async complete(): Promise<void> {}
 
-  /** Hidden it can come back. */
   set hidden(hidden: boolean) {
     this.entity.enabled = !hidden;
     this.stage.request();
@@ -89,12 +84,12 @@ export abstract class Scene {
     return point.map((value, i) => value - (this.origin[i] as number));
   }
 
-  /** By half a turn around the x axis. */
+  /** Half a turn around the x axis. */
   protected turnOver(): void {
     this.entity.setLocalEulerAngles(180, 0, 0);
   }
 
-  /** Draws a resource beside what is drawn. */
+  /** Draws one more resource. */
   protected add(resource: GSplatResourceBase): void {
     const entity = new Entity();
     entity.addComponent("gsplat", { layers: [this.stage.layers[this.side]], resource });
@@ -103,7 +98,7 @@ export abstract class Scene {
     this.hasChanged();
   }
 
-  /** Draws a resource in place of the one before. */
+  /** Draws a resource instead of the one before. */
   protected replace(resource: GSplatResourceBase): void {
     const gsplat = this.drawing[0]?.gsplat;
     if (!gsplat) {
@@ -116,7 +111,7 @@ export abstract class Scene {
     this.hasChanged();
   }
 
-  /** Tables of resources have changed. */
+  /** Applies changes of the resources' tables. */
   protected refresh(): void {
     for (const { gsplat } of this.drawing) if (gsplat) gsplat.workBufferUpdate = WORKBUFFER_UPDATE_ONCE;
     this.hasChanged();

@@ -1,11 +1,10 @@
-// spz-resource.ts - .spz as the engine draws it. Its own parser reads version 4 alone, with a module that it loads as a script, so
-// only what it does behind the parsing is used.
+// spz-resource.ts - the engine's resource for .spz, without its parser: that reads only version 4, and loads a script.
 // SPDX-License-Identifier: Apache-2.0
 import { type BoundingBox, type GraphicsDevice, type GSplatResourceBase, Vec3 } from "playcanvas";
 import { GSplatSpzResource } from "playcanvas/scripts/esm/parsers/spz-parser.mjs";
-import { type Header, kRest, type Streams, unfoldSpz } from "./spz.js";
+import { type Header, kRest, type Streams, decompressSpz } from "./spz.js";
 
-/** What the engine's resource asks of its data. */
+/** The data interface that the engine's resource expects. */
 class Data {
   readonly numSplats: number;
   readonly fractionalBits: number;
@@ -22,7 +21,7 @@ class Data {
     this.shBands = header.shDegree;
     this.shDim = kRest[header.shDegree];
     this.antialiased = header.antialiased;
-    // It asks for the streams by these names too.
+    // The resource looks for the streams by these names.
     Object.assign(this, streams);
   }
 
@@ -49,7 +48,7 @@ class Data {
 }
 
 export async function readSpz(device: GraphicsDevice, contents: ArrayBuffer): Promise<{ resource: GSplatResourceBase; antialiased: boolean }> {
-  const { header, streams } = await unfoldSpz(contents);
+  const { header, streams } = await decompressSpz(contents);
   if (header.n === 0) throw new Error("it holds no Gaussians");
   return { resource: new GSplatSpzResource(device, new Data(header, streams)), antialiased: header.antialiased };
 }

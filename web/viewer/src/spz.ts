@@ -1,4 +1,4 @@
-// spz.ts - the streams of Niantic's .spz, unfolded. What lies where: converter/formats/spz.cpp.
+// spz.ts - decompresses the streams of Niantic's .spz. Layout: converter/formats/spz.cpp.
 // SPDX-License-Identifier: Apache-2.0
 import { Decompress } from "fzstd";
 import { checksumOf } from "./checksum.js";
@@ -9,9 +9,9 @@ const kHeaderBytesV4 = 32;
 const kFlagAntialiased = 1;
 const kFlagExtensions = 2;
 const kFlags = kFlagAntialiased | kFlagExtensions;
-/** What a file may unfold to, in its own bytes: the limit of rgs-convert. */
+/** Largest ratio of decompressed to compressed bytes: the limit of rgs-convert. */
 const kMostExpansion = 1032;
-/** Of SH beyond degree 0 a channel, by degree. */
+/** SH coefficients beyond degree 0, per channel. */
 export const kRest = [0, 3, 8, 15] as const;
 
 export interface Header {
@@ -35,7 +35,7 @@ function refuse(code: string, text: string, offset: number): Error {
   return Object.assign(new Error(text), { code, text, offset });
 }
 
-/** Bytes of each stream, decoded, in the file's order. */
+/** Decompressed bytes of each stream, in the file's order. */
 function sizesOf({ version, n, shDegree }: Header): number[] {
   return [9 * n, n, 3 * n, 3 * n, (version === 2 ? 3 : 4) * n, 3 * kRest[shDegree] * n];
 }
@@ -50,15 +50,15 @@ function parseHeader(bytes: Uint8Array, fileBytes: number): Header {
   if (shDegree > 3) throw refuse("unsupported_feature", "the SH degree is not 0 to 3", 12);
   if (fractionalBits > 24) throw refuse("bad_header", "more than 24 fractional bits", 13);
   if ((flags & ~kFlags) !== 0) throw refuse("reserved_bits", "an unknown flag is set", 14);
-  // Some of them change what the streams mean: rgs-convert knows which.
-  if ((flags & kFlagExtensions) !== 0) throw refuse("unsupported_feature", "it has extensions; rgs-convert makes .rgs of it", 14);
+  // Some extensions change the meaning of the streams.
+  if ((flags & kFlagExtensions) !== 0) throw refuse("unsupported_feature", "it has extensions, which only rgs-convert reads", 14);
   const header = { version, n, shDegree: shDegree as Header["shDegree"], fractionalBits, antialiased: (flags & kFlagAntialiased) !== 0 };
   const decoded = sizesOf(header).reduce((sum, size) => sum + size, 0);
   if (decoded > kMostExpansion * fileBytes + 2 ** 20) throw refuse("limit_exceeded", "more Gaussians than so few bytes can hold", 8);
   return header;
 }
 
-/** A gzip stream, of which no more than `most` bytes are unfolded. */
+/** Decompresses a gzip stream, up to the number of bytes that `most` returns for its beginning. */
 async function gunzip(bytes: Uint8Array<ArrayBuffer>, most: (begin: Uint8Array) => number): Promise<Uint8Array> {
   const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip")).getReader();
   let out = new Uint8Array(1 << 16);
@@ -78,7 +78,7 @@ async function gunzip(bytes: Uint8Array<ArrayBuffer>, most: (begin: Uint8Array) 
     }
     if (needed > limit) {
       await reader.cancel();
-      throw refuse("trailing_bytes", "it unfolds to more than its header says", limit);
+      throw refuse("trailing_bytes", "it decompresses to more bytes than its header says", limit);
     }
     if (needed > out.length) {
       const larger = new Uint8Array(Math.max(needed, Math.min(2 * out.length, limit)));
@@ -91,7 +91,7 @@ async function gunzip(bytes: Uint8Array<ArrayBuffer>, most: (begin: Uint8Array) 
 }
 
 /** Versions 2 and 3: header and streams in one gzip stream. */
-async function readFolded(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint8Array[]]> {
+async function readGzip(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint8Array[]]> {
   const bytesOf = (header: Header): number => sizesOf(header).reduce((sum, size) => sum + size, kHeaderBytes);
   const content = await gunzip(bytes, (begin) => bytesOf(parseHeader(begin, bytes.length)));
   const header = parseHeader(content, bytes.length);
@@ -102,22 +102,22 @@ async function readFolded(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint
 }
 
 const kZstd = 0xfd2fb528;
-/** Frames that are not to be decoded begin with one of sixteen numbers from this one on. */
+/** The first of the sixteen magic numbers of skippable frames. */
 const kSkippable = 0x184d2a50;
-/** The largest exponent of a window that libzstd takes, less 10. */
+/** The largest window exponent of libzstd, less 10. */
 const kMostWindowExponent = 21;
 
 interface ZstdFrame {
-  /** With its checksum. */
+  /** End of the frame, behind its checksum. */
   end: number;
-  /** What it unfolds to, null where it does not say. */
+  /** Decompressed bytes, null if not stated. */
   size: number | null;
   checksum: number | null;
-  /** Its descriptor lies behind the magic and one byte; null: it is the frame's size. */
+  /** Window descriptor; null if the window is the frame's size. */
   window: number | null;
 }
 
-/** The frame of Zstandard that begins at `begin`, RFC 8878. Null if none is there, or one that needs a dictionary. */
+/** Parses the Zstandard frame at `begin` (RFC 8878). Null if there is none, or if it needs a dictionary. */
 function frameAt(bytes: Uint8Array, begin: number): ZstdFrame | null {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   if (bytes.length - begin < 6 || view.getUint32(begin, true) !== kZstd) return null;
@@ -143,9 +143,9 @@ function frameAt(bytes: Uint8Array, begin: number): ZstdFrame | null {
   return { end, size: sizeBytes > 0 ? size : null, checksum: hasChecksum ? view.getUint32(at, true) : null, window };
 }
 
-/** Unfolds a frame, and nothing else, to the beginning of `out`: how many bytes. Throws if it is damaged or unfolds to more. */
-function unfoldFrame(frame: Uint8Array<ArrayBuffer>, window: number | null, out: Uint8Array): number {
-  // Nothing lies further back than the stream's begin, and the decoder takes memory for the whole window.
+/** Decompresses one frame to the beginning of `out` and returns the number of bytes. Throws if the frame is damaged or too large. */
+function decompressFrame(frame: Uint8Array<ArrayBuffer>, window: number | null, out: Uint8Array): number {
+  // The decoder allocates the whole window, but no match reaches back beyond the stream's begin.
   const enough = Math.max(0, Math.ceil(Math.log2(Math.max(1, out.length))) - 10) << 3;
   if (window !== null && window > enough) {
     frame = frame.slice();
@@ -160,8 +160,8 @@ function unfoldFrame(frame: Uint8Array<ArrayBuffer>, window: number | null, out:
   return done;
 }
 
-/** One frame or several, as the reference library takes them; those that may be skipped are. Null if they do not unfold to `size` bytes. */
-function unfoldFrames(bytes: Uint8Array<ArrayBuffer>, size: number): Uint8Array | null {
+/** Decompresses all frames and skips skippable ones, as libzstd does. Null if they do not give `size` bytes. */
+function decompressFrames(bytes: Uint8Array<ArrayBuffer>, size: number): Uint8Array | null {
   const out = new Uint8Array(size);
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   let at = 0;
@@ -175,12 +175,12 @@ function unfoldFrames(bytes: Uint8Array<ArrayBuffer>, size: number): Uint8Array 
     if (!frame || (frame.size ?? 0) > size - done) return null;
     let n: number;
     try {
-      n = unfoldFrame(bytes.subarray(at, frame.end), frame.window, out.subarray(done));
+      n = decompressFrame(bytes.subarray(at, frame.end), frame.window, out.subarray(done));
     } catch {
       return null;
     }
     if (frame.size !== null && n !== frame.size) return null;
-    // The decoder skips it.
+    // The decoder ignores checksums.
     if (frame.checksum !== null && checksumOf(out.subarray(done, done + n)) !== frame.checksum) return null;
     at = frame.end;
     done += n;
@@ -188,7 +188,7 @@ function unfoldFrames(bytes: Uint8Array<ArrayBuffer>, size: number): Uint8Array 
   return at === bytes.length && done === size ? out : null;
 }
 
-/** Version 4: a table of streams, each of them frames of Zstandard; streams without bytes are not there. */
+/** Version 4: a table of streams of Zstandard frames; empty streams are left out. */
 function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
   const header = parseHeader(bytes, bytes.length);
   if (header.version !== 4) throw refuse("unsupported_version", "versions 2 and 3 are gzip streams", 4);
@@ -204,20 +204,20 @@ function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
     if (i >= nStreams) return new Uint8Array(0);
     const entry = table + 16 * i;
     const stored = Number(view.getBigUint64(entry, true));
-    if (Number(view.getBigUint64(entry + 8, true)) !== size) throw refuse("size_mismatch", "a stream has another size than it must have", entry + 8);
+    if (Number(view.getBigUint64(entry + 8, true)) !== size) throw refuse("size_mismatch", "a stream has the wrong size", entry + 8);
     if (stored > bytes.length - at) throw refuse("truncated", "a stream reaches beyond the end of the file", entry);
     const begin = at;
     at += stored;
     if (size === 0) return new Uint8Array(0);
-    const stream = unfoldFrames(bytes.subarray(begin, at), size);
-    if (!stream) throw refuse("corrupt_data", "a stream is not what unfolds to its size", begin);
+    const stream = decompressFrames(bytes.subarray(begin, at), size);
+    if (!stream) throw refuse("corrupt_data", "a stream is damaged, or has the wrong size", begin);
     return stream;
   });
   if (at !== bytes.length) throw refuse("trailing_bytes", "there are bytes after the last stream", at);
   return [header, streams];
 }
 
-/** x, y, z of 8 bits, as version 2 has them, to the smallest three of 9 bits with a sign: 4 bytes. */
+/** Converts rotations of version 2 (x, y, z of 8 bits) to smallest three of 9 bits and sign: 4 bytes. */
 export function smallestThree(rotations: Uint8Array): Uint8Array {
   const n = rotations.length / 3;
   const out = new Uint32Array(n);
@@ -238,10 +238,10 @@ export function smallestThree(rotations: Uint8Array): Uint8Array {
   return new Uint8Array(out.buffer);
 }
 
-/** Errors have `code`, `text` and `offset` as those of @roofgs/reader; offsets of versions 2 and 3 are those of the unfolded stream. */
-export async function unfoldSpz(contents: ArrayBuffer): Promise<{ header: Header; streams: Streams }> {
+/** Errors have `code`, `text` and `offset` like those of @roofgs/reader; offsets in versions 2 and 3 are of the decompressed stream. */
+export async function decompressSpz(contents: ArrayBuffer): Promise<{ header: Header; streams: Streams }> {
   const bytes = new Uint8Array(contents);
-  const [header, streams] = bytes[0] === 0x1f ? await readFolded(bytes) : readStreams(bytes);
+  const [header, streams] = bytes[0] === 0x1f ? await readGzip(bytes) : readStreams(bytes);
   const [positions, alphas, colors, scales, rotations, sh] = streams as [Uint8Array, Uint8Array, Uint8Array, Uint8Array, Uint8Array, Uint8Array];
   return { header, streams: { positions, alphas, colors, scales, rotations: header.version === 2 ? smallestThree(rotations) : rotations, sh } };
 }

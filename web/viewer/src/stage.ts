@@ -1,4 +1,4 @@
-// stage.ts - the engine: two cameras at one place, each with a scene of its own, frames only where something has changed.
+// stage.ts - the engine: two cameras in one place, each with a scene of its own. Frames are drawn only after a change.
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, drawAsDefined, setPinhole } from "@roofgs/playcanvas";
 import {
@@ -22,7 +22,7 @@ import { pictureSize } from "./picture-size.js";
 
 export type Side = 0 | 1;
 
-/** Which sides are drawn: one, or both beside each other with the border at `split` of the width. */
+/** One side, or both with the border at `split` of the width. */
 export type Show = { only: Side } | { split: number };
 
 export class Stage {
@@ -33,18 +33,20 @@ export class Stage {
   private view: ViewState | undefined;
   private origin: readonly number[] = [0, 0, 0];
   private show: Show = { only: 0 };
-  /** Cameras are lent: what is to be shown is kept until they are back. */
+  /** A capture uses the cameras; the view and the sides are applied after it. */
   private isCapturing = false;
-  /** Frames that are needed after this one. */
+  /** Frames to draw after this one. */
   private more = 0;
+  private isBusy = false;
 
-  /** Whether the engine draws what files mean. */
+  /** Whether the engine draws the image that RENDERING.md defines. */
   readonly isAsDefined: boolean;
 
   private constructor(
     readonly app: AppBase,
     private readonly canvas: HTMLCanvasElement,
-    private readonly on: { frame(seconds: number): void; resized(): void },
+    /** `frame` returns whether it waits for something that changes the picture. */
+    private readonly on: { frame(seconds: number): boolean; resized(): void },
   ) {
     const layers = ["left", "right"].map((name) => {
       const layer = new Layer({ name });
@@ -55,14 +57,14 @@ export class Stage {
     this.cameras = this.layers.map((layer, side) => {
       const entity = new Entity(`camera ${side}`);
       entity.addComponent("camera", { layers: [layer, LAYERID_IMMEDIATE], priority: side, farClip: 1e5, clearColor: new Color(0, 0, 0, 1) });
-      // Otherwise the engine has no use for scissorRect.
+      // Without this the engine ignores scissorRect.
       if (entity.camera) (entity.camera.camera as unknown as { _scissorRectClear: boolean })._scissorRectClear = true;
       app.root.addChild(entity);
       return entity;
     }) as unknown as [Entity, Entity];
     this.isAsDefined = this.cameras.map(({ camera }) => camera !== undefined && drawAsDefined(app, camera)).every((done) => done);
     app.scene.on("gsplat:sorted", () => {
-      // One takes the order, and one shows what was drawn in it.
+      // One frame takes over the order, the next one shows it.
       this.more = 2;
       this.request();
     });
@@ -72,18 +74,19 @@ export class Stage {
         this.more -= 1;
         this.request();
       }
-      this.on.frame(seconds);
+      const isWaiting = this.on.frame(seconds);
+      this.setBusy(isWaiting || this.isToDraw || this.more > 0 || this.isCapturing || this.nSorts() > 0);
     });
     app.on("postrender", () => (this.frames += 1));
     app.autoRender = false;
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
-  /** `deviceTypes`: what the engine may take, the best first. Rejects where there is none. */
+  /** `deviceTypes` in order of preference. Rejects if there is none of them. */
   static async start(
     canvas: HTMLCanvasElement,
     deviceTypes: string[],
-    on: { frame(seconds: number): void; resized(): void; lost(): void; restored(): void },
+    on: { frame(seconds: number): boolean; resized(): void; lost(): void; restored(): void },
   ): Promise<Stage> {
     const device = await createGraphicsDevice(canvas, { deviceTypes, antialias: false });
     const options = new AppOptions();
@@ -103,19 +106,26 @@ export class Stage {
     return stage;
   }
 
-  /** Of what is drawn on a side. */
   setAntiAliasing(side: Side, antiAliasing: AntiAliasing | undefined): void {
     const { camera } = this.cameras[side];
     if (camera) drawAsDefined(this.app, camera, antiAliasing);
     this.request();
   }
 
-  /** Another frame is needed. */
+  /** Requests a frame. */
   request(): void {
     this.app.renderNextFrame = true;
+    this.setBusy(true);
   }
 
-  /** Whether there will be a frame. */
+  /** For screen readers, and for tests: while it is true, the picture is going to change by itself. */
+  private setBusy(busy: boolean): void {
+    if (busy === this.isBusy) return;
+    this.isBusy = busy;
+    this.canvas.setAttribute("aria-busy", String(busy));
+  }
+
+  /** Whether a frame is requested. */
   get isToDraw(): boolean {
     return this.app.renderNextFrame;
   }
@@ -125,7 +135,7 @@ export class Stage {
     return { width, height };
   }
 
-  /** Where the engine's coordinates begin in the world: cameras are in FP64, what is drawn is near 0. */
+  /** Origin of the engine's coordinates, world: cameras are FP64, and what the engine draws stays near 0. */
   setOrigin(origin: readonly number[]): void {
     this.origin = origin;
   }
@@ -144,7 +154,7 @@ export class Stage {
     this.cameras.forEach(({ camera }, side) => {
       if (!camera) return;
       camera.enabled = side === 0 ? split > 0 : split < 1;
-      // The right one is drawn over the left one, so that no rounding leaves a gap.
+      // The right side is drawn over the left one, so that rounding leaves no gap.
       const border = Math.round(split * this.size.width) / this.size.width;
       camera.scissorRect = side === 0 ? new Vec4(0, 0, 1, 1) : new Vec4(border, 0, 1, 1);
     });
@@ -157,16 +167,16 @@ export class Stage {
     this.request();
   }
 
-  /** A box's edges, in the coordinates of what is drawn, for one frame. */
+  /** Draws a box for one frame, in the engine's coordinates. */
   drawBox(min: readonly number[], max: readonly number[], colour: readonly number[]): void {
-    // Each edge goes from a corner to the one that differs in one more bit.
+    // Each edge joins corners whose numbers differ in one bit.
     const corner = (bits: number): number[] => [0, 1, 2].map((axis) => ((bits >> axis) & 1 ? max : min)[axis] as number);
     const ends = [0, 1, 2, 3, 4, 5, 6, 7].flatMap((from) => [1, 2, 4].filter((bit) => (from & bit) === 0).flatMap((bit) => [...corner(from), ...corner(from | bit)]));
     const colours = Array.from({ length: ends.length / 3 }, () => [...colour, 1]).flat();
     this.app.drawLineArrays(ends, colours, false);
   }
 
-  /** RGBA, upper row first, of one side alone in a size of its own; one at a time. */
+  /** RGBA of one side, upper row first, in any size. Only one capture may run at a time. */
   async capture(side: Side, view: ViewState, width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
     const { camera } = this.cameras[side];
     if (!camera) throw new Error("no camera");
@@ -195,25 +205,25 @@ export class Stage {
     }
   }
 
-  /** Resolves when what has been added last is in a picture. */
+  /** Resolves when the scene that was added last has been drawn. */
   async drawn(): Promise<void> {
     await new Promise<void>((resolve) => this.app.scene.once("gsplat:sorted", () => resolve()));
     for (let i = 0; i < 2; ++i) await new Promise<void>((resolve) => this.app.once("postrender", () => resolve()));
   }
 
-  /** Resolves after a frame whose Gaussians are in the order of its camera. */
+  /** Resolves after a frame whose Gaussians are sorted for its camera. */
   async settled(): Promise<void> {
     for (let before = -1, i = 0; i < 20; ++i) {
       await this.nextFrame();
-      const busy = this.sorter();
+      const busy = this.nSorts();
       if (before === 0 && busy === 0) return;
       if (busy > 0) await new Promise<void>((resolve) => this.app.scene.once("gsplat:sorted", () => resolve()));
       before = busy;
     }
   }
 
-  /** Sorts that are under way. The engine does not tell; without its director there is nothing to wait for. */
-  private sorter(): number {
+  /** Sorts in flight, by the engine's internals; 0 where it has none of these. */
+  private nSorts(): number {
     interface Managers {
       camerasMap?: Map<unknown, { layersMap: Map<unknown, { gsplatManager?: { cpuSorter?: { jobsInFlight: number; pendingSorted: unknown } } }> }>;
     }

@@ -5,13 +5,11 @@ import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import test from "node:test";
 import { psnr } from "../../playcanvas/test/pictures.mjs";
-import { hasChromium, kDeviceNames, launch } from "../../reader/test/chromium.mjs";
+import { hasChromium, kDeviceNames, launch, newPage } from "../../reader/test/chromium.mjs";
 import { scenes } from "../../reader/test/dump.mjs";
 import { skip } from "../../reader/test/servers.mjs";
 import { startServer } from "./server.mjs";
 
-// Software rendering on a busy machine.
-const kPatienceMs = 90_000;
 const kLeastDb = 60;
 
 const paths = { "scenes/0/packed.rgs": "packed.rgs", "scenes/1/levels.rgs": "levels.rgs", "cameras.json": "cameras.json" };
@@ -44,27 +42,21 @@ async function look(device) {
   const server = await startServer({ view, files: files() });
   const browser = await launch(device);
   try {
-    const page = await browser.newPage({ viewport: { width: 800, height: 360 } });
-    page.setDefaultTimeout(kPatienceMs);
+    const page = await newPage(browser, { viewport: { width: 800, height: 360 } });
     const problems = [];
     page.on("console", (message) => ["error", "warning"].includes(message.type()) && problems.push(message.text()));
     page.on("pageerror", (error) => problems.push(String(error)));
     await page.goto(`${server.url}?device=${device}`);
     await page.waitForSelector("html[data-ready]", { state: "attached" });
     const drawnBy = await page.evaluate(() => (document.getElementById("picture").getContext("webgl2") ? "webgl2" : "webgpu"));
-    const shown = async () => {
-      const shot = () => page.locator("#picture").screenshot();
-      let last = await shot();
-      for (let now = await shot(); !now.equals(last); now = await shot()) last = now;
-      return decode(page, last);
-    };
     await page.locator("#stats").check();
     await page.locator("#detail").fill("0");
     await page.waitForFunction(() => /^60k of 60k Gaussians[^]*60k of 60k Gaussians/.test(document.getElementById("overlay").textContent));
     await page.locator("#stats").uncheck();
     await page.locator("#picture").focus();
     await page.keyboard.press("n");
-    const picture = await shown();
+    await page.locator(`#picture[aria-busy="false"]`).waitFor();
+    const picture = await decode(page, await page.locator("#picture").screenshot());
     const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
     const saved = await decode(page, readFileSync(await download.path()));
     await page.getByRole("radio", { name: "Difference" }).click();
@@ -77,7 +69,7 @@ async function look(device) {
   }
 }
 
-test("every device shows the same page", { timeout: 600_000 }, async (t) => {
+test("every device shows the same page", async (t) => {
   if (!hasChromium) return skip(t, "chromium is not installed");
   const [first, ...others] = await Promise.all(kDeviceNames.map(look));
   assert.equal(first.drawnBy, kDeviceNames[0]);

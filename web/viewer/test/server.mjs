@@ -6,7 +6,6 @@ import { extname, join, normalize } from "node:path";
 import { fileURLToPath } from "node:url";
 
 export const dist = fileURLToPath(new URL("../dist/", import.meta.url));
-export const single = fileURLToPath(new URL("../dist-single/page.html", import.meta.url));
 
 const kTypes = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".wasm": "application/wasm", ".json": "application/json", ".png": "image/png" };
 

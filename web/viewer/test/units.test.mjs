@@ -47,7 +47,7 @@ test("cameras of both formats are one", () => {
   const { fx, fy, cx, cy } = pinholeOf(viewOf(a, [0, 0, 0]), 800, 600);
   assert.deepEqual([fx, fy, cx, cy], [1000, 1020, 380, 300]);
   assert.throws(() => parseCameras(`[{"width": 1}]`), /camera 0/);
-  assert.throws(() => parseCameras(`{}`), /no list/);
+  assert.throws(() => parseCameras(`{}`), /not a list/);
   assert.throws(() => parseCameras(`[]`), /no cameras/);
 });
 
@@ -151,8 +151,8 @@ test("sentences say what to do", () => {
   const damaged = sentence("a.rgs", { code: "checksum_mismatch", text: "the section's bytes have changed", offset: 512 });
   assert.equal(damaged, "a.rgs is damaged: the section's bytes have changed (checksum_mismatch at byte 512). Copy the file again, or convert the scene again.");
   assert.match(sentence("a.rgs", { code: "read_failed", text: "x" }), /Start rgs-view again/);
-  assert.match(sentence("a.rgs", { code: "bad_magic", text: "x", offset: 0 }), /is no scene that this page knows.*at byte 0/);
-  assert.equal(sentence("The true picture", new ServerError("internal", "x")), "The true picture could not be made: internal: x.");
+  assert.match(sentence("a.rgs", { code: "bad_magic", text: "x", offset: 0 }), /is not a scene that this page can open.*at byte 0/);
+  assert.equal(sentence("The reference picture", new ServerError("internal", "x")), "The reference picture could not be made: internal: x.");
   assert.equal(sentence("a.ply", new Error("no")), "a.ply could not be opened: no.");
 });
 
@@ -192,7 +192,7 @@ const kSpzHeader = (version, n, { degree = 0, bits = 12, flags = 0, streams = 0,
   if (version === 4) bytes.writeUInt32LE(table, 16);
   return bytes;
 };
-const unfold = (bytes) => modules.spz.unfoldSpz(Uint8Array.from(bytes).buffer);
+const unfold = (bytes) => modules.spz.decompressSpz(Uint8Array.from(bytes).buffer);
 
 test("an SPZ is unfolded to its streams", async () => {
   const body = Buffer.from(Array.from({ length: 20 }, (_, i) => i));
