@@ -23,10 +23,9 @@ scene() (
 quiet page sh scripts/build_page.sh
 . scripts/node.sh
 
-# A trained scene, where the data are.
-RGS_DATA_DIR=$(realpath -m "${RGS_DATA_DIR:-../shared/data}")
-export RGS_DATA_DIR
-south=$RGS_DATA_DIR/south/south.ply.zst
+# A trained scene, where RGS_DATA_DIR names the test data.
+[ -z "${RGS_DATA_DIR:-}" ] || RGS_DATA_DIR=$(realpath "$RGS_DATA_DIR")
+south=${RGS_DATA_DIR:-}/south/south.ply.zst
 trained() {
   zstd -q -d -f "$south" -o build/web/south.ply && build/release/bin/rgs-convert --overwrite build/web/south.ply build/web/south.rgs &&
     build/release/bin/rgs-convert --overwrite --lod build/web/south.ply build/web/south-levels.rgs && rm build/web/south.ply
