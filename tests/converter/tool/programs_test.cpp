@@ -2,7 +2,6 @@
 // a terminal, values that no option can mean, outputs that are inputs, inputs that change, little memory, messages as JSON, --help.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
-#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -21,6 +20,7 @@
 #include <string_view>
 #include <vector>
 
+#include "counted_program.hpp"
 #include "edit_file.hpp"
 #include "file_times.hpp"
 #include "golden_scenes.hpp"
@@ -578,20 +578,13 @@ TEST_CASE("a program that gets no more memory says so with exit code 3") {
     const std::string name = fs::path(run.front()).filename().string();
     if (name == "rgs-info" || name == "rgs-make-scene") continue;  // little memory is enough for any size
     CAPTURE(name);
-    const auto within = [](rlim_t megabytes) {
-      return [megabytes] {
-        const rlimit limit{megabytes << 20, megabytes << 20};
-        ::setrlimit(RLIMIT_DATA, &limit);
-      };
-    };
     // What the libraries need before main() is not ours to report.
-    rlim_t least = 512;  // in steps of 8
-    for (rlim_t step = 256; step >= 8; step /= 2)
-      if (run_program({run.front(), "--help"}, within(least - step)).exit_code == 0) least -= step;
+    const std::int64_t least = run_counted({run.front(), "--help"}).peak_bytes;
+    REQUIRE(least > 0);
     bool told = false;
-    for (const rlim_t more : {0U, 4U, 8U, 12U, 16U, 24U, 32U}) {
+    for (const std::int64_t more : {0, 1, 4, 8, 12, 16, 24, 32}) {
       CAPTURE(more);
-      const ProgramResult result = run_program(run, within(least + more));
+      const ProgramResult result = run_counted(run, least + (more << 20)).program;
       CAPTURE(result.err);
       CHECK(result.signal == 0);
       CHECK((result.exit_code == 0 || result.exit_code == 3));

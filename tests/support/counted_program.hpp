@@ -1,0 +1,37 @@
+// counted_program.hpp - a program run with a count of all that it allocates.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <cstdlib>
+#include <fstream>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "run_program.hpp"
+#include "temporary_folder.hpp"
+
+namespace rgs::test {
+
+struct CountedResult {
+  ProgramResult program;
+  std::int64_t peak_bytes =
+      -1;  ///< the most that it held at a time of malloc() and its siblings; mapped files are none of it
+};
+
+/// `most_bytes`: what would hold more gets no memory.
+inline CountedResult run_counted(const std::vector<std::string>& arguments,
+                                 std::int64_t most_bytes = std::numeric_limits<std::int64_t>::max()) {
+  const TemporaryFolder folder;
+  const std::string path = folder.file("peak");
+  CountedResult result{run_program(arguments, [&] {
+    ::setenv("LD_PRELOAD", RGS_COUNTED_MEMORY, 1);
+    ::setenv("RGS_PEAK_FILE", path.c_str(), 1);
+    ::setenv("RGS_MOST_BYTES", std::to_string(most_bytes).c_str(), 1);
+  })};
+  std::ifstream(path) >> result.peak_bytes;
+  return result;
+}
+
+}  // namespace rgs::test
