@@ -745,7 +745,7 @@ TEST_CASE("signals end all conversions, and leave neither half outputs nor a dam
     CAPTURE(signal_number);
     const Folders f(4);
     Program run(program(f.command({"--jobs", "2"})), failpoint("encode"));  // there each child stops
-    while (!fs::exists(f.out) || !has_temporaries(f.out)) std::this_thread::yield();
+    while ((!fs::exists(f.out) || !has_temporaries(f.out)) && run.running()) std::this_thread::yield();
     run.send(signal_number);
     const ProgramResult end = run.wait();
     CHECK(end.signal == signal_number);
