@@ -746,7 +746,7 @@ TEST_CASE("signals end all conversions, and leave no partial output and no damag
     CAPTURE(signal_number);
     const Folders f(4);
     Program run(program(f.command({"--jobs", "2"})), failpoint("encode"));  // each child stops there
-    while (!fs::exists(f.out) || !has_temporaries(f.out)) std::this_thread::yield();
+    while ((!fs::exists(f.out) || !has_temporaries(f.out)) && run.running()) std::this_thread::yield();
     run.send(signal_number);
     const ProgramResult end = run.wait();
     CHECK(end.signal == signal_number);
