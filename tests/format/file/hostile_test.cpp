@@ -369,18 +369,18 @@ TEST_CASE("unspecified enumerators in DECL are refused") {
   }
 }
 
-TEST_CASE("a small file makes no large allocation") {
-  if (!counts_memory()) return skip("a sanitizer has the allocator");
+TEST_CASE("a small file causes no large allocation") {
+  if (!counts_memory()) return skip("a sanitizer replaces the allocator");
   constexpr std::int64_t kMemory = 4 << 20;
   const auto decoded_within_memory = [&](const Bytes& bytes, const DecodeLimits& limits) {
     const std::int64_t before = live_bytes();
     reset_peak_bytes();
     const auto cloud = decode(bytes, limits);
     CHECK(peak_bytes() - before < kMemory);
-    if (!cloud) CHECK(cloud.error().code != Errc::host_out_of_memory);  // which was not even asked for
+    if (!cloud) CHECK(cloud.error().code != Errc::host_out_of_memory);  // never requested
     return cloud.has_value();
   };
-  // Large counts, and the largest chunks over a handful of Gaussians.
+  // Large counts, and the largest chunks with a few Gaussians.
   Bytes large_chunks = golden("two");
   put<std::uint32_t>(large_chunks, 48, 65536);
   fix_hashes(large_chunks);
