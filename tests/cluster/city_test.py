@@ -76,7 +76,7 @@ def left_over(folder):
     return [name for name in os.listdir(f"{folder}/city.work") if ".tmp-" in name]
 
 
-@case("the page's local run, and what it says of the next")
+@case("the page's local run and its rerun")
 def page_local(folder):
     make_tiles(folder)
     wanted = by_hand(folder)
@@ -91,7 +91,7 @@ def page_local(folder):
     same((run.code, run.jobs), (0, []))
 
 
-@case("a run does only what is missing or changed")
+@case("a run repeats only missing or changed work")
 def reruns(folder):
     make_tiles(folder)
 
@@ -130,7 +130,7 @@ def reruns(folder):
     check_city(folder, by_hand(folder, "cameras.rgs", "--cameras", "cameras.json"))
 
 
-@case("another version of RoofGS does all again")
+@case("another version of RoofGS repeats everything")
 def another_version(folder):
     make_tiles(folder)
     wanted = by_hand(folder)
@@ -148,7 +148,7 @@ def another_version(folder):
     check_city(folder, wanted)
 
 
-@case("jobs ask for time by all tiles, and for memory however it is written")
+@case("jobs request time for all tiles, and memory in any notation")
 def resources(folder):
     os.makedirs(f"{folder}/tiles")
     for i in range(50):
@@ -161,7 +161,7 @@ def resources(folder):
     same(found, {"begin": (1488, 10), "scan": (1488, 11), "plan": (1488, 10), "assemble": (1488, 77)})
 
 
-@case("a full disk and a vanished tile: the rest goes on, and the next run does what is missing")
+@case("a full disk and a missing tile stop no other work, and the next run does the rest")
 def faults(folder):
     make_tiles(folder)
     wanted = by_hand(folder)
@@ -170,7 +170,7 @@ def faults(folder):
     assert not any(job.startswith("build") for job in run.jobs), run.jobs
     same([name for name in sorted(os.listdir(f"{folder}/city.work")) if name.startswith(("rows", "range"))], [])
     same(left_over(folder), [])
-    assert os.path.exists(f"{folder}/city.work/plan") and "File too large" in run.text, "the reason is not told"
+    assert os.path.exists(f"{folder}/city.work/plan") and "File too large" in run.text, "the reason is missing"
 
     # The wrapper loses a tile while others are placed.
     os.makedirs(f"{folder}/losing")
@@ -195,7 +195,7 @@ def killed(folder):
         for units in (0, 1):
             kill_at(stage, units, command("local"), folder)
             subprocess.run([*command("local"), "--unlock"], cwd=folder, env=environment(), check=True, capture_output=True)
-    print(f"what killed programs left: {left_over(folder)}")
+    print(f"left by killed programs: {left_over(folder)}")
     same(Run(folder).code, 0)
     check_city(folder, wanted)
     same(left_over(folder), [])
@@ -211,7 +211,7 @@ def killed(folder):
     same(Run(folder).jobs, [])
 
 
-@case("what cannot be meant is refused before anything runs")
+@case("invalid configurations are refused before anything runs")
 def refusals(folder):
     make_tiles(folder)
 
@@ -237,7 +237,7 @@ def refusals(folder):
     assert "--profile archive needs all Gaussians at once" in run.text
 
 
-@case("the page's GNU parallel, and a Slurm array's steps by hand")
+@case("the page's GNU parallel, and the steps of a Slurm array by hand")
 def page_parallel(folder):
     need("parallel")
     make_tiles(folder)

@@ -133,7 +133,7 @@ sys.exit(os.waitstatus_to_exitcode(status))
 
 
 def kill_at(stage, units, run, folder):
-    """Starts `run`, and kills it with all programs that it began when one of them is at this failpoint."""
+    """Starts `run`, and kills it and its programs when one of them reaches this failpoint."""
     os.makedirs(f"{folder}/killing", exist_ok=True)
     for name in ("rgs-convert", "rgs-audit"):
         with open(f"{folder}/killing/{name}", "w", encoding="utf-8") as file:
@@ -176,7 +176,7 @@ def check_page_run(folder, done):
 
 # ---- local
 
-@case("the page's local run, and what it says of the next")
+@case("the page's local run and its rerun")
 def page_local(folder):
     same(shell(page_block("scenes"), folder).returncode, 0)
     check_page_run(folder, shell(page_block("local"), folder))
@@ -190,7 +190,7 @@ def page_local(folder):
     same(results(folder), {name: "passed" for name in PAGE_SCENES})
 
 
-@case("a run does only what is missing or changed")
+@case("a run repeats only missing or changed work")
 def reruns(folder):
     for seed, name in enumerate("abc"):
         make_scene(f"{folder}/scenes/{name}.ply", seed)
@@ -284,7 +284,7 @@ def failures(folder):
     same((run.code, run.jobs), (1, []))
 
 
-@case("what cannot be meant is refused before anything runs")
+@case("invalid configurations are refused before anything runs")
 def refusals(folder):
     make_scene(f"{folder}/scenes/a.ply")
 
@@ -306,7 +306,7 @@ def refusals(folder):
     same(Run(folder, "leave_out=*.compressed.ply").code, 0)
 
 
-@case("results may lie in the folder of scenes, and cameras are taken")
+@case("results may lie in the folder of scenes, and cameras are used")
 def inside(folder):
     os.mkdir(f"{folder}/views")
     make_scene(f"{folder}/x/a.ply", cameras=f"{folder}/views/a.json")
@@ -321,7 +321,7 @@ def inside(folder):
     same(Run(folder, *config).jobs, [("audit", "a"), ("convert", "a")])
 
 
-@case("jobs ask for threads, memory and time by the size of a scene")
+@case("jobs request threads, memory and time by the size of a scene")
 def resources(folder):
     make_scene(f"{folder}/scenes/small.ply")
     os.makedirs(f"{folder}/scenes/sog")
@@ -341,7 +341,7 @@ def resources(folder):
     same(Run(folder, "max_threads=2", options=["--dry-run", "--cores", "16"]).text.count("threads: 2\n"), 2)
 
 
-@case("killed in any step, the next run ends the work")
+@case("killed in any step, the next run finishes the work")
 def killed(folder):
     sources = {}
     for seed in range(6):
@@ -349,7 +349,7 @@ def killed(folder):
         sources[str(seed)] = f"scenes/{seed}.ply"
     for stage, units in (("scan", 0), ("encode", 1), ("commit", 0), ("reading", 0), ("rendering", 1)):
         kill_at(stage, units, command("local", QUICK), folder)
-        # A lock is left behind, which Snakemake names and --unlock removes.
+        # A lock is left behind; Snakemake names it and --unlock removes it.
         subprocess.run([*command("local", QUICK), "--unlock"], cwd=folder, env=environment(), check=True)
     same(Run(folder).code, 0)
     same(Run(folder).jobs, [])
@@ -380,7 +380,7 @@ def page_slurm(folder):
 
 
 def waiting_programs(folder, first="*"):
-    """Programs in front of those under test that make the file at_work.NODE and wait for go, where `first` is their first argument."""
+    """Wrappers that create the file at_work.NODE and wait for the file go if `first` is their first argument."""
     os.makedirs(f"{folder}/waiting")
     for name in ("rgs-convert", "rgs-audit"):
         with open(f"{folder}/waiting/{name}", "w", encoding="utf-8") as file:
@@ -396,7 +396,7 @@ def go(folder):
 
 @contextlib.contextmanager
 def at_work_on(node, folder, cluster, n_scenes):
-    """Snakemake, with a job of it running on the node, which ends after go()."""
+    """Snakemake, with one of its jobs running on the node until go()."""
     for seed in range(n_scenes):
         make_scene(f"{folder}/scenes/{seed}.ply", seed)
     run = subprocess.Popen(command("slurm", QUICK), cwd=folder, start_new_session=True, stdin=subprocess.DEVNULL,
@@ -435,7 +435,7 @@ def node_dies(folder):
         assert "down" in cluster.states()[1], cluster.states()
 
 
-@case("Ctrl-C cancels what Slurm has")
+@case("Ctrl-C cancels Slurm's jobs")
 def interrupted(folder):
     with slurm(folder) as cluster, at_work_on("n1", folder, cluster, 6) as run:
         os.kill(run.pid, signal.SIGINT)

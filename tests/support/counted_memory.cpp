@@ -65,7 +65,7 @@ void libc_free(void* memory) __asm__("__libc_free");
 
 namespace {
 
-// Before what a caller gets. Counted is what was asked for: what the allocator makes of it is its own business.
+// Precedes the caller's memory. Requested bytes count, because what an allocator adds is its own affair.
 struct alignas(16) Head {
   std::size_t size, offset;  // of the caller's memory in libc's
 };

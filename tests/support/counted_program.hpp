@@ -1,4 +1,4 @@
-// counted_program.hpp - a program run with a count of all that it allocates.
+// counted_program.hpp - runs a program and counts its allocations.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -16,11 +16,10 @@ namespace rgs::test {
 
 struct CountedResult {
   ProgramResult program;
-  std::int64_t peak_bytes =
-      -1;  ///< the most that it held at a time of malloc() and its siblings; mapped files are none of it
+  std::int64_t peak_bytes = -1;  ///< peak of malloc() and its siblings; mapped files do not count
 };
 
-/// `most_bytes`: what would hold more gets no memory.
+/// Allocations beyond `most_bytes` fail.
 inline CountedResult run_counted(const std::vector<std::string>& arguments,
                                  std::int64_t most_bytes = std::numeric_limits<std::int64_t>::max()) {
   const TemporaryFolder folder;

@@ -1,4 +1,4 @@
-// report_memory.cpp - preloaded into a program with counted_memory.cpp: writes the most that it held into the file RGS_PEAK_FILE.
+// report_memory.cpp - preloaded into a program with counted_memory.cpp: writes the peak to the file RGS_PEAK_FILE.
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdio>
 #include <cstdlib>

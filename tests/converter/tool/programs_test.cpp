@@ -573,13 +573,13 @@ TEST_CASE("an input that changes or shrinks while it is read is exit code 3") {
 }
 
 TEST_CASE("a program that gets no more memory says so with exit code 3") {
-  if (kSanitized) return skip("sanitizers take memory of their own");
+  if (kSanitized) return skip("sanitizers use more memory");
   const Scene scene(200'000);
   for (const Arguments& run : scene.runs(scene.file("out"))) {
     const std::string name = fs::path(run.front()).filename().string();
     if (name == "rgs-info" || name == "rgs-make-scene") continue;  // little memory is enough for any size
     CAPTURE(name);
-    // What the libraries need before main() is not ours to report.
+    // Failures of libraries before main() are not ours to report.
     const std::int64_t least = run_counted({run.front(), "--help"}).peak_bytes;
     REQUIRE(least > 0);
     bool told = false;

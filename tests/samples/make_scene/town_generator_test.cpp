@@ -487,7 +487,7 @@ TEST_CASE("rgs-make-scene --town writes an .rgs with levels, whose leaves are th
 }
 
 TEST_CASE("rgs-make-scene --town needs little memory, however large the town") {
-  if (kSanitized) return;  // sanitizers take memory of their own
+  if (kSanitized) return;  // sanitizers use more memory
   const test::TemporaryFolder folder;
   const auto peak_bytes = [&](const char* n_gaussians, const char* n_blocks) {
     const test::CountedResult run =

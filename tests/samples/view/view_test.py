@@ -22,7 +22,7 @@ PAGE = "<!doctype html><title>a page of the test</title>"
 
 
 class NoAddress(Exception):
-    """What the program said instead."""
+    """The program's output instead of an address."""
 
 
 class View:
@@ -269,11 +269,11 @@ def case_end():
         view.end()
     for _ in range(20):
         try:
-            with View(source / "tests/golden/two.rgs", "--port", port) as view:  # free again
+            with View(source / "tests/golden/two.rgs", "--port", port) as view:  # the port is free again
                 assert view.port == port
                 view.end()
             break
-        except NoAddress:  # another process was quicker
+        except NoAddress:  # another process took it
             with View(source / "tests/golden/two.rgs") as view:
                 port = view.port
                 view.end()
@@ -321,7 +321,7 @@ def case_browser():
                                    text=True)
         try:
             address = process.stdout.readline().strip()
-            urllib.request.urlopen(address).close()  # it answers after it has opened a browser
+            urllib.request.urlopen(address).close()  # it answers after opening a browser
             if screen:
                 while not told.exists():
                     time.sleep(0.02)
