@@ -402,7 +402,7 @@ TEST_CASE("the verdict follows the worst view and says what is missing") {
   report.declarations.emplace();
   report.render->attribution = {{"key", "Sort key quantised", 40, 26.1, 1e-3}};
   CHECK(verdict(report).depth_range_misfit);
-  CHECK(verdict(report).detail.find("0.2 to 100, falls to 26.1 dB: convert with --cameras") != std::string::npos);
+  CHECK(verdict(report).detail.find("0.2 to 100, falls to 26.1 dB; convert with --cameras") != std::string::npos);
   report.made_from_source = false;
   report.attributes.emplace();
   report.attributes->n_source_only = 1234;
