@@ -1,9 +1,9 @@
 #!/bin/sh
-# bare_root.sh - runs a command in a Debian that has nothing but its base system, no compiler and no library of ours:
+# bare_root.sh - runs a command in a Debian with only its base system:
 #   sh packaging/bare_root.sh [--release NAME] [--packages "P..."] [--offline] COMMAND...
-# NAME is bookworm by default; P... are installed before. The checkout is seen, read-only, as /project. What the command writes
-# elsewhere is gone afterwards. Base systems, sets of packages and downloads are kept in build/roots. The mirror is the one that apt has
-# of Debian here, or RGS_DEBIAN_MIRROR. Needs root and debootstrap; exit code 77, after a line that says so, where it has no root.
+# NAME is bookworm by default; P... are installed before. The checkout is mounted read-only as /project. Everything that the command
+# writes is removed afterwards. Base systems, sets of packages and downloads are kept in build/roots. The mirror is apt's own for Debian, or
+# RGS_DEBIAN_MIRROR. Needs root and debootstrap; without root it says so and exits with 77.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
@@ -19,17 +19,17 @@ while :; do
   esac
 done
 if [ "$(id -u)" != 0 ]; then
-  echo "skipped: a bare root is entered as root only"
+  echo "skipped: a bare root needs root's rights"
   exit 77
 fi
 roots=$project/build/roots
 mkdir -p "$roots/downloads/partial"
 work=$(mktemp -d "$roots/work.XXXXXX")
-# What is mounted below belongs to processes that have ended by then.
+# The mounts below end with their processes.
 trap 'rm -rf --one-file-system "$work"' EXIT
 trap 'exit 130' INT TERM
 
-# within LOWER UPPER COMMAND...: the command sees the folders of LOWER (a:b, the upper one first) and writes into UPPER.
+# within LOWER UPPER COMMAND...: runs the command on an overlay of LOWER (a:b, the upper one first) that writes to UPPER.
 within() {
   lower=$1 upper=$2
   shift 2
@@ -54,7 +54,7 @@ within() {
 
 base=$roots/$release
 if [ ! -d "$base" ]; then
-  # The codename of a release has no hyphen; bookworm-security and others do, and hold no whole release.
+  # Codenames with a hyphen, such as bookworm-security, are not whole releases.
   # shellcheck disable=SC2016  # apt expands them
   mirror=${RGS_DEBIAN_MIRROR:-$(apt-get indextargets --format '$(CODENAME) $(REPO_URI)' 'Origin: Debian' 'Component: main' |
     sed -n 's/^[a-z]* //p' | head -n 1)}
@@ -62,7 +62,7 @@ if [ ! -d "$base" ]; then
     echo "bare_root.sh: apt knows no mirror of Debian here: run apt-get update, or set RGS_DEBIAN_MIRROR" >&2
     exit 3
   fi
-  # It mounts file systems in there.
+  # debootstrap mounts file systems.
   if ! unshare --mount debootstrap --variant=minbase "$release" "$work/base" "$mirror" >"$roots/$release.log" 2>&1; then
     tail -n 20 "$roots/$release.log" >&2
     echo "bare_root.sh: debootstrap $release failed" >&2

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
-# check_wheel.py - whether wheels hold what their platform tag promises: python3 packaging/check_wheel.py WHEEL...
-# By PEP 600: no symbol newer than the tag's glibc has (nor its libstdc++ and libgcc), no library that is neither in the wheel nor on
-# every Linux, each found by the run path of the one that needs it. SPDX-License-Identifier: Apache-2.0
+# check_wheel.py - checks that wheels are what their platform tag says: python3 packaging/check_wheel.py WHEEL...
+# By PEP 600: no symbol newer than those of the tag's glibc, libstdc++ and libgcc; every library is in the wheel or on every Linux; run paths
+# find those in the wheel. SPDX-License-Identifier: Apache-2.0
 import csv
 import hashlib
 import io
@@ -13,7 +13,7 @@ import zipfile
 from base64 import urlsafe_b64encode
 from pathlib import Path, PurePosixPath
 
-# What a wheel may take from the system, of the list of PEP 600's policies: no more than that is needed here.
+# Libraries of the system that a wheel may use: the part of PEP 600's list that is needed here.
 SYSTEM = {"libc.so.6", "libm.so.6", "libdl.so.2", "librt.so.1", "libpthread.so.0", "ld-linux-x86-64.so.2", "libstdc++.so.6",
           "libgcc_s.so.1", "libresolv.so.2"}
 # Newest versions of the symbols of gcc's libraries on a system with a glibc of 2.36.

@@ -1,6 +1,6 @@
 #!/bin/sh
 # deb.sh - makes the Debian packages roofgs, libroofgs, libroofgs-dev and python3-roofgs: sh packaging/deb.sh [OPTION...]
-# They lie in build/deb/packages. OPTIONs go to CMake, as -DRGS_ENABLE_CUDA=ON for packages that also render on NVIDIA GPUs.
+# They are written to build/deb/packages. OPTIONs go to CMake, as -DRGS_ENABLE_CUDA=ON for packages that also render on NVIDIA GPUs.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
@@ -10,7 +10,7 @@ mkdir -p "$build"
 exec 3>&1
 quietly() { "$@" >"$build/log" 2>&1 || { tail -n 50 "$build/log" >&3; echo "deb.sh: failed: $*" >&3; exit 1; }; }
 
-# make FOLDER TARGET OPTION...: configures, builds and packs. Libraries are where Debian has them, so nothing needs a path to them.
+# make FOLDER TARGET OPTION...: configures, builds and packs. Libraries are in Debian's folders, so no run paths are needed.
 make() {
   folder=$1 target=$2
   shift 2
@@ -23,7 +23,7 @@ make() {
 quietly sh scripts/build_page.sh
 hardened=-Wl,-z,relro,-z,now
 make "$build" all -DBUILD_SHARED_LIBS=ON -DRGS_MANUAL=ON "$@"
-# The module holds the libraries that it is made of.
+# The module links the libraries statically.
 make "$build-python" rgs_python_package -DRGS_BUILD_PYTHON=ON -DRGS_BUILD_SAMPLES=OFF "$@"
 mv "$build-python"/packages/*.deb "$build/packages/"
 lintian --fail-on error --tag-display-limit 0 "$build"/packages/*.deb

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 # manual.py - man pages and completions for bash, zsh and fish from the programs' own --help:
 #   python3 packaging/manual.py OUT PROGRAM...      writes OUT/man1, OUT/bash, OUT/zsh, OUT/fish
-# What CLI11 prints is parsed strictly: a line that is not understood is an error, not an option that is lost.
+# Help is parsed strictly: a line that is not understood is an error.
 # SPDX-License-Identifier: Apache-2.0
 import gzip
 import re

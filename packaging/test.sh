@@ -1,6 +1,6 @@
 #!/bin/sh
 # test.sh - makes each package and uses it in a bare root: sh packaging/test.sh [STEP...]
-# Steps: deb libraries bundle wheel. Needs root for the bare roots; some minutes and a gigabyte in build/roots the first time.
+# Steps: deb libraries bundle wheel. Bare roots need root's rights, and a gigabyte in build/roots.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
@@ -53,24 +53,24 @@ bundle() {
     cmake --build build/release --parallel "${RGS_JOBS:-$(nproc)}" \
       --target rgs-audit rgs-convert rgs-info rgs-make-scene rgs-prune rgs-render rgs-view &&
     sh scripts/build_page.sh && sh scripts/bundle.sh build/release build/packaging/roofgs.tar.gz'
-  # The distribution of the build, and a later one with other libraries.
+  # The distribution of the build, and a newer one.
   for release in bookworm trixie; do
     step bundle-$release sh packaging/bare_root.sh --release $release --offline sh /project/tests/packaging/bundle.sh
   done
 }
 
-# With the kernels, where there is a toolkit and time: RGS_WHEEL=--cuda.
+# RGS_WHEEL=--cuda: with kernels.
 wheel() {
   rm -rf build/wheels
   step wheel-build sh packaging/wheel.sh ${RGS_WHEEL:-}
   wheel_in bookworm
-  # For Debian 13's Python and NumPy 2: RGS_PYTHON313 names a Python 3.13 with its headers, which Debian 12 does not have.
+  # For Debian 13's Python and NumPy 2: RGS_PYTHON313 is a Python 3.13 with headers, which Debian 12 does not have.
   if [ -n "${RGS_PYTHON313:-}" ]; then
     rm -rf build/wheels
     step wheel-build-313 sh packaging/wheel.sh --python "$RGS_PYTHON313"
     wheel_in trixie
   else
-    echo "skipped: the wheel for Python 3.13: RGS_PYTHON313 names none"
+    echo "skipped: the wheel for Python 3.13: RGS_PYTHON313 is not set"
   fi
 }
 

@@ -1,8 +1,8 @@
 #!/bin/sh
 # wheel.sh - makes a wheel of the Python module: sh packaging/wheel.sh [--cuda] [--python PYTHON] [-DNAME=VALUE...]
-# It lies in build/wheels. --cuda: with the kernels; CUDA's runtime is in it, the driver is looked for when it renders, and where
-# there is none the CPU renders. PYTHON is Debian's by default; any other whose headers are there will do. -D options go to CMake, as
-# -DCMAKE_CUDA_ARCHITECTURES=90 for kernels that are built in less time and run on Hopper alone.
+# It is written to build/wheels. --cuda: with kernels and CUDA's runtime; it renders on the CPU where there is no driver. PYTHON is Debian's
+# by default; any other with headers works. -D options go to CMake, as -DCMAKE_CUDA_ARCHITECTURES=90 for kernels that build faster and run
+# only on Hopper.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."

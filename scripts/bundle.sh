@@ -1,9 +1,8 @@
 #!/bin/sh
 # bundle.sh - copies programs and the libraries they need into a folder that runs on other machines:
 #   sh scripts/bundle.sh [--small] [BUILD_FOLDER] OUT    BUILD_FOLDER is build/cuda by default; OUT.tar.gz becomes an archive
-# OUT/bin/PROGRAM then needs a Linux of the same processor family with a glibc at least as new as this machine's, and
-# for CUDA a driver; no toolkit, no LD_LIBRARY_PATH. The folder may be moved. --small leaves out rgs-render, rgs-audit and
-# rgs-view, since they bring OpenImageIO and its 260 libraries.
+# OUT/bin/PROGRAM runs on a Linux of the same processor family with the same or a newer glibc; CUDA needs a driver, but no toolkit. The
+# folder may be moved. --small leaves out rgs-render, rgs-audit and rgs-view, which need OpenImageIO and its 260 libraries.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 programs="rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels"
@@ -15,7 +14,7 @@ fi
 case $# in
   1) build=$(dirname "$0")/../build/cuda out=$1 ;;
   2) build=$1 out=$2 ;;
-  *) sed -n '2,6s/^# //p' "$0" >&2; exit 2 ;;
+  *) sed -n '2,5s/^# //p' "$0" >&2; exit 2 ;;
 esac
 if [ -e "$out" ]; then
   echo "bundle.sh: $out exists; remove it or name another folder" >&2
@@ -39,7 +38,7 @@ case $out in
     out=$folder/$(basename "$archive" .tar.gz)
     ;;
 esac
-# What comes with glibc must be that of the machine that runs the programs.
+# glibc must be that of the machine that runs the programs.
 glibc='^(linux-vdso|ld-linux[^/]*|libc|libm|libdl|librt|libpthread|libresolv|libutil|libmvec|libanl|libnsl|libnss_[a-z]*)\.so'
 
 mkdir -p "$out/bin" "$out/lib" "$out/licenses"
@@ -76,7 +75,7 @@ if [ -d "$build/manual" ]; then
   for shell in bash zsh fish; do mv "$out/share/man/$shell" "$out/share/$shell"; done
 fi
 
-# Every library is found in the bundle or belongs to glibc, in an empty environment.
+# In an empty environment every library is found in the bundle or belongs to glibc.
 for program in "$out"/bin/*; do
   env -i /usr/bin/ldd "$program" | awk -v lib="/bin/../lib/" -v glibc="$glibc" '
     $1 !~ glibc && $1 !~ /^\/lib.*\/ld-linux/ && index($3, lib) == 0 { print "bundle.sh: not bundled: " $0; bad = 1 }

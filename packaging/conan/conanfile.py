@@ -1,5 +1,5 @@
 # conanfile.py - RoofGS's libraries for Conan 2: conan create packaging/conan
-# The checkout that this recipe lies in is what is built. SPDX-License-Identifier: Apache-2.0
+# Builds the checkout that contains this recipe. SPDX-License-Identifier: Apache-2.0
 import re
 from pathlib import Path
 
@@ -13,7 +13,7 @@ COMPONENTS = {"format": "rgs_format", "cameras": "rgs_cameras", "interchange": "
 class RoofGS(ConanFile):
     name = "roofgs"
     license = "Apache-2.0"
-    description = "Compact assets and a fast, honest renderer for 3D Gaussian splats"
+    description = "Compact assets and a fast renderer for 3D Gaussian splats"
     settings = "os", "arch", "compiler", "build_type"
     options = {"draco": [True, False], "runtime": [True, False], "http": [True, False]}
     default_options = {"draco": True, "runtime": True, "http": False, "zstd/*:shared": True}

@@ -1,4 +1,4 @@
-# Builds the checkout that this port lies in: vcpkg install roofgs --overlay-ports=packaging/vcpkg
+# Builds the checkout that contains this port: vcpkg install roofgs --overlay-ports=packaging/vcpkg
 # SPDX-License-Identifier: Apache-2.0
 get_filename_component(SOURCE_PATH "${CMAKE_CURRENT_LIST_DIR}/../../.." ABSOLUTE)
 vcpkg_check_features(OUT_FEATURE_OPTIONS options FEATURES
@@ -6,7 +6,7 @@ vcpkg_check_features(OUT_FEATURE_OPTIONS options FEATURES
   http RGS_ENABLE_HTTP
   runtime RGS_BUILD_RUNTIME
   tools RGS_PROGRAMS)
-# The build asks for the target zstd::libzstd_shared.
+# The build needs the target zstd::libzstd_shared.
 vcpkg_check_linkage(ONLY_DYNAMIC_LIBRARY)
 vcpkg_cmake_configure(SOURCE_PATH "${SOURCE_PATH}" OPTIONS
   ${options} -DRGS_ENABLE_CUDA=OFF -DRGS_BUILD_TESTS=OFF -DRGS_WERROR=OFF)
