@@ -51,7 +51,8 @@ namespace {
 
 using namespace detail;
 
-constexpr float kClassOctaves = 2;     // finer classes cost more than their finer steps save: docs/records/EXPERIMENTS.md
+// Finer classes cost more than their finer steps save: docs/records/EXPERIMENTS.md.
+constexpr float kClassOctaves = 2;
 constexpr float kLargestSh = 0x1p30f;  // one beyond it would shift the centre of all
 
 // Consecutive Gaussians that are coded together; with levels, a page.
