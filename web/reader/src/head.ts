@@ -35,7 +35,7 @@ export interface Header {
   readonly scaleExponent: number;
 }
 
-/** docs/format/FORMAT.md, "DECL: declarations". */
+/** docs/format/FORMAT.md, "Declarations: DECL". */
 export interface Declarations {
   /** Where +x, +y and +z point. */
   readonly axes: readonly [Axis, Axis, Axis];
