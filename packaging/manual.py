@@ -228,7 +228,7 @@ def ask(program):
     for option in h.options:
         if option.value.startswith("ENUM"):
             refusal = run(f"{option.names[-1]}=?").stderr
-            listed = re.search(r"'\?' is none of (.*)", refusal)
+            listed = re.search(r"'\?' is not one of (.*)", refusal)
             if not listed:
                 raise NotUnderstood(f"not understood: the refusal '{refusal}'")
             option.choices = listed[1].split(", ")
