@@ -395,7 +395,9 @@ TEST_CASE("SIGINT and SIGKILL leave the old output or none, whenever they arrive
     points.emplace_back(stage, kN);
   }
   for (const int signal_number : {SIGINT, SIGKILL}) {
-    for (const auto& [stage, units] : points) {
+    for (const auto& point : points) {
+      const char* const stage = point.first;  // clang 14 captures no structured bindings
+      const std::uint64_t units = point.second;
       for (const bool had_old : {true, false}) {
         CAPTURE(signal_number);
         CAPTURE(std::string(stage));
