@@ -8,7 +8,6 @@ bench_tables.py docs/records/RECORD.json...                                the t
 """
 import argparse
 import json
-import statistics
 import sys
 
 
@@ -57,8 +56,7 @@ def qualities(bench):
 
 
 def floors(size, modes):
-    head = [f"{size['width']}x{size['height']}", "stage", "ms", "moved", "GB/s", "GFLOP/s", "flop/B", "floor, ms",
-            "limit", "time / floor"]
+    head = [f"{size['width']}x{size['height']}", "stage", "ms", "floor, ms", "limit", "time / floor"]
     rows = []
     for r in size["results"]:
         if r["mode"] not in modes:
@@ -66,9 +64,8 @@ def floors(size, modes):
         for name, s in r["stages"].items():
             if s["floor_ms"] < 1e-4:
                 continue  # nothing that the cost model counts
-            rows.append([r["mode"] if name == "project" else "", name, f"{s['ms']:.3f}", f"{s['bytes'] / 1e6:,.0f} MB",
-                         f"{s['bytes_per_second'] / 1e9:,.0f}", f"{s['flops_per_second'] / 1e9:,.0f}",
-                         f"{s['intensity']:.1f}", f"{s['floor_ms']:.3f}", s["limit"], f"{s['time_over_floor']:.2f}"])
+            rows.append([r["mode"] if name == "project" else "", name, f"{s['ms']:.3f}", f"{s['floor_ms']:.3f}", s["limit"],
+                         f"{s['time_over_floor']:.2f}"])
     return table(head, rows)
 
 
@@ -125,18 +122,17 @@ def scaling(benches):
     modes = [m["name"] for m in benches[0]["modes"]]
     fast = modes[-1]
     head = ["Gaussians", "image", *(f"{m}, ms" if m == modes[0] else f"{m}, ms (ratio)" for m in modes),
-            f"visible, {fast}", f"ns a Gaussian, {fast}", f"ns a pixel, {fast}", f"peak memory, {fast}"]
+            f"visible, {fast}", f"peak memory, {fast}"]
     rows = []
     for bench in benches:
         n = bench["scene"]["gaussians"]
         for size in bench["sizes"]:
             results = {r["mode"]: r for r in size["results"]}
-            last, pixels = results[fast], size["width"] * size["height"]
+            last = results[fast]
             rows.append([f"{n / 1e6:.3g} M" if size is bench["sizes"][0] else "", f"{size['width']}x{size['height']}",
                          f"{results[modes[0]]['total_ms']:.3f}",
                          *(f"{results[m]['total_ms']:.3f} ({results[m]['speedup']:.1f}x)" for m in modes[1:]),
-                         count(last["visible"]), f"{1e6 * last['total_ms'] / n:.3f}",
-                         f"{1e6 * last['total_ms'] / pixels:.3f}", f"{last['peak_bytes'] / 1e6:,.0f} MB"])
+                         count(last["visible"]), f"{last['peak_bytes'] / 1e6:,.0f} MB"])
     lines = [f"{benches[0]['device']['name']}, {benches[0]['date']}; {benches[0]['frames']} frames a camera, "
              f"{benches[0]['cameras']} cameras.\n", table(head, rows)]
     for bench in benches:
@@ -148,30 +144,13 @@ def scaling(benches):
     return "\n".join(lines)
 
 
-def clocks(benches):
-    """Times by the renderer's own events and by a caller's clock and events."""
-    names = ["total_ms", "eager_clock_ms", "eager_events_ms", "queued_ms"]
-    rows = [[r["mode"], f"{size['width']}x{size['height']}", *(f"{r[name]:.3f}" for name in names),
-             quality_of(bench, r["mode"])[0]]
-            for bench in benches for size in bench["sizes"] for r in size["results"]]
-    return table(["", "image", "total, ms", "eager, clock", "eager, events", "queued", "PSNR, dB"], rows)
-
-
 def stress(benches):
     rows = []
     for size in (size for bench in benches for size in bench["sizes"]):
         paper, turbo = (next(r for r in size["results"] if r["mode"] == mode) for mode in ("paper", "turbo"))
         rows.append([size["view"], f"{size['width']}x{size['height']}", f"{paper['total_ms']:.3f}", f"{turbo['total_ms']:.3f}",
-                     f"{paper['total_ms'] / turbo['total_ms']:.2f}", f"{paper['queued_ms']:.3f}", f"{turbo['queued_ms']:.3f}"])
-    return table(["view", "image", "paper, ms", "turbo, ms", "ratio", "paper, queued", "turbo, queued"], rows)
-
-
-def popping(benches):
-    parts = [("step", "mean"), ("step", "worst_p999"), ("second", "worst_p999"), ("added", "mean"), ("added", "worst_p999")]
-    head = ["", *(f"{part}, {'mean' if kind == 'mean' else 'worst 99.9%'}" for part, kind in parts), "unsteadiness"]
-    rows = [[r["mode"], *(f"{r[part][kind]:.{5 if kind == 'mean' else 4}f}" for part, kind in parts), f"{r['unsteadiness']:.4f}"]
-            for bench in benches for r in bench["orbit"]["results"]]
-    return table(head, rows)
+                     f"{paper['total_ms'] / turbo['total_ms']:.2f}"])
+    return table(["view", "image", "paper, ms", "turbo, ms", "ratio"], rows)
 
 
 def towns(benches):
@@ -193,18 +172,6 @@ def opening(reports):
     rows = [[report["name"], file["profile"], where, *(f"{file[where][part]:.2f}" for part in parts)]
             for report in reports for file in report["files"] for where in ("device", "host")]
     return table(["file", "profile", "decoded on", "open", "set-up", "host", "device", "first frame", "total, ms"], rows)
-
-
-def first_frames(runs):
-    rows = []
-    for run in runs:
-        load, frame = ([statistics.median(run[when][what]) for when in ("before", "after")]
-                       for what in ("load_ms", "first_frame_ms"))
-        memory = [f"{run[when]['peak_resident_kb'] / 1e6:.2f}" for when in ("before", "after")]
-        rows.append([run["name"], f"{load[0]:.0f}", f"{frame[0]:.0f}", memory[0], f"{load[1]:.0f}", f"{frame[1]:.0f}", memory[1],
-                     f"{frame[0] / frame[1]:.1f}x"])
-    return table(["file", "load before, ms", "with frame", "memory, GB", "load after, ms", "with frame", "memory, GB", "first frame"],
-                 rows)
 
 
 def flights(runs):
@@ -274,16 +241,13 @@ KINDS = {
     "times": (each_size(times),
               SIZE + within(["sizes.results."], ("instances", "evaluated", "bytes", "peak_bytes")) + " " + within(STAGES, ("ms",))),
     "quality": (lambda benches: "\n\n".join(map(qualities, benches)), RUN + "modes.quality"),
-    "floors": (each_size(lambda size: floors(size, SHOWN)), SIZE + "rates " + within(STAGES, (
-        "ms", "bytes", "bytes_per_second", "flops_per_second", "intensity", "floor_ms", "limit", "time_over_floor"))),
+    "floors": (lambda benches: floors(benches[0]["sizes"][0], SHOWN),
+               SIZE + "rates " + within(STAGES, ("ms", "floor_ms", "limit", "time_over_floor"))),
     "scaling": (scaling, SIZE + "sizes.results.visible sizes.results.peak_bytes"),
     "orthogonality": (lambda benches: orthogonality(*benches), SIZE + "scene.name modes.quality"),
-    "clocks": (clocks, SIZE + "modes.quality " + within(["sizes.results."], ("eager_clock_ms", "eager_events_ms", "queued_ms"))),
-    "stress": (stress, SIZE + "sizes.results.queued_ms"),
-    "popping": (popping, RUN + "orbit"),
+    "stress": (stress, SIZE),
     "towns": (towns, SIZE + "detail_px " + within(["sizes.results."], ("gaussians", "visible", "peak_bytes"))),
     "opening": (opening, RUN + "device files.profile files.device files.host"),
-    "first_frames": (first_frames, RUN + "device before after"),
     "flights": (flights, FLIGHT + "driver_bytes " + within(["flight."], (
         "frames_drawn", "render_ms_median", "render_ms_p99", "frames_late", "detail_px_median", "read_bytes_per_second",
         "decoded_bytes_per_second", "workspace_bytes", "compared.pictures", "compared.equal"))),

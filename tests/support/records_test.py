@@ -35,7 +35,7 @@ if plot_flight.svg(records[root / "docs/records/flight.json"]) != (root / "docs/
 
 with tempfile.TemporaryDirectory() as folder:
     run, out = Path(folder) / "run.json", Path(folder) / "out.json"
-    result = {"mode": "turbo", "total_ms": 0.123456789, "queued_ms": 1.0, "blended": 7, "stages": {"sort": {"ms": 1.0}}}
+    result = {"mode": "turbo", "total_ms": 0.123456789, "speedup": 1.0, "blended": 7, "stages": {"sort": {"ms": 1.0}}}
     size = {"view": "empty", "width": 16, "height": 9, "results": [result, result | {"mode": "paper"}]}
     run.write_text(json.dumps({"inside": {"date": "today", "modes": [{"name": "turbo"}, {"name": "paper"}], "sizes": [size]}}))
     subprocess.run([sys.executable, root / "scripts/shrink_record.py", out, "--tables", "stress", "--command", "a command",
@@ -43,7 +43,7 @@ with tempfile.TemporaryDirectory() as folder:
     wanted = {"tables": ["stress"], "command": "a command", "runs": [
         {"name": "name", "commit": "abc", "date": "today", "modes": [{"name": "turbo"}], "sizes": [
             {"view": "empty", "width": 16, "height": 9,
-             "results": [{"mode": "turbo", "total_ms": 0.12345679, "queued_ms": 1}]}]}]}
+             "results": [{"mode": "turbo", "total_ms": 0.12345679, "speedup": 1}]}]}]}
     if json.loads(out.read_text()) != wanted:
         failures.append(f"a shrunk run is {out.read_text()}")
 print("\n".join(failures))
