@@ -25,7 +25,8 @@ def table(head, rows):
 
 
 def count(n):
-    return f"{n / 1e6:,.0f} M" if n >= 1e8 else f"{n / 1e6:.1f} M" if n >= 1e7 else f"{n / 1e6:.2f} M"
+    """In millions."""
+    return f"{n / 1e6:,.{0 if n >= 1e8 else 1 if n >= 1e7 else 2}f}"
 
 
 def quality_of(bench, mode):
@@ -40,13 +41,13 @@ def quality_of(bench, mode):
 def times(size):
     stages = ["project", "bin", "sort", "blend"]
     view = f"{size['view']}, " if "view" in size else ""
-    head = [f"{view}{size['width']}x{size['height']}, ms", *stages, "total", "speed-up", "pairs", "evaluated", "moved",
-            "peak memory"]
+    head = [f"{view}{size['width']}x{size['height']}, ms", *stages, "total", "speed-up", "pairs, M",
+            "evaluated, M", "moved, MB", "peak memory, MB"]
     rows = []
     for r in size["results"]:
         rows.append([r["mode"], *(f"{r['stages'][s]['ms']:.3f}" for s in stages), f"{r['total_ms']:.3f}",
-                     f"{r['speedup']:.2f}", count(r["instances"]), count(r["evaluated"]), f"{r['bytes'] / 1e6:,.0f} MB",
-                     f"{r['peak_bytes'] / 1e6:,.0f} MB"])
+                     f"{r['speedup']:.2f}", count(r["instances"]), count(r["evaluated"]), f"{r['bytes'] / 1e6:,.0f}",
+                     f"{r['peak_bytes'] / 1e6:,.0f}"])
     return table(head, rows)
 
 
@@ -122,7 +123,7 @@ def scaling(benches):
     modes = [m["name"] for m in benches[0]["modes"]]
     fast = modes[-1]
     head = ["Gaussians", "image", *(f"{m}, ms" if m == modes[0] else f"{m}, ms (ratio)" for m in modes),
-            f"visible, {fast}", f"peak memory, {fast}"]
+            f"visible, {fast}, M", f"peak memory, {fast}, MB"]
     rows = []
     for bench in benches:
         n = bench["scene"]["gaussians"]
@@ -132,7 +133,7 @@ def scaling(benches):
             rows.append([f"{n / 1e6:.3g} M" if size is bench["sizes"][0] else "", f"{size['width']}x{size['height']}",
                          f"{results[modes[0]]['total_ms']:.3f}",
                          *(f"{results[m]['total_ms']:.3f} ({results[m]['speedup']:.1f}x)" for m in modes[1:]),
-                         count(last["visible"]), f"{last['peak_bytes'] / 1e6:,.0f} MB"])
+                         count(last["visible"]), f"{last['peak_bytes'] / 1e6:,.0f}"])
     lines = [f"{benches[0]['device']['name']}, {benches[0]['date']}; {benches[0]['frames']} frames a camera, "
              f"{benches[0]['cameras']} cameras.\n", table(head, rows)]
     for bench in benches:
@@ -163,7 +164,7 @@ def towns(benches):
             rows.append([f"{n / 1e6:.0f} M", f"{bench['detail_px']:g}", f"{size['width']}x{size['height']}",
                          f"{turbo['gaussians'] / n:.2f}", count(turbo["visible"]), f"{turbo['total_ms']:.2f}",
                          f"{paper['total_ms']:.2f}", f"{turbo['peak_bytes'] / 1e9:.1f}"])
-    return table(["town", "detail", "image", "drawn", "visible", "turbo, ms", "paper, ms", "device memory, GB"], rows)
+    return table(["town", "detail", "image", "drawn", "visible, M", "turbo, ms", "paper, ms", "device memory, GB"], rows)
 
 
 def opening(reports):

@@ -115,9 +115,9 @@ def svg(record):
 
 
 def table(record):
-    lines = ["| file | written by | bytes per Gaussian | PSNR | worst view |", "|---|---|---|---|---|"]
+    lines = ["| file | written by | bytes per Gaussian | PSNR, dB | worst view |", "|---|---|---|---|---|"]
     for entry in record["entries"]:
-        psnr, worst = ("" if value is None else f"{value:.1f} dB" for value in (entry["psnr_db"], entry["worst_psnr_db"]))
+        psnr, worst = ("" if value is None else f"{value:.1f}" for value in (entry["psnr_db"], entry["worst_psnr_db"]))
         own = entry["format"].startswith("rgs ")
         name = f"**{entry['format']}**" if own else entry["format"]
         lines.append(f"| {name} | {entry['writer']} | {entry['bytes_per_gaussian']:.1f} | {psnr} | {worst} |")
