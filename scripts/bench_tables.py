@@ -167,14 +167,6 @@ def towns(benches):
     return table(["town", "detail", "image", "drawn", "visible, M", "turbo, ms", "paper, ms", "device memory, GB"], rows)
 
 
-def opening(reports):
-    """rgs-bench-opening: the parts of the run whose total is the median."""
-    parts = ["open_ms", "setup_ms", "host_ms", "device_ms", "frame_ms", "total_ms"]
-    rows = [[report["name"], file["profile"], where, *(f"{file[where][part]:.2f}" for part in parts)]
-            for report in reports for file in report["files"] for where in ("device", "host")]
-    return table(["file", "profile", "decoded on", "open", "set-up", "host", "device", "first frame", "total, ms"], rows)
-
-
 def flights(runs):
     """rgs-bench-flight: the frames of a flight."""
     rows = []
@@ -248,7 +240,6 @@ KINDS = {
     "orthogonality": (lambda benches: orthogonality(*benches), SIZE + "scene.name modes.quality"),
     "stress": (stress, SIZE),
     "towns": (towns, SIZE + "detail_px " + within(["sizes.results."], ("gaussians", "visible", "peak_bytes"))),
-    "opening": (opening, RUN + "device files.profile files.device files.host"),
     "flights": (flights, FLIGHT + "driver_bytes " + within(["flight."], (
         "frames_drawn", "render_ms_median", "render_ms_p99", "frames_late", "detail_px_median", "read_bytes_per_second",
         "decoded_bytes_per_second", "workspace_bytes", "compared.pictures", "compared.equal"))),
