@@ -27,11 +27,12 @@ struct StreamPoolState {
   explicit StreamPoolState(std::uint64_t bytes, std::uint64_t device_bytes = 0)
       : budget(bytes), device_memory(device_bytes) {}
 
-  const std::uint64_t budget;                                       // of the host
-  const std::uint64_t device_memory;                                // 0: pages are on the host
-  std::function<StreamClock::time_point()> now = StreamClock::now;  // constant once a scene is open; tests stop it
-  std::mutex mutex;                                                 // of all below, and of scenes' state where noted
-  std::condition_variable news;                                     // wakes callers that wait for a view to complete
+  const std::uint64_t budget;         // of the host
+  const std::uint64_t device_memory;  // 0: pages are on the host
+  /// Constant once a scene is open; tests stop it.
+  std::function<StreamClock::time_point()> now = [] { return StreamClock::now(); };
+  std::mutex mutex;              // of all below, and of scenes' state where noted
+  std::condition_variable news;  // wakes callers that wait for a view to complete
   std::uint64_t held = 0;
   /// On a device: the slots of all scenes, as long as there is a scene; their bytes and how many are taken.
   std::weak_ptr<DeviceSlots> slots;
