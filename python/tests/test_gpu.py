@@ -37,7 +37,7 @@ def test_the_cpu_draws_nothing_on_a_device(scene, camera, renderer):
 
 @pytest.mark.parametrize("out, text", [
     (Described((48, 64)), "shape"), (Described((48, 65, 3)), "shape"), (Described((48, 64, 3), typestr="<f2"), "data type"),
-    (Described((48, 64, 3), typestr=">f4"), "data type"), (Described((48, 64, 3), strides=(1536, 24, 4)), "gaps"),
+    (Described((48, 64, 3), typestr=">f4"), "data type"), (Described((48, 64, 3), strides=(1536, 24, 4)), "C-contiguous"),
     (Described((48, 64, 3), data=(1 << 20, True)), "read-only")])
 def test_wrong_arrays_on_a_device_are_refused(scene, camera, renderer, out, text):
     with pytest.raises(roofgs.ArgumentError, match=text):
