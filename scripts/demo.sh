@@ -20,7 +20,8 @@ log_folder=$out/logs
 mkdir -p "$log_folder"
 quiet make-scene "$bin/rgs-make-scene" --overwrite --seed 1 --gaussians "${RGS_DEMO_GAUSSIANS:-200000}" --degree 3 \
   --cameras "$out/cameras.json" "$out/scene.ply"
-quiet convert "$bin/rgs-convert" --overwrite --cameras "$out/cameras.json" "$out/scene.ply" "$out/scene.rgs"
+# The sky is 300 m away, and too few Gaussians for the range that --cameras finds.
+quiet convert "$bin/rgs-convert" --overwrite --cameras "$out/cameras.json" --far 400 "$out/scene.ply" "$out/scene.rgs"
 quiet info "$bin/rgs-info" --verify "$out/scene.rgs"
 quiet render "$bin/rgs-render" --overwrite --cameras "$out/cameras.json" --view 0 --size 960x540 \
   --out "$out/picture.png" "$out/scene.rgs"
