@@ -21,6 +21,7 @@
 
 #include "convert_scenes.hpp"
 #include "data_folder.hpp"
+#include "file_times.hpp"
 #include "rgs/interchange.hpp"
 #include "run_program.hpp"
 #include "sanitized.hpp"
@@ -212,6 +213,7 @@ TEST_CASE("finished scenes are recognised by content, not by name or time") {
   const auto before = fs::last_write_time(f.in + "/d.ply");
   std::string bytes = read_text(f.in + "/d.ply");
   bytes[bytes.size() - 5] = static_cast<char>(bytes[bytes.size() - 5] ^ 1);
+  wait_for_later_time(f.in + "/d.ply");
   write_text(f.in + "/d.ply", bytes);
   fs::last_write_time(f.in + "/d.ply", before);
   const Batch changed = rerun();
@@ -225,6 +227,7 @@ TEST_CASE("finished scenes are recognised by content, not by name or time") {
   fs::resize_file(f.out + "/b.rgs", 100);
   std::string changed_output = good.at("c.rgs");
   changed_output[200] = static_cast<char>(changed_output[200] ^ 1);
+  wait_for_later_time(f.out + "/c.rgs");
   write_text(f.out + "/c.rgs", changed_output);
   const Batch refused = convert_all(f.command());
   CHECK(refused.exit_code == 3);
@@ -297,6 +300,7 @@ TEST_CASE("an output made from another input of the same name stays") {
   // A copy of the input finds it finished, but does not own it.
   fs::copy(f.in, copy, fs::copy_options::recursive);
   CHECK(convert_all({copy, f.out, "--to", "rgs"}).count("kept") == 1);
+  wait_for_later_time(copy + "/a.ply");
   scene(copy + "/a.ply", 8);
   CHECK(convert_all({copy, f.out, "--to", "rgs"}).lines.at("a.ply")["error"]["code"] == "output_exists");
   CHECK(contents(f.out) == made);

@@ -17,6 +17,7 @@
 #include "convert_scenes.hpp"
 #include "counted_memory.hpp"
 #include "edit_file.hpp"
+#include "file_times.hpp"
 #include "parts_command.hpp"
 #include "parts_rows.hpp"
 #include "plausible_cloud.hpp"
@@ -327,6 +328,7 @@ TEST_CASE("an input that changes or vanishes is named, and work that does not ne
   const Bytes original = read_bytes(scene.paths[2]);
   Bytes changed = original;
   changed[changed.size() - 100] ^= std::byte{1};
+  wait_for_later_time(scene.paths[2]);
   write_file(scene.paths[2], changed);
   const Failure other = failure_of(place_input(run, *job, **plan, 2));
   CHECK(other.file == scene.paths[2]);
@@ -361,6 +363,7 @@ TEST_CASE("an input that changes or vanishes is named, and work that does not ne
   // Begun again, it is another scene.
   changed = original;
   changed[changed.size() - 100] ^= std::byte{1};
+  wait_for_later_time(scene.paths[2]);
   write_file(scene.paths[2], changed);
   CHECK(failure_of(scan_input(run, *job, 2)).file == scene.paths[2]);
   CHECK(in_parts(scene, 2, run, false) == at_once(scene, folder.file("whole.rgs")));
