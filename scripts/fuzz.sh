@@ -30,8 +30,8 @@ mkdir -p build/fuzz/crashes
 printf '%s\n' "$@" | xargs -P "$jobs" -n 1 sh -c '
   log=$0/$2.log limit=$1 name=$2 verdict=ok
   seeds=tests/fuzz/corpus/$name
-  [ "$name" = info ] && seeds=tests/fuzz/corpus/reader # the same files
-  [ -d "$seeds" ] || seeds=
+  [ "$name" = info ] && seeds="tests/fuzz/corpus/reader tests/fuzz/corpus/levels"
+  [ -d "${seeds%% *}" ] || seeds=
   case $limit in
     *s) grown=build/fuzz/corpus/$name options="-max_total_time=${limit%s} -timeout=10" ;;
     *)

@@ -1,5 +1,5 @@
-// rgs_mutator.hpp - structural mutations of .rgs files: fields, counts, sections, frames and their contents change,
-// then sizes, offsets and hashes are corrected, so that readers reach the change.
+// rgs_mutator.hpp - structural mutations of .rgs files: fields, counts, sections, frames, pages and their contents
+// change, then sizes, offsets and hashes are corrected, so that readers reach the change.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <optional>
@@ -58,27 +59,31 @@ class RgsMutator {
       const auto content =
           bytes.subspan(offset, std::min<std::uint64_t>(get<std::uint64_t>(entry, 24), bytes.size() - offset));
       sections_.push_back({{entry.begin(), entry.end()}, {content.begin(), content.end()}});
-      if (is(sections_.back(), "PAGE")) pages_ = offset;
     }
+    if (const Section* pages = section("PAGE")) move_pages(0 - get<std::uint64_t>(pages->entry, 16));
     return true;
   }
 
   // Corrects offsets, sizes and hashes; decoded sizes only of sections stored as they are.
   Bytes put_together() {
     put(std::span(header_), 52, static_cast<std::uint32_t>(sections_.size()));
-    Bytes file(test::entry_at(sections_.size()) + 8);
-    for (std::size_t i = 0; i < sections_.size(); ++i) {
-      Section& s = sections_[i];
-      file.resize((file.size() + 255) / 256 * 256);
-      put(std::span(s.entry), 16, std::uint64_t{file.size()});
+    std::uint64_t end = test::entry_at(sections_.size()) + 8;
+    for (Section& s : sections_) {
+      const std::uint64_t offset = (end + 255) / 256 * 256;
+      put(std::span(s.entry), 16, offset);
       put(std::span(s.entry), 24, std::uint64_t{s.content.size()});
       if (s.codec() == 0) put(std::span(s.entry), 32, std::uint64_t{s.content.size()});
-      std::ranges::copy(s.entry, file.begin() + static_cast<std::ptrdiff_t>(test::entry_at(i)));
-      file.insert(file.end(), s.content.begin(), s.content.end());
+      end = offset + s.content.size();
     }
-    put(std::span(header_), 16, std::uint64_t{file.size()});
+    if (const Section* pages = section("PAGE")) move_pages(get<std::uint64_t>(pages->entry, 16));
+    put(std::span(header_), 16, end);
+    Bytes file(end);
     std::ranges::copy(header_, file.begin());
-    move_pages(file);
+    for (std::size_t i = 0; i < sections_.size(); ++i) {
+      const Section& s = sections_[i];
+      std::ranges::copy(s.entry, file.begin() + static_cast<std::ptrdiff_t>(test::entry_at(i)));
+      std::ranges::copy(s.content, file.begin() + static_cast<std::ptrdiff_t>(get<std::uint64_t>(s.entry, 16)));
+    }
     if (below(16) == 0) file.resize(file.size() - below(file.size() / 2));  // the end is missing
     test::fix_hashes(file);
     return file;
@@ -86,22 +91,30 @@ class RgsMutator {
 
   static bool is(const Section& s, const char* type) { return std::memcmp(s.entry.data(), type, 4) == 0; }
 
-  // Pages move with their section.
-  void move_pages(Bytes& file) {
-    const auto place = [&](const char* type) -> std::uint64_t {
-      const auto s = std::ranges::find_if(sections_, [type](const Section& section) { return is(section, type); });
-      return s == sections_.end() ? 0 : get<std::uint64_t>(s->entry, 16);
-    };
-    const std::uint64_t levels = place("LODS"), pages = place("PAGE");
-    if (levels == 0 || pages == 0 || pages == pages_) return;
-    const std::uint64_t n = file.size() - levels < 64 ? 0 : get<std::uint32_t>(file, levels);
-    for (std::uint64_t i = 0; i < n && 64 + kPageRecordBytes * (i + 1) <= file.size() - levels; ++i) {
-      const std::uint64_t at = levels + 64 + kPageRecordBytes * i;
-      put(std::span(file), at, get<std::uint64_t>(file, at) + pages - pages_);
+  Section* section(const char* type) {
+    const auto s = std::ranges::find_if(sections_, [type](const Section& each) { return is(each, type); });
+    return s == sections_.end() ? nullptr : &*s;
+  }
+
+  // Records of pages that are there.
+  std::uint64_t n_pages() {
+    const Section* levels = section("LODS");
+    if (levels == nullptr || levels->content.size() < kLevelsHeadBytes) return 0;
+    const std::uint64_t records = (levels->content.size() - kLevelsHeadBytes) / kPageRecordBytes;
+    return std::min<std::uint64_t>(get<std::uint32_t>(levels->content, 0), records);
+  }
+
+  // Adds `bytes` to the offsets of pages from `first` on; they count from the beginning of PAGE while pages change.
+  void move_pages(std::uint64_t bytes, std::uint64_t first = 0) {
+    for (std::uint64_t i = first, n = n_pages(); i < n; ++i) {
+      const std::span<std::byte> records(section("LODS")->content);
+      const std::uint64_t at = kLevelsHeadBytes + kPageRecordBytes * i;
+      put(records, at, get<std::uint64_t>(records, at) + bytes);
     }
   }
 
   void change() {
+    if (below(2) == 0 && n_pages() != 0) return change_pages();
     Section& s = sections_[below(sections_.size())];
     switch (below(10)) {
       case 0: return change_number(header_, 8, 60);
@@ -189,6 +202,48 @@ class RgsMutator {
     set_frames(s, frames);
   }
 
+  // Changes a page's record or rows, or the same floats of all records by one factor, so that the tree still holds:
+  // errors, boxes or cores.
+  void change_pages() {
+    const std::uint64_t n = n_pages(), page = below(n), at = kLevelsHeadBytes + kPageRecordBytes * page;
+    Bytes& records = section("LODS")->content;
+    switch (below(4)) {
+      case 0: return change_number(records, at + 16, at + kPageRecordBytes);
+      case 1: {
+        constexpr std::array<std::array<std::uint64_t, 2>, 3> kFloats = {{{36, 40}, {40, 64}, {80, 104}}};
+        const auto [first, end] = kFloats[below(kFloats.size())];
+        const float factor = std::ldexp(1.0F, static_cast<int>(below(81)) - 40);
+        for (std::uint64_t i = 0; i < n; ++i) {
+          for (std::uint64_t field = first; field < end; field += 4) {
+            const std::uint64_t place = kLevelsHeadBytes + kPageRecordBytes * i + field;
+            put(std::span(records), place, get<float>(records, place) * factor);
+          }
+        }
+        return;
+      }
+      default: return change_rows(page);
+    }
+  }
+
+  // Changes a page's stored bytes; later pages move.
+  void change_rows(std::uint64_t page) {
+    Section* const pages = section("PAGE");
+    if (pages == nullptr) return;
+    const std::span<std::byte> record =
+        std::span(section("LODS")->content).subspan(kLevelsHeadBytes + kPageRecordBytes * page, kPageRecordBytes);
+    const auto offset = get<std::uint64_t>(record, 0), size = std::uint64_t{get<std::uint32_t>(record, 16)};
+    if (offset > pages->content.size() || size > pages->content.size() - offset) return;
+    const auto first = pages->content.begin() + static_cast<std::ptrdiff_t>(offset);
+    const auto end = first + static_cast<std::ptrdiff_t>(size);
+    Bytes rows(first, end);
+    change_coded(rows, pages->codec());
+    if (pages->codec() == 0) rows.resize(size);  // pages are aligned there
+    put(record, 16, static_cast<std::uint32_t>(rows.size()));
+    move_pages(rows.size() - size, page + 1);
+    const auto next = pages->content.erase(first, end);
+    pages->content.insert(next, rows.begin(), rows.end());
+  }
+
   void resize(Bytes& content) {
     std::vector<std::uint8_t> bytes(content.size() + 256);
     std::ranges::transform(content, bytes.begin(), [](std::byte b) { return std::to_integer<std::uint8_t>(b); });
@@ -238,30 +293,33 @@ class RgsMutator {
     set_frames(s, frames);
   }
 
-  // Changes a frame's bytes: for a Zstandard frame its content, otherwise the frame itself.
   void change_frame(Section& s) {
     auto frames = frames_of(s);
     if (frames.empty()) return;
-    Bytes& frame = frames[below(frames.size())];
-    const unsigned long long size = s.codec() == 1 ? ZSTD_getFrameContentSize(frame.data(), frame.size()) : 0;
-    if (s.codec() == 2 || size == 0 || size > (1u << 20) || below(4) == 0) {
-      resize(frame);
-    } else {
-      Bytes content(size);
-      const std::size_t got = ZSTD_decompress(content.data(), content.size(), frame.data(), frame.size());
-      if (ZSTD_isError(got) != 0 || got != size) return;
-      for (std::uint64_t i = 1 + below(8); i > 0; --i) change_number(content, 0, content.size());
-      if (below(8) == 0) resize(content);
-      frame.resize(ZSTD_compressBound(content.size()));
-      frame.resize(ZSTD_compress(frame.data(), frame.size(), content.data(), content.size(), 1));
-    }
+    change_coded(frames[below(frames.size())], s.codec());
     set_frames(s, frames);
+  }
+
+  // Changes numbers of a Zstandard frame's content, or of bytes stored as they are; otherwise the bytes themselves.
+  void change_coded(Bytes& bytes, std::uint32_t codec) {
+    const unsigned long long size = codec == 1 ? ZSTD_getFrameContentSize(bytes.data(), bytes.size()) : bytes.size();
+    if (codec > 1 || size == 0 || size > (1u << 20) || below(4) == 0) return resize(bytes);
+    Bytes content = bytes;
+    if (codec == 1) {
+      content.resize(size);
+      const std::size_t got = ZSTD_decompress(content.data(), content.size(), bytes.data(), bytes.size());
+      if (ZSTD_isError(got) != 0 || got != size) return;
+    }
+    for (std::uint64_t i = 1 + below(8); i > 0; --i) change_number(content, 0, content.size());
+    if (below(8) == 0) resize(content);
+    if (codec == 0) return bytes.swap(content);
+    bytes.resize(ZSTD_compressBound(content.size()));
+    bytes.resize(ZSTD_compress(bytes.data(), bytes.size(), content.data(), content.size(), 1));
   }
 
   std::mt19937 random_;
   Bytes header_;
   std::vector<Section> sections_;
-  std::uint64_t pages_ = 0;  // where PAGE was
 };
 
 /// For LLVMFuzzerCustomMutator(): mostly structural, sometimes bytewise.
