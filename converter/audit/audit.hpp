@@ -134,10 +134,20 @@ struct AttributeReport {
 
 // ---- rendered
 
+/// A view over a black and over a white background. Colours blend linearly: over no background within 0..1 does a channel
+/// of two such pictures differ by more than over one of these.
+struct Picture {
+  Image black, white;
+  const Image& over(bool over_white) const { return over_white ? white : black; }
+};
+
+/// Differences are those over the background that shows more, chosen for each channel of each pixel; SSIM is the lower
+/// one of both backgrounds.
 struct Score {
   double mse = 0, psnr = 0, ssim = 1;
   float largest = 0;
-  int x = 0, y = 0;  ///< of the largest difference
+  int x = 0, y = 0;         ///< of the largest difference
+  bool over_white = false;  ///< white alone shows more than black alone
 };
 
 struct PhotoScore {
@@ -175,7 +185,7 @@ struct AttributionRow {
 
 struct ViewPictures {
   std::size_t view = 0;  ///< index into RenderReport::views
-  Image source, asset;
+  Picture source, asset;
   Image photo = {};  ///< empty without photographs
 };
 
@@ -218,7 +228,7 @@ enum class FarScene : std::uint8_t {
 };
 inline constexpr std::size_t kFarScenes = 3;
 
-/// Against the truth, values clamped to 0..1.
+/// Against the truth, values clamped to 0..1; over two backgrounds, like Score.
 struct FarScore {
   double psnr = 0, worst_psnr = 0, ssim = 0, worst_ssim = 0;
 };
@@ -239,7 +249,8 @@ struct FarRow {
 };
 struct FarPictures {
   std::size_t row = 0, view = 0;  ///< FarRow::views[view]: the one with the worst levels
-  Image truth, leaves, levels;
+  Picture truth, leaves, levels;
+  bool over_white = false;  ///< of the levels, as in Score
 };
 
 /// The truth is the source as drawn elsewhere, at twice the size of the nearest view, clamped to 0..1 and averaged over

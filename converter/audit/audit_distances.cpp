@@ -45,8 +45,8 @@ Image box_filtered(const Image& image, int factor) {
 }
 
 std::uint64_t truth_bytes(const Camera& camera) {
-  return 4 * 3 * sizeof(float) * static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height) /
-         3;  // 1 + 1/4 + 1/16 + ...
+  return 2 * 4 * 3 * sizeof(float) * static_cast<std::uint64_t>(camera.width) *
+         static_cast<std::uint64_t>(camera.height) / 3;  // 1 + 1/4 + 1/16 + ...
 }
 
 class DistanceAudit {
@@ -103,7 +103,7 @@ class DistanceAudit {
 
   // Views [first, end): all pictures of the source, then all of the asset, so that only one of them is in memory.
   Done batch(std::size_t first, std::size_t end) {
-    std::vector<std::vector<Image>> truths;  // [view][row]
+    std::vector<std::vector<Picture>> truths;  // [view][row]
     {
       auto source = source_scene(*inputs_.source);
       if (!source) return make_error(options_.source, source.error());
@@ -112,8 +112,10 @@ class DistanceAudit {
       for (std::size_t i = first; i < end; ++i) {
         auto large = render(source->scene, scaled(cameras_[i], kSupersampling, 1), as_source);
         if (!large) return tl::unexpected(large.error());
-        std::vector<Image>& truth = truths.emplace_back();
-        for (const FarRow& row : report_.rows) truth.push_back(box_filtered(large->image, kSupersampling * row.far));
+        std::vector<Picture>& truth = truths.emplace_back();
+        for (const FarRow& row : report_.rows)
+          truth.push_back({box_filtered(large->picture.black, kSupersampling * row.far),
+                           box_filtered(large->picture.white, kSupersampling * row.far)});
       }
     }
     const auto scene = Scene::load(options_.asset, options_.limits);
@@ -136,15 +138,15 @@ class DistanceAudit {
     return options;
   }
 
-  Done compare(const Scene& scene, std::size_t view, std::size_t row, Image truth) {
+  Done compare(const Scene& scene, std::size_t view, std::size_t row, Picture truth) {
     FarRow& r = report_.rows[row];
     const Camera camera = scaled(cameras_[view], 1, r.far);
     FarView result{camera.name, camera.width, camera.height};
-    std::array<Image, kFarScenes> images;
+    std::array<Picture, kFarScenes> images;
     for (std::size_t k = 0; k < kFarScenes; ++k) {
       auto frame = render(scene, camera, options_of(static_cast<FarScene>(k)));
       if (!frame) return tl::unexpected(frame.error());
-      images[k] = std::move(frame->image);
+      images[k] = std::move(frame->picture);
       const auto d = difference(truth, images[k]);
       const auto s = ssim(truth, images[k]);
       if (!d || !s) return make_error("view " + camera.name, d ? s.error() : d.error());
@@ -158,13 +160,18 @@ class DistanceAudit {
     return {};
   }
 
-  void keep(std::size_t row, const FarView& result, Image truth, std::array<Image, kFarScenes> images) {
+  void keep(std::size_t row, const FarView& result, Picture truth, std::array<Picture, kFarScenes> images) {
     constexpr auto kLevels = static_cast<std::size_t>(FarScene::levels);
     FarPictures& kept = report_.pictures[row];
     const FarRow& r = report_.rows[row];
     if (!r.views.empty() && r.views[kept.view].psnr[kLevels] <= result.psnr[kLevels]) return;
-    kept = {row, r.views.size(), std::move(truth), std::move(images[static_cast<std::size_t>(FarScene::leaves)]),
-            std::move(images[kLevels])};
+    const bool over_white = shows_more_over_white(truth, images[kLevels]);
+    kept = {row,
+            r.views.size(),
+            std::move(truth),
+            std::move(images[static_cast<std::size_t>(FarScene::leaves)]),
+            std::move(images[kLevels]),
+            over_white};
   }
 
   void summarise() {
@@ -187,17 +194,19 @@ class DistanceAudit {
   }
 
   struct Frame {
-    Image image;
+    Picture picture;
     std::uint64_t n_gaussians = 0;
   };
 
   // Clamped to what a screen can show.
   Outcome<Frame> render(const Scene& scene, const Camera& camera, const RenderOptions& how) {
-    Frame frame{Image::make(camera.width, camera.height, 3), 0};
-    const auto stats = renderer_->render(scene, camera, {.rgb = frame.image.pixels}, how);
+    Image image = Image::make(camera.width, camera.height, 3);
+    std::vector<float> alpha(image.pixels.size() / 3);
+    const auto stats = renderer_->render(scene, camera, {.rgb = image.pixels, .alpha = alpha}, how);
     if (!stats) return make_error("view " + camera.name, stats.error());
-    for (float& v : frame.image.pixels) v = std::clamp(v, 0.0F, 1.0F);
-    frame.n_gaussians = stats->gaussians;
+    Frame frame{over_backgrounds(std::move(image), alpha), stats->gaussians};
+    for (Image* over : {&frame.picture.black, &frame.picture.white})
+      for (float& v : over->pixels) v = std::clamp(v, 0.0F, 1.0F);
     progress_.advance(1);
     return frame;
   }

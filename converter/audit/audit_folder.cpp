@@ -336,7 +336,7 @@ class Folder {
       }
       rows.push_back(std::move(row));
     }
-    return Json{{"schema", "rgs-audit-index/2"}, {"pairs", std::move(rows)}}.dump(2, ' ', true,
+    return Json{{"schema", "rgs-audit-index/3"}, {"pairs", std::move(rows)}}.dump(2, ' ', true,
                                                                                   Json::error_handler_t::replace) +
            "\n";
   }

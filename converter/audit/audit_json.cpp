@@ -1,4 +1,4 @@
-// audit_json.cpp - schema "rgs-audit/2".
+// audit_json.cpp - schema "rgs-audit/3".
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_json.hpp"
 
@@ -21,7 +21,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kSchema = "rgs-audit/2";
+constexpr const char* kSchema = "rgs-audit/3";
 
 // JSON has no infinity: null, as the schema says for each field. Unrated values are absent, which differs from
 // infinity.
@@ -177,6 +177,7 @@ Json json(const RenderReport& r) {
       view["mse"] = v.score.mse;
       view["ssim"] = v.score.ssim;
       view["largest"] = {{"difference", v.score.largest}, {"x", v.score.x}, {"y", v.score.y}};
+      view["background"] = v.score.over_white ? "white" : "black";
     }
     if (v.photo) view["photo"] = json(*v.photo);
     views.push_back(std::move(view));

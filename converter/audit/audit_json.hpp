@@ -10,7 +10,7 @@
 
 namespace rgs::audit {
 
-/// Schema "rgs-audit/2", ASCII, "\n" at the end.
+/// Schema "rgs-audit/3", ASCII, "\n" at the end.
 std::string audit_json(const Report& report);
 
 /// An earlier audit, under the current conditions.

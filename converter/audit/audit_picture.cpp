@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <utility>
 
 #include "audit_encoding.hpp"
 #include "image_file.hpp"
@@ -93,13 +94,43 @@ Colour heat(float share) {
   return {a.r + t * (b.r - a.r), a.g + t * (b.g - a.g), a.b + t * (b.b - a.b)};
 }
 
-Image difference_levels(const Image& a, const Image& b) {
-  Image out = Image::make(a.width, a.height, 1);
-  const auto channels = static_cast<std::size_t>(a.channels);
-  const auto shown = [](float v) { return std::clamp(v, 0.0F, 1.0F); };
+Picture over_backgrounds(Image black, std::span<const float> alpha) {
+  Picture out{std::move(black), {}};
+  out.white = out.black;
+  for (std::size_t i = 0; i < out.white.pixels.size(); ++i) out.white.pixels[i] += 1 - alpha[i / 3];
+  return out;
+}
+
+Result<ImageDifference> difference(const Picture& a, const Picture& b) {
+  Image worst_a = a.black, worst_b = b.black;
+  for (std::size_t i = 0; i < worst_a.pixels.size() && i < worst_b.pixels.size(); ++i) {
+    const float over_black = std::abs(worst_a.pixels[i] - worst_b.pixels[i]);
+    const float over_white = std::abs(a.white.pixels[i] - b.white.pixels[i]);
+    if (!(over_white <= over_black)) worst_a.pixels[i] = a.white.pixels[i], worst_b.pixels[i] = b.white.pixels[i];
+  }
+  return rgs::difference(worst_a, worst_b);
+}
+
+Result<double> ssim(const Picture& a, const Picture& b) {
+  const auto black = rgs::ssim(a.black, b.black), white = rgs::ssim(a.white, b.white);
+  return black && (!white || *white < *black) ? white : black;
+}
+
+bool shows_more_over_white(const Picture& a, const Picture& b) {
+  const auto black = rgs::difference(a.black, b.black), white = rgs::difference(a.white, b.white);
+  return black && white && white->mse > black->mse;
+}
+
+Image difference_levels(const Picture& a, const Picture& b) {
+  Image out = Image::make(a.black.width, a.black.height, 1);
+  const auto channels = static_cast<std::size_t>(a.black.channels);
+  const auto levels = [](float v, float w) {
+    return 255 * std::abs(std::clamp(v, 0.0F, 1.0F) - std::clamp(w, 0.0F, 1.0F));
+  };
   for (std::size_t i = 0; i < out.pixels.size(); ++i)
     for (std::size_t c = i * channels; c < (i + 1) * channels; ++c)
-      out.pixels[i] = std::max(out.pixels[i], 255 * std::abs(shown(a.pixels[c]) - shown(b.pixels[c])));
+      out.pixels[i] = std::max(
+          {out.pixels[i], levels(a.black.pixels[c], b.black.pixels[c]), levels(a.white.pixels[c], b.white.pixels[c])});
   return out;
 }
 

@@ -9,6 +9,7 @@
 
 #include "audit.hpp"
 #include "rgs/image.hpp"
+#include "rgs/image_metrics.hpp"
 
 namespace rgs::audit {
 
@@ -18,9 +19,17 @@ struct Colour {
 };
 Colour heat(float share);
 
-/// Largest absolute difference of each pixel's channels, [height, width, 1], in 8-bit levels; values are clamped to
-/// 0..1 first, as on a screen.
-Image difference_levels(const Image& a, const Image& b);
+/// A picture over black, [height, width, 3], and its alpha, [height, width].
+Picture over_backgrounds(Image black, std::span<const float> alpha);
+/// As Score has them. Errors: those of rgs::difference() and rgs::ssim().
+Result<ImageDifference> difference(const Picture& a, const Picture& b);
+Result<double> ssim(const Picture& a, const Picture& b);
+/// Score::over_white.
+bool shows_more_over_white(const Picture& a, const Picture& b);
+
+/// Largest absolute difference of each pixel's channels, [height, width, 1], in 8-bit levels, over both backgrounds;
+/// values are clamped to 0..1 first, as on a screen.
+Image difference_levels(const Picture& a, const Picture& b);
 /// Top of the scale of all maps of a report: a round number of levels that at most one pixel in a thousand exceeds.
 float scale_top(std::span<const Image> levels);
 /// Colours levels by heat() on a scale from 0 to `top`.

@@ -12,6 +12,7 @@
 #include <optional>
 #include <utility>
 
+#include "audit_picture.hpp"
 #include "audit_scenes.hpp"
 #include "rgs/image_metrics.hpp"
 #include "scene_file.hpp"
@@ -24,7 +25,7 @@ constexpr std::uint64_t kKeptBytes = std::uint64_t{512} << 20;   // pictures of 
 constexpr std::size_t kKeptViews = 6;
 
 std::uint64_t picture_bytes(const Camera& camera) {
-  return 3 * sizeof(float) * static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
+  return 2 * 3 * sizeof(float) * static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
 }
 
 RenderOptions with_key(RenderOptions options) {
@@ -254,7 +255,7 @@ class PictureAudit {
       if (!d || !s) return make_error(other.path, d ? s.error() : d.error());
       sums.psnr.push_back(d->psnr);
       sums.ssim += *s;
-      const auto loss = photo_loss(views_[i], references_[i - first], *image);
+      const auto loss = photo_loss(views_[i], references_[i - first].black, image->black);
       if (!loss) return tl::unexpected(loss.error());
       sums.loss += *loss;
     }
@@ -265,16 +266,15 @@ class PictureAudit {
   // ---- pictures and scores
 
   // Sets `drawn`, if requested, to the share of pixels on which the scene draws.
-  Outcome<Image> render(std::size_t view, const RenderOptions& how, double* drawn = nullptr) {
+  Outcome<Picture> render(std::size_t view, const RenderOptions& how, double* drawn = nullptr) {
     const Camera& camera = views_[view].camera;
     Image image = Image::make(camera.width, camera.height, 3);
-    if (drawn != nullptr) alpha_.resize(image.pixels.size() / 3);
-    const auto stats = renderer_->render(
-        scene_, camera, {.rgb = image.pixels, .alpha = drawn != nullptr ? std::span(alpha_) : std::span<float>()}, how);
+    alpha_.resize(image.pixels.size() / 3);
+    const auto stats = renderer_->render(scene_, camera, {.rgb = image.pixels, .alpha = alpha_}, how);
     if (!stats) return make_error("view " + camera.name, stats.error());
     if (drawn != nullptr) *drawn = drawn_share(alpha_);
     progress_.advance(1);
-    return image;
+    return over_backgrounds(std::move(image), alpha_);
   }
 
   // Whether the view is rated; if not, its variants are skipped.
@@ -310,14 +310,14 @@ class PictureAudit {
       if (!image) return tl::unexpected(image.error());
       const auto d = difference(references_[i - first], *image);
       if (!d) return make_error("view " + views_[i].camera.name, d.error());
-      const auto loss = photo_loss(views_[i], references_[i - first], *image);
+      const auto loss = photo_loss(views_[i], references_[i - first].black, image->black);
       if (!loss) return tl::unexpected(loss.error());
       series.add(d->psnr, d->mse, *loss);
     }
     return {};
   }
 
-  Done score(std::size_t view, double drawn, const Image& reference, Image image) {
+  Done score(std::size_t view, double drawn, const Picture& reference, Picture image) {
     const Camera& camera = views_[view].camera;
     ViewResult result{camera.name, camera.width, camera.height, drawn, {}, {}};
     rated_[view] = result.rated() ? 1 : 0;
@@ -329,13 +329,19 @@ class PictureAudit {
     const auto s = ssim(reference, image);
     if (!d || !s) return make_error("view " + camera.name, d ? s.error() : d.error());
     const auto pixel = static_cast<int>(d->largest_index / 3);
-    result.score = {d->mse, d->psnr, *s, d->largest, pixel % camera.width, pixel / camera.width};
+    result.score = {d->mse,
+                    d->psnr,
+                    *s,
+                    d->largest,
+                    pixel % camera.width,
+                    pixel / camera.width,
+                    shows_more_over_white(reference, image)};
     Image photo;
     if (!views_[view].photo.empty()) {
       auto read = read_photo(views_[view]);
       if (!read) return tl::unexpected(read.error());
       photo = *std::move(read);
-      const auto photo_score = compare_to_photo(views_[view], photo, reference, image);
+      const auto photo_score = compare_to_photo(views_[view], photo, reference.black, image.black);
       if (!photo_score) return tl::unexpected(photo_score.error());
       result.photo = *photo_score;
     }
@@ -376,7 +382,7 @@ class PictureAudit {
     const auto psnr = [this](const ViewPictures& p) { return report_.views[p.view].score.psnr; };
     auto& kept = report_.pictures;
     const auto worse = [&](const ViewPictures& a, const ViewPictures& b) { return psnr(a) < psnr(b); };
-    const std::uint64_t n_pictures = pictures.photo.pixels.empty() ? 2 : 3;
+    const std::uint64_t n_pictures = pictures.photo.pixels.empty() ? 2 : 3;  // a photograph takes half
     const std::uint64_t bytes = n_pictures * picture_bytes(views_[pictures.view].camera);
     const std::size_t most = std::clamp<std::size_t>(kKeptBytes / bytes, 1, kKeptViews);
     kept.insert(std::upper_bound(kept.begin(), kept.end(), pictures, worse), std::move(pictures));
@@ -492,9 +498,9 @@ class PictureAudit {
   std::vector<View> views_;
   std::vector<std::uint8_t> rated_;      // [views], of those drawn so far
   std::vector<std::uint8_t> seen_;       // [Gaussians drawn of the source]
-  std::vector<Image> references_;        // of the batch
+  std::vector<Picture> references_;      // of the batch
   std::vector<double> reference_drawn_;  // of the batch
-  std::vector<float> alpha_;             // of the last frame that requested it
+  std::vector<float> alpha_;             // of the last frame
   std::vector<Series> variants_;
   std::vector<AlsoSums> also_sums_ = std::vector<AlsoSums>(also_.size());
   RenderReport report_;

@@ -213,13 +213,14 @@ class Page {
     const RenderReport& r = *report_.render;
     const ViewPictures& p = r.pictures.front();
     const ViewResult& v = r.views[p.view];
+    const Image &source = p.source.over(v.score.over_white), &asset = p.asset.over(v.score.over_white);
     const bool has_photo = !p.photo.pixels.empty();
     const std::size_t most = has_photo ? kTopBytesBesidePhoto : kTopBytes;
     bool lossless_a = false, lossless_b = false;
-    const std::string a = picture_uri(shrunk(p.source, kTopWidth), most, &lossless_a);
-    const std::string b = picture_uri(shrunk(p.asset, kTopWidth), most, &lossless_b);
+    const std::string a = picture_uri(shrunk(source, kTopWidth), most, &lossless_a);
+    const std::string b = picture_uri(shrunk(asset, kTopWidth), most, &lossless_b);
     const std::string map =
-        picture_uri(heat_map(shrunk_to_largest(maps_.front(), std::min(kTopWidth, p.source.width)), top_), kMapBytes);
+        picture_uri(heat_map(shrunk_to_largest(maps_.front(), std::min(kTopWidth, source.width)), top_), kMapBytes);
     const std::string alt = html(v.name.empty() ? "view" : v.name);
     add("<figure>\n<div class=\"ab\"><img src=\"{}\" width=\"{}\" height=\"{}\" alt=\"{}, original\">", a, v.width,
         v.height, alt);
@@ -240,11 +241,12 @@ class Page {
     }
     add("<figcaption>The worst of {} views, {}: {} against the original, SSIM {:.5f}; the largest difference is {:.1f} "
         "of 255 "
-        "levels, at pixel ({}, {}). <span class=\"screen\">Drag, or use the arrow "
+        "levels, at pixel ({}, {}).{} <span class=\"screen\">Drag, or use the arrow "
         "keys.</span>{}{}</figcaption>\n</figure>\n",
         r.n_rated, alt, format_psnr(v.score.psnr), v.score.ssim, 255 * static_cast<double>(v.score.largest), v.score.x,
-        v.score.y, lossless_a && lossless_b ? "" : " Shown as JPEG.",
-        p.source.width > kTopWidth ? fmt::format(" Scaled down to {} pixels.", kTopWidth) : "");
+        v.score.y, v.score.over_white ? " Shown over white, where more differs than over black." : "",
+        lossless_a && lossless_b ? "" : " Shown as JPEG.",
+        source.width > kTopWidth ? fmt::format(" Scaled down to {} pixels.", kTopWidth) : "");
   }
 
   void contents() {
@@ -274,8 +276,8 @@ class Page {
   void where() {
     const RenderReport& r = *report_.render;
     title("where", "Where it differs");
-    add("<p>The largest difference of the three channels, pixel by pixel, amplified {:.0f} times, on one scale for all "
-        "pictures. Maps clamp values to 0..1, as a screen does; the numbers do not.</p>\n",
+    add("<p>The largest difference of the three channels over black and over white, pixel by pixel, amplified {:.0f} "
+        "times, on one scale for all pictures. Maps clamp values to 0..1, as a screen does; the numbers do not.</p>\n",
         255 / static_cast<double>(top_));
     scale_bar();
     add("<div class=\"grid\">\n");
@@ -294,7 +296,8 @@ class Page {
 
   void crop(const Region& r) {
     const ViewPictures& p = report_.render->pictures[r.pictures];
-    const std::string name = html(report_.render->views[p.view].name);
+    const ViewResult& v = report_.render->views[p.view];
+    const std::string name = html(v.name);
     const auto part = [&](const Image& image) { return cropped(image, r.x, r.y, r.width, r.height); };
     const bool has_photo = !p.photo.pixels.empty();
     const std::size_t most = has_photo ? kCropBytesBesidePhoto : kCropBytes;
@@ -303,8 +306,8 @@ class Page {
       add("<div><img src=\"{}\" alt=\"{} of {} at {}, {}\"><span>{}</span></div>", picture_uri(image, most), what, name,
           r.x, r.y, what);
     };
-    one(part(p.source), "Original");
-    one(part(p.asset), "Asset");
+    one(part(p.source.over(v.score.over_white)), "Original");
+    one(part(p.asset.over(v.score.over_white)), "Asset");
     if (has_photo) one(part(p.photo), "Photograph");
     one(heat_map(part(maps_[r.pictures]), top_), "Difference");
     add("</div><figcaption>{}, {} x {} pixels at ({}, {}): {:.2g} levels RMS</figcaption></figure>\n", name, r.width,
@@ -481,9 +484,9 @@ class Page {
       add("<div><img src=\"{}\" alt=\"{}, {} times as far, {}\"><span>{}</span></div>",
           picture_uri(shrunk(image, kStripWidth), kStripBytes), html(v.name), row.far, what, what);
     };
-    one(p.truth, "Truth");
-    one(p.leaves, "All Gaussians");
-    one(p.levels, "Levels");
+    one(p.truth.over(p.over_white), "Truth");
+    one(p.leaves.over(p.over_white), "All Gaussians");
+    one(p.levels.over(p.over_white), "Levels");
     one(map, "Difference");
     add("</div><figcaption>{}&times; as far, {}, {} x {} pixels: all Gaussians as declared {}, levels {} from {:.1f} % "
         "of "
@@ -703,15 +706,17 @@ class Page {
            "exponential; the asset is drawn with the same arithmetic");
       fact("PSNR",
            "-10 log10 of the mean squared difference of floating-point values with peak 1, neither clamped nor rounded "
-           "to "
-           "8 bits; means are over the rated views that differ");
+           "to 8 bits, over the background that shows more in each channel of each pixel; means are over the rated "
+           "views that differ");
       fact("Rated", fmt::format("views in which source or asset draws on at least {:g} % of the pixels; below {:g} % "
                                 "they are flagged, because equal background raises PSNR",
                                 100 * kRatedShare, 100 * kHardlySeenShare));
-      fact("SSIM", "as in 3DGS: 11 x 11 Gaussian window, sigma 1.5, zero padding");
+      fact("SSIM",
+           "as in 3DGS: 11 x 11 Gaussian window, sigma 1.5, zero padding; the lower one over black and over white");
       if (report_.render->photo)
         fact("Photographs",
-             "values clamped to 0..1, PSNR and SSIM against the photograph; lost is the source's PSNR minus the "
+             "values over black clamped to 0..1, PSNR and SSIM against the photograph; lost is the source's PSNR minus "
+             "the "
              "asset's");
       fact("Renderer", html(report_.render->backend));
     }

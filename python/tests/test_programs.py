@@ -200,7 +200,7 @@ def test_audits(examples, tmp_path):
     views = roofgs.cameras.load(examples / "cameras.json")
     found = roofgs.audit(examples / "scene.ply", examples / "scene.rgs", cameras=views, size=(64, 48),
                          report=tmp_path / "page.html", fail_below={"psnr": 30, "worst_psnr": 20})
-    assert found["schema"] == "rgs-audit/2" and found.holds and found["rendered"]["psnr"] > 30
+    assert found["schema"] == "rgs-audit/3" and found.holds and found["rendered"]["psnr"] > 30
     assert found.measured["psnr"] == found["rendered"]["psnr"] and found.grade in ("identical", "no_visible_loss", "close")
     assert found.verdict in repr(found) and "psnr" in found._repr_html_()
     assert (tmp_path / "page.html").read_text().startswith("<!doctype html>")

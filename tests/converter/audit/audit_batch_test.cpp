@@ -315,8 +315,8 @@ TEST_CASE("a stored result holds what later gates need, infinite and missing val
     write_text(path, text.substr(0, cut));
     CHECK_FALSE(audit::earlier_audit(path, report.fingerprint, {}));
   }
-  for (const char* wrong : {"{}", "[]", "7", R"({"schema":"rgs-audit/2","fingerprint":"0123456789abcdef"})",
-                            R"({"schema":"rgs-audit/2","fingerprint":"0123456789abcdef","measured":{"psnr":"x"}})"}) {
+  for (const char* wrong : {"{}", "[]", "7", R"({"schema":"rgs-audit/3","fingerprint":"0123456789abcdef"})",
+                            R"({"schema":"rgs-audit/3","fingerprint":"0123456789abcdef","measured":{"psnr":"x"}})"}) {
     write_text(path, wrong);
     CHECK_FALSE(audit::earlier_audit(path, report.fingerprint, {}));
   }

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "audit_picture.hpp"
 #include "audit_program_fixture.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/image_metrics.hpp"
@@ -67,13 +68,17 @@ json without_seconds(json j) {
   return j;
 }
 
-Image draw(const Scene& drawn, const Camera& camera, const RenderOptions& options) {
-  Image image = Image::make(camera.width, camera.height, 3);
+audit::Picture draw(const Scene& drawn, const Camera& camera, RenderOptions options) {
   auto renderer = Renderer::create({Backend::cpu});
   REQUIRE(renderer);
-  REQUIRE(renderer->render(drawn, camera, {.rgb = image.pixels}, options));
-  for (float& v : image.pixels) v = std::clamp(v, 0.0F, 1.0F);
-  return image;
+  const auto over = [&](float grey) {
+    Image image = Image::make(camera.width, camera.height, 3);
+    options.background = {grey, grey, grey};
+    REQUIRE(renderer->render(drawn, camera, {.rgb = image.pixels}, options));
+    for (float& v : image.pixels) v = std::clamp(v, 0.0F, 1.0F);
+    return image;
+  };
+  return {over(0), over(1)};
 }
 
 /// Scaled by 1 / `far`; the truth is twice as large.
@@ -146,10 +151,10 @@ TEST_CASE("quality by distance compares the pages that a view draws with the ave
   compensated.low_pass = 0.1F;
   levels = compensated;
   levels.detail_px = kDefaultDetailPx;
-  const Image large = draw(source, scaled(camera, 2), reference());
+  const audit::Picture large = draw(source, scaled(camera, 2), reference());
   for (const int i : {0, 2, 3}) {
     const int times = 1 << i;
-    const Image truth = averaged(large, 2 * times);
+    const audit::Picture truth{averaged(large.black, 2 * times), averaged(large.white, 2 * times)};
     const Camera smaller = scaled(camera, 1.0 / times);
     const json& views = j["rows"][static_cast<std::size_t>(i)]["views"];
     const auto view = std::find_if(views.begin(), views.end(), [](const json& v) { return v["name"] == "b.png"; });
@@ -160,7 +165,7 @@ TEST_CASE("quality by distance compares the pages that a view draws with the ave
     for (const auto& [name, options] : drawn) {
       const auto& key = name;  // clang 14 cannot capture a structured binding
       INFO(key << ", " << times << " times as far");
-      const Image image = draw(asset, smaller, options);
+      const audit::Picture image = draw(asset, smaller, options);
       CHECK((*view)[key]["psnr"].get<double>() == doctest::Approx(difference(truth, image)->psnr).epsilon(1e-4));
       CHECK((*view)[key]["ssim"].get<double>() == doctest::Approx(ssim(truth, image).value()).epsilon(1e-4));
     }

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "audit_command.hpp"
+#include "audit_picture.hpp"
 #include "audit_program_fixture.hpp"
 #include "audit_report.hpp"
 #include "image_file.hpp"
@@ -46,16 +47,20 @@ void write_photos(const std::string& folder, int n, int width = 96, int height =
   }
 }
 
-Image render(const Scene& scene, double z) {
+audit::Picture render(const Scene& scene, double z) {
   Camera camera;
   camera.width = 96, camera.height = 72;
   camera.fx = camera.fy = 90;
   camera.cx = 48, camera.cy = 36;
   camera.world_to_camera[3].z = z;
-  Image image = Image::make(96, 72, 3);
   auto renderer = Renderer::create();
-  REQUIRE(renderer->render(scene, camera, {.rgb = image.pixels}, {.pipeline = Pipeline::baseline}));
-  return image;
+  const auto over = [&](float grey) {
+    Image image = Image::make(96, 72, 3);
+    REQUIRE(renderer->render(scene, camera, {.rgb = image.pixels},
+                             {.background = {grey, grey, grey}, .pipeline = Pipeline::baseline}));
+    return image;
+  };
+  return {over(0), over(1)};
 }
 
 // A report with everything that it can hold, of a file with a hostile name.
@@ -72,7 +77,7 @@ ProgramResult full_report(const SceneFolder& scene, const std::string& page) {
 TEST_CASE("an audit measures sizes, attributes and pictures, and its JSON keeps the documented form") {
   const SceneFolder scene;
   const json j = scene.result();
-  CHECK(j["schema"] == "rgs-audit/2");
+  CHECK(j["schema"] == "rgs-audit/3");
   CHECK(j["source"]["gaussians"] == 700);
   CHECK(j["asset"]["format"] == "rgs");
   CHECK(j["asset"]["made_from_source"] == true);
@@ -94,7 +99,7 @@ TEST_CASE("an audit measures sizes, attributes and pictures, and its JSON keeps 
   for (const json& v : j["rendered"]["views"])
     if (v["name"] == "b.png") view = &v;
   REQUIRE(view != nullptr);
-  const Image a = render(source, 3), b = render(asset, 3);
+  const audit::Picture a = render(source, 3), b = render(asset, 3);
   CHECK((*view)["psnr"].get<double>() == doctest::Approx(difference(a, b)->psnr).epsilon(1e-6));
   CHECK((*view)["ssim"].get<double>() == doctest::Approx(*ssim(a, b)).epsilon(1e-9));
   CHECK((*view)["largest"]["difference"].get<double>() == doctest::Approx(difference(a, b)->largest).epsilon(1e-4));
@@ -223,10 +228,10 @@ TEST_CASE("large noisy pictures keep to the report's size, photographs too") {
   report.render.emplace();
   SplitMix random(4);
   for (std::size_t i = 0; i < 3; ++i) {
-    audit::ViewPictures p{i, Image::make(2400, 1600, 3), Image::make(2400, 1600, 3)};
-    for (float& v : p.source.pixels) v = static_cast<float>(random.below(256)) / 255;
-    for (float& v : p.asset.pixels) v = static_cast<float>(random.below(256)) / 255;
-    p.photo = p.asset;
+    Image source = Image::make(2400, 1600, 3), asset = source;
+    for (float& v : source.pixels) v = static_cast<float>(random.below(256)) / 255;
+    for (float& v : asset.pixels) v = static_cast<float>(random.below(256)) / 255;
+    audit::ViewPictures p{i, {source, source}, {asset, asset}, asset};
     report.render->pictures.push_back(std::move(p));
     audit::ViewResult view;
     view.name = "noise";
@@ -291,7 +296,7 @@ TEST_CASE("photographs are found by name and compared with both sides") {
   REQUIRE(j["rendered"]["photos"].is_object());
   const json& view = j["rendered"]["views"][0];
   const std::string name = view["name"];
-  Image source = render(Scene::load(scene.cloud).value(), 2.5 + 0.5 * (name[0] - 'a'));
+  Image source = render(Scene::load(scene.cloud).value(), 2.5 + 0.5 * (name[0] - 'a')).black;
   for (float& v : source.pixels) v = std::clamp(v, 0.F, 1.F);
   const Image photo = read_image(photos + "/" + name).value();
   CHECK(view["photo"]["source_psnr"].get<double>() == doctest::Approx(difference(photo, source)->psnr).epsilon(1e-6));

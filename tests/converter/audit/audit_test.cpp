@@ -438,7 +438,7 @@ TEST_CASE("difference maps keep single bad pixels, and the worst regions lie apa
     for (int x = 100; x < 130; ++x) b.at(x, y, 1) = 8.F / 255;
   b.at(3, 110, 2) = -0.5F;  // below what a screen shows
   b.at(7, 5, 0) = 1;
-  const Image levels = difference_levels(a, b);
+  const Image levels = difference_levels({a, a}, {b, b});
   CHECK(levels.at(7, 5, 0) == 255);
   CHECK(levels.at(3, 110, 0) == doctest::Approx(0.5));
   CHECK(levels.at(110, 70, 0) == doctest::Approx(8));

@@ -1,0 +1,122 @@
+// audit_differences_test.cpp - what an audit must not miss: differences over other backgrounds.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "audit_picture.hpp"
+#include "audit_program_fixture.hpp"
+#include "rgs/splat_edit.hpp"
+
+using nlohmann::json;
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+json audited(std::vector<std::string> arguments, int exit_code = 0) {
+  arguments.insert(arguments.end(), {"--json", "-", "--quiet"});
+  const ProgramResult run = run_audit(arguments);
+  INFO(run.err);
+  REQUIRE(run.exit_code == exit_code);
+  return json::parse(run.out);
+}
+
+// A sphere of black opaque Gaussians around the ball of audit_cloud() and its cameras: the sky.
+SplatCloud black_shell(std::uint64_t n = 3000) {
+  SplatCloud cloud;
+  cloud.resize(n, 3);
+  for (std::uint64_t i = 0; i < n; ++i) {
+    // Fibonacci's lattice.
+    const double z = 1 - (2 * static_cast<double>(i) + 1) / static_cast<double>(n);
+    const double turn = 2.399963229728653 * static_cast<double>(i), across = std::sqrt(1 - z * z);
+    Splat s;
+    s.mean[0] = static_cast<float>(8 * across * std::cos(turn));
+    s.mean[1] = static_cast<float>(8 * across * std::sin(turn));
+    s.mean[2] = static_cast<float>(8 * z);
+    std::fill_n(s.log_scale, 3, -1.F);
+    s.rotation[0] = 1;
+    s.opacity_logit = 8;
+    std::fill_n(s.sh, 3, -2.F);
+    cloud.set(i, s);
+  }
+  return cloud;
+}
+
+}  // namespace
+
+TEST_CASE("a black shell around a scene with an open sky is heavy damage in every number") {
+  const SceneFolder scene;
+  SplatCloud shelled = scene.cloud;
+  append_splats(shelled, black_shell());
+  const std::string ply = write_ply(scene.file("shelled.ply"), shelled),
+                    rgs = write_rgs(scene.file("shelled.rgs"), shelled), page = scene.file("page.html");
+  struct Case {
+    std::string source, asset;
+  };
+  for (const Case& c : {Case{scene.ply, ply}, Case{scene.ply, rgs}, Case{ply, scene.ply}, Case{ply, scene.rgs}}) {
+    CAPTURE(c.asset);
+    const json j = audited({c.source, c.asset, "--cameras", scene.cameras, "--also", c.asset, "--report", page,
+                            "--overwrite", "--fail-below", "psnr=20,worst-psnr=20,ssim=0.9,worst-ssim=0.9,largest=200"},
+                           5);
+    CHECK(j["verdict"]["grade"] == "poor");
+    for (const json& condition : j["gate"]["conditions"]) CHECK_MESSAGE(condition["holds"] == false, condition["name"]);
+    const json& rendered = j["rendered"];
+    CHECK(rendered["psnr"].get<double>() < 15);
+    CHECK(rendered["largest"].get<double>() > 0.9);
+    CHECK(rendered["views"][0]["background"] == "white");
+    CHECK(j["also"][0]["psnr"] == rendered["psnr"]);
+    CHECK(j["also"][0]["ssim"] == rendered["ssim"]);
+    for (const json& row : rendered["attribution"])
+      if (row["key"] == "conversion") CHECK(row["mse"] == rendered["mse"]);
+    CHECK(read_text(page).find("Shown over white") != std::string::npos);
+  }
+  const json same = audited({ply, ply, "--cameras", scene.cameras});
+  CHECK(same["verdict"]["grade"] == "identical");
+}
+
+TEST_CASE("levels of detail are compared over both backgrounds too") {
+  const SceneFolder scene;
+  SplatCloud shelled = scene.cloud;
+  append_splats(shelled, black_shell(14000));
+  const std::string ply = write_ply(scene.file("shelled.ply"), shelled), rgs = scene.file("shelled.rgs");
+  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", "--lod", ply, rgs}).exit_code == 0);
+  const json j = audited({scene.ply, rgs, "--cameras", scene.cameras, "--no-attribution"});
+  for (const json& row : j["distances"]["rows"])
+    for (const char* scenes : {"leaves", "compensated", "levels"}) CHECK(row[scenes]["psnr"].get<double>() < 15);
+}
+
+TEST_CASE("no background within 0..1 shows a larger difference than black and white do") {
+  SplitMix random(7);
+  const auto picture = [&](std::vector<float>& alpha) {
+    Image image = Image::make(24, 16, 3);
+    for (std::size_t i = 0; i < image.pixels.size(); ++i) {
+      if (i % 3 == 0) alpha.push_back(random.dyadic(0, 1));
+      image.pixels[i] = alpha.back() * random.dyadic(0, 1);
+    }
+    return image;
+  };
+  std::vector<float> alpha_a, alpha_b;
+  const Image a = picture(alpha_a), b = picture(alpha_b);
+  const auto found = audit::difference(audit::over_backgrounds(a, alpha_a), audit::over_backgrounds(b, alpha_b));
+  REQUIRE(found);
+  double most = 0, squares = 0;
+  for (std::size_t i = 0; i < a.pixels.size(); ++i) {
+    double worst = 0;
+    for (int k = 0; k <= 64; ++k) {
+      const double background = k / 64.0, t_a = 1 - static_cast<double>(alpha_a[i / 3]),
+                   t_b = 1 - static_cast<double>(alpha_b[i / 3]);
+      worst = std::max(worst, std::abs(static_cast<double>(a.pixels[i]) + t_a * background -
+                                       static_cast<double>(b.pixels[i]) - t_b * background));
+    }
+    most = std::max(most, worst);
+    squares += worst * worst;
+  }
+  CHECK(static_cast<double>(found->largest) == doctest::Approx(most).epsilon(1e-6));
+  CHECK(found->mse == doctest::Approx(squares / static_cast<double>(a.pixels.size())).epsilon(1e-6));
+}
