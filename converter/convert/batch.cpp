@@ -92,6 +92,19 @@ Json output_exists(const BatchScene& scene) {
                         "pass --overwrite to replace it"}});
 }
 
+// Whether a file that cannot be read is damaged, and not of another kind or a newer version.
+bool is_damage(Errc code) {
+  switch (code) {
+    case Errc::unsupported_version:
+    case Errc::unknown_required:
+    case Errc::unsupported_codec:
+    case Errc::unsupported_feature:
+    case Errc::limit_exceeded:
+    case Errc::not_gaussian_splats: return false;
+    default: return exit_code(code) == tool::kMalformed || exit_code(code) == tool::kIncomplete;
+  }
+}
+
 bool exists(const BatchScene& scene) {
   std::error_code ignored;
   return fs::exists(scene.output_path, ignored);
@@ -192,7 +205,7 @@ class Batch {
       settle(i, failure_json({scene.name, scene.readable.error()}));
       return true;
     }
-    if (options_.overwrite) return false;
+    if (options_.overwrite || (options_.check_output && exists(scene))) return false;
     const BatchRecord want = wanted(scene);
     const std::string input_stamp = stamp_of(tool::files_of_scene(scene.input)),
                       made_stamp = stamp_of({&scene.output_path, 1});
@@ -213,7 +226,7 @@ class Batch {
   // ---- child
 
   // Reads a touched or replaced file to see whether the work is done already; converts otherwise.
-  Json convert(const BatchScene& scene, const BatchShare& share) {
+  Json convert(const BatchScene& scene, BatchShare share) {
     BatchRecord record = wanted(scene);
     const std::vector<std::string> files = tool::files_of_scene(scene.input);
     record.input_stamp = stamp_of(files);
@@ -232,6 +245,13 @@ class Batch {
                 {"summary", Json::parse(known.summary, nullptr, false)},
                 {"record", record_json(record)}};
       }
+    }
+    Json damage;
+    if (options_.check_output && exists(scene)) {
+      const Status whole = options_.check_output(scene.output_path);
+      if (!whole && !is_damage(whole.error().code)) return failure_json({scene.output_path, whole.error()});
+      if (!whole) damage = error_json(scene.output_path, whole.error());
+      share.overwrite = share.overwrite || !whole;
     }
     if (!share.overwrite && exists(scene)) return output_exists(scene);
     if (share.unfinished && !state_.others_may_work()) remove_unfinished(scene.output_path);
@@ -257,6 +277,7 @@ class Batch {
     if (!made) return failure_json({scene.output_path, made.error()});
     record.made = *made;
     Json json{{"status", "converted"}, {"exit_code", 0}, {"summary", Json::parse(summary_json(*summary))}};
+    if (!damage.is_null()) json["damaged_output"] = std::move(damage);
     // If the input was touched meanwhile, it may have changed before it was opened: without a record it is done again.
     if (stamp_of(files) == record.input_stamp) json["record"] = record_json(record);
     return json;
@@ -425,7 +446,7 @@ class Batch {
       note(state_.add(std::move(record)));
     }
     Json line{{"schema", kSchema}, {"input_path", scene.name}, {"output_path", scene.output}};
-    for (const char* key : {"status", "exit_code", "error"})
+    for (const char* key : {"status", "exit_code", "error", "damaged_output"})
       if (const auto found = result.find(key); found != result.end()) line[key] = *found;
     Json summary = result.value("summary", Json::object());
     if (summary.is_object()) {
@@ -439,6 +460,7 @@ class Batch {
     if (status == "skipped") ++n_skipped_;
     if (status == "kept") ++n_kept_;
     if (status == "converted") ++n_converted_;
+    if (line.contains("damaged_output")) ++n_damaged_;
     if (result.contains("error") && (status == "failed" || !options_.quiet)) {
       const Json& error = result["error"];
       const std::string hint = error.value("hint", "");
@@ -485,12 +507,12 @@ class Batch {
     };
     const std::string shard =
         options_.n_shards == 1 ? "" : fmt::format("shard {} of {}: ", options_.shard, options_.n_shards);
-    return fmt::format("rgs-convert: {}{} scenes: {} converted{}{}{}{}{}, {} -> {}, in {}\n", shard,
+    return fmt::format("rgs-convert: {}{} scenes: {} converted{}{}{}{}{}{}, {} -> {}, in {}\n", shard,
                        tool::format_count(scenes_.size()), tool::format_count(n_converted_),
-                       count(n_kept_, "kept (already done)"), count(n_failed_, "failed"),
-                       count(n_skipped_, "skipped (no Gaussian splats)"), count(n_left_, "not begun"),
-                       count(options_.n_others, "other files ignored"), tool::format_bytes(read_bytes_),
-                       tool::format_bytes(made_bytes_),
+                       count(n_damaged_, "of them in place of damaged outputs"), count(n_kept_, "kept (already done)"),
+                       count(n_failed_, "failed"), count(n_skipped_, "skipped (no Gaussian splats)"),
+                       count(n_left_, "not begun"), count(options_.n_others, "other files ignored"),
+                       tool::format_bytes(read_bytes_), tool::format_bytes(made_bytes_),
                        tool::format_seconds(std::chrono::duration<double>(Clock::now() - start_).count()));
   }
 
@@ -516,7 +538,7 @@ class Batch {
   std::vector<Child> children_;
   sigset_t usual_signals_{};
   int signals_ = -1, stopped_by_ = 0, worst_ = tool::kSuccess;
-  std::uint64_t n_failed_ = 0, n_skipped_ = 0, n_kept_ = 0, n_converted_ = 0, n_left_ = 0;
+  std::uint64_t n_failed_ = 0, n_skipped_ = 0, n_kept_ = 0, n_converted_ = 0, n_damaged_ = 0, n_left_ = 0;
   std::uint64_t read_bytes_ = 0, made_bytes_ = 0;
   Error state_error_;
   Clock::time_point start_ = Clock::now();

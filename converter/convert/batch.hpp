@@ -37,6 +37,8 @@ struct BatchOptions {
   unsigned shard = 1, n_shards = 1;
   bool keep_going = true, overwrite = false, sync = true, quiet = false, json = false;
   std::uint64_t n_others = 0;  ///< files that were ignored
+  /// Reads a whole output. If set, existing outputs are read, and those that it finds damaged are replaced.
+  std::function<Status(const std::string& path)> check_output;
 };
 
 /// A child's share of resources, and what it may do.

@@ -57,7 +57,7 @@ struct Arguments {
   std::vector<std::string> files;   // inputs, then the output
   std::string list, report, shard;  // of many scenes
   unsigned jobs = 1;
-  bool keep_going = true, stop = false;
+  bool keep_going = true, stop = false, overwrite_damaged = false;
   std::string given;  // text of all options that affect an output, and the cameras' contents
   std::string cameras, axes = "3dgs", to_axes, crop, max_count;
   std::optional<std::uint32_t> level_of_detail;
@@ -666,8 +666,8 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
 }
 
 // Options for many scenes. None affects an output.
-constexpr std::string_view kBatchOptions[] = {"--list",       "--jobs",          "--shard",
-                                              "--keep-going", "--no-keep-going", "--report"};
+constexpr std::string_view kBatchOptions[] = {
+    "--list", "--jobs", "--shard", "--keep-going", "--no-keep-going", "--report", "--overwrite-damaged"};
 
 // Rejects what parts cannot do; returns the message for the user.
 std::optional<std::string> check_parts(const Arguments& a) {
@@ -778,6 +778,20 @@ tl::expected<rgs::ConvertSummary, rgs::BatchFailure> convert_one(const Arguments
   return tl::unexpected(rgs::BatchFailure{failure.file, failure.error});
 }
 
+// Reads a whole scene, with all its levels.
+rgs::Status check_whole(const std::string& path, const rgs::DecodeLimits& limits) {
+  Input input;
+  if (rgs::Status s = input.open(path); !s) return s;
+  if (rgs::has_levels(input.bytes())) {
+    const auto paged = rgs::PagedFile::open(input.bytes(), limits);
+    if (!paged) return tl::unexpected(paged.error());
+    if (rgs::Status s = rgs::validate(*paged); !s) return s;
+  }
+  rgs::ReadOptions options;
+  options.limits = limits;
+  return input.read(options).map([](const rgs::SplatFile&) {});
+}
+
 // The inputs of many scenes and their output folder, or the exit code of a reported error.
 tl::expected<rgs::BatchPlan, int> plan(const Arguments& a) {
   const auto usage = [](const std::string& message) { return tl::unexpected(tool::report_usage(message)); };
@@ -864,6 +878,8 @@ int convert_many(Arguments& arguments) {
       return tool::report(options.report, s.error());
   }
   options.tool = "rgs-convert " RGS_VERSION;
+  if (arguments.overwrite_damaged)
+    options.check_output = [&arguments](const std::string& path) { return check_whole(path, arguments.limits); };
   options.keep_going = !arguments.stop;
   options.sync = !arguments.no_sync;
   options.overwrite = arguments.convert.output.overwrite;
@@ -920,6 +936,9 @@ void add_batch_options(CLI::App& app, Arguments& a) {
   app.add_flag("--keep-going", a.keep_going, "Go on after a scene that fails (default)")->group(group);
   app.add_flag("--no-keep-going", a.stop, "Start no further scene after one fails")
       ->excludes("--keep-going")
+      ->group(group);
+  app.add_flag("--overwrite-damaged", a.overwrite_damaged,
+               "Read every existing output, and replace those that are damaged or cut off")
       ->group(group);
   app.add_option("--report", a.report, "Write each scene's line of JSON to this file instead of standard output")
       ->option_text("FILE")
@@ -1090,11 +1109,14 @@ void add_options(CLI::App& app, Arguments& a) {
 
 // The options that affect an output, sorted so that their order does not matter.
 std::string given_options(const CLI::App& app) {
-  constexpr std::string_view kUnseen[] = {
-      "files",      "--threads",    "--memory",        "--scratch",       "--overwrite", "--json",
-      "--no-sync",  "--quiet",      "--cameras",       "--list",          "--jobs",      "--shard",
-      "--report",   "--keep-going", "--no-keep-going", "--lod-partition", "--lod-build", "--lod-assemble",
-      "--lod-list", "--lod-input",  "--ranges"};
+  constexpr std::string_view kUnseen[] = {"files",           "--threads",       "--memory",
+                                          "--scratch",       "--overwrite",     "--json",
+                                          "--no-sync",       "--quiet",         "--overwrite-damaged",
+                                          "--cameras",       "--list",          "--jobs",
+                                          "--shard",         "--report",        "--keep-going",
+                                          "--no-keep-going", "--lod-partition", "--lod-build",
+                                          "--lod-assemble",  "--lod-list",      "--lod-input",
+                                          "--ranges"};
   std::map<std::string, std::string> given;
   for (const CLI::Option* option : app.get_options()) {
     if (option->count() == 0 || std::ranges::find(kUnseen, option->get_name()) != std::end(kUnseen)) continue;

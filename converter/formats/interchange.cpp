@@ -169,6 +169,9 @@ Result<SplatFile> decode_format(std::span<const std::byte> bytes, SplatFormat fo
     case SplatFormat::glb: return detail::decode_glb(bytes, limits);
     case SplatFormat::unknown: break;
   }
+  if (detail::is_streamed_sog(bytes))
+    return make_error(Errc::unsupported_feature, 0,
+                      "a streamed SOG (lod-meta.json), which is not read yet: take the scene that it was made from");
   return make_error(Errc::bad_magic, 0, "is not a .rgs, .ply, .spz, .splat, .ksplat, .sog or .glb file");
 }
 
@@ -281,6 +284,7 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
       return make_error(Errc::limit_exceeded, 0, "the file is larger than the caller allows",
                         options.limits.max_file_bytes, bytes.size());
     }
+    if (bytes.empty()) return make_error(Errc::truncated, 0, "the file is empty");
     const SplatFormat format = options.format != SplatFormat::unknown ? options.format : detect_format(bytes);
     if (format == SplatFormat::sog && detail::is_sog_meta(bytes)) {
       return make_error(Errc::unsupported_feature, 0,

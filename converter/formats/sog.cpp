@@ -406,6 +406,12 @@ bool begins_with(std::span<const std::byte> bytes, std::string_view text, std::u
          std::memcmp(bytes.data() + offset, text.data(), text.size()) == 0;
 }
 
+bool is_json_with(std::string_view key, std::span<const std::byte> bytes) {
+  const std::string_view text(reinterpret_cast<const char*>(bytes.data()), std::min<std::size_t>(bytes.size(), 65536));
+  const std::size_t first = text.find_first_not_of(" \t\r\n");
+  return first != text.npos && text[first] == '{' && text.find(key) != text.npos;
+}
+
 }  // namespace
 
 bool is_sog(std::span<const std::byte> bytes) {
@@ -413,9 +419,11 @@ bool is_sog(std::span<const std::byte> bytes) {
 }
 
 bool is_sog_meta(std::span<const std::byte> bytes) {
-  const std::string_view text(reinterpret_cast<const char*>(bytes.data()), std::min<std::size_t>(bytes.size(), 65536));
-  const std::size_t first = text.find_first_not_of(" \t\r\n");
-  return first != text.npos && text[first] == '{' && text.find("\"means\"") != text.npos;
+  return is_json_with("\"means\"", bytes);
+}
+
+bool is_streamed_sog(std::span<const std::byte> bytes) {
+  return is_json_with("\"lodLevels\"", bytes);
 }
 
 Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimits& limits) {

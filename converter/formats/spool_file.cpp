@@ -1,41 +1,18 @@
-// spool_file.cpp - temporary bytes on POSIX: O_TMPFILE, or mkostemp and unlink where a file system lacks it.
+// spool_file.cpp - temporary bytes in memory or an unnamed file.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/spool_file.hpp"
 
-#include <fcntl.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstdlib>
-#include <string>
 #include <utility>
 
 namespace rgs::detail {
 namespace {
 
 constexpr std::size_t kBufferBytes = std::size_t{1} << 20;
-
-// Moves the descriptor above 2: messages to a closed standard stream must not end up in the file.
-int beyond_standard_streams(int fd) {
-  if (fd < 0 || fd > STDERR_FILENO) return fd;
-  const int moved = ::fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
-  const int error = errno;
-  ::close(fd);
-  errno = error;
-  return moved;
-}
-
-int open_unlinked() {
-  const char* variable = std::getenv("TMPDIR");
-  const std::string folder = variable != nullptr && *variable != '\0' ? variable : "/tmp";
-  const int fd = ::open(folder.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
-  if (fd >= 0) return beyond_standard_streams(fd);
-  std::string path = folder + "/rgs-spool-XXXXXX";
-  const int named = ::mkostemp(path.data(), O_CLOEXEC);
-  if (named >= 0) ::unlink(path.c_str());
-  return beyond_standard_streams(named);
-}
 
 }  // namespace
 
@@ -57,7 +34,8 @@ Status SpoolFile::append(std::span<const std::byte> bytes) {
 
 Status SpoolFile::flush() {
   if (fd_ < 0) {
-    fd_ = open_unlinked();
+    const char* folder = std::getenv("TMPDIR");
+    fd_ = open_scratch(folder != nullptr && *folder != '\0' ? folder : "/tmp");
     if (fd_ < 0) {
       return make_error(Errc::open_failed, Error::kNone,
                         "cannot create a temporary file; set TMPDIR to a writable folder", Error::kNone, Error::kNone,

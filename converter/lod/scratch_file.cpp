@@ -1,8 +1,7 @@
-// scratch_file.cpp - scratch bytes on POSIX: O_TMPFILE, or mkostemp and unlink where a file system lacks it.
+// scratch_file.cpp - scratch bytes in memory or an unnamed file.
 // SPDX-License-Identifier: Apache-2.0
 #include "scratch_file.hpp"
 
-#include <fcntl.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -10,6 +9,7 @@
 #include <string_view>
 #include <utility>
 
+#include "rgs/file.hpp"
 #include "rgs/guard_memory.hpp"
 
 namespace rgs::lod {
@@ -27,14 +27,8 @@ bool concerns_scratch(const Error& error) {
 }
 
 Result<ScratchFile> ScratchFile::create(const std::string& folder) {
-  const std::string in = folder.empty() ? "." : folder;
   ScratchFile file;
-  file.fd_ = ::open(in.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
-  if (file.fd_ < 0 && errno != ENOENT && errno != EACCES) {
-    std::string path = in + "/rgs-scratch-XXXXXX";
-    file.fd_ = ::mkostemp(path.data(), O_CLOEXEC);
-    if (file.fd_ >= 0) ::unlink(path.c_str());
-  }
+  file.fd_ = detail::open_scratch(folder.empty() ? "." : folder);
   if (file.fd_ < 0) {
     return make_error(Errc::open_failed, Error::kNone, kNotMade, Error::kNone, Error::kNone, errno);
   }

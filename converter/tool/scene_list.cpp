@@ -18,6 +18,8 @@
 namespace rgs::tool {
 namespace {
 
+const std::string kStreamedSog = "lod-meta.json";
+
 using Identity = std::pair<std::uint64_t, std::uint64_t>;  // device and inode
 
 std::string_view text_of(std::span<const std::byte> bytes) {
@@ -73,8 +75,17 @@ class Walk {
       return rgs::make_error(Errc::read_failed, Error::kNone, "cannot read the whole folder", Error::kNone,
                              Error::kNone, errno);
     std::ranges::sort(names);
-    above_.push_back(self);
     const std::string inside = path + "/";
+    // The SOGs below are parts of it at several levels, and no scenes.
+    if (std::ranges::binary_search(names, kStreamedSog)) {
+      ListedScene scene{prefix + kStreamedSog, inside + kStreamedSog, SplatFormat::unknown, 0, {}};
+      scene.readable = read_splats(scene.path, {}).map([](const SplatFile&) {});
+      if (!scene.readable && scene.readable.error().code == Errc::unsupported_feature) {
+        list_.scenes.push_back(std::move(scene));
+        return {};
+      }
+    }
+    above_.push_back(self);
     for (const std::string& name : names)
       if (name != "." && name != "..") entry(inside + name, prefix + name, name[0] == '.');
     above_.pop_back();

@@ -44,14 +44,15 @@ class MappedFile {
   } stamp_;
 };
 
-/// An output that appears under its name complete or not at all. Bytes go to `PATH.tmp-XXXXXX` in the same folder;
-/// commit() syncs and renames. Destruction without commit, and SIGINT, SIGTERM, SIGHUP and SIGPIPE (after
-/// remove_temporaries_on_signal()), remove the temporary file; SIGKILL and power loss leave it behind. A symbolic link
-/// is followed: its target is replaced, with the temporary file beside it. The new file takes over the old one's
-/// permissions, and owner and group if the process may set them; access control lists, extended attributes and other
-/// hard links stay with the old file. Path "-" is standard output: commit() copies out an unlinked file in $TMPDIR
-/// (/tmp if unset). No descriptor is a standard stream's number, so messages cannot end up in a file. Move-only;
-/// several threads may write.
+/// An output that appears under its name complete or not at all. Its bytes go to a file without a name in the same folder,
+/// gone with its process whatever ends that; commit() syncs it and links it to its name. To replace a file, commit() gives
+/// it a second name, `PATH.tmp-XXXXXX`, and renames that: SIGKILL or power loss between the two calls leaves it behind.
+/// Where the file system has no unnamed files (O_TMPFILE: NFS, FAT; or without /proc) all bytes go to `PATH.tmp-XXXXXX`;
+/// destruction without commit, and SIGINT, SIGTERM, SIGHUP and SIGPIPE (after remove_temporaries_on_signal()), remove it.
+/// A symbolic link is followed: its target is replaced. The new file takes over the old one's permissions, and owner and
+/// group if the process may set them; access control lists, extended attributes and other hard links stay with the old
+/// file. Path "-" is standard output: commit() copies out an unnamed file in $TMPDIR (/tmp if unset). No descriptor is a
+/// standard stream's number, so messages cannot end up in a file. Move-only; several threads may write.
 class AtomicFile {
  public:
   struct Options {
@@ -74,13 +75,14 @@ class AtomicFile {
   Status read_at(std::uint64_t offset, std::span<std::byte> bytes) const;
   /// Sets the output's size.
   Status truncate(std::uint64_t size);
-  /// Syncs if requested, then renames. Returns the seconds spent in fsync.
+  /// Syncs if requested, then gives the file its name. Returns the seconds spent in fsync.
   Result<double> commit();
   int descriptor() const { return fd_; }
 
  private:
   static Result<AtomicFile> begin(const std::string& name, const Options& options);
   Result<double> finish();
+  void take_name(std::string name);
   void discard();
   Status copy_to_stdout();
   std::string path_, temporary_;
@@ -96,5 +98,11 @@ void remove_temporaries_on_signal();
 
 /// The final target of a symbolic link, through further links, whether it exists or not; any other path unchanged.
 std::string follow_links(const std::string& path);
+
+namespace detail {
+/// A scratch file in `folder`, without a name: its bytes are released when it is closed, whatever ends the process. Returns
+/// a descriptor above the standard streams' numbers, or -1 and errno.
+int open_scratch(const std::string& folder);
+}  // namespace detail
 
 }  // namespace rgs

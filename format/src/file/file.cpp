@@ -29,6 +29,8 @@ tl::unexpected<Error> system_error(Errc code, const char* what) {
 }
 
 const char* const kStdout = "-";
+constexpr const char* kTemporary = ".tmp-XXXXXX";
+constexpr mode_t kUsualMode = 0666;            // less the umask
 constexpr int kFirstFree = STDERR_FILENO + 1;  // a standard stream may be closed; its number must not become the file's
 
 // Unfinished temporaries, for the signal handler: plain memory and lock-free flags only. state: 0 free, 1 being filled,
@@ -78,36 +80,58 @@ extern "C" void remove_temporaries_and_die(int signal_number) {
   ::raise(signal_number);
 }
 
+tl::unexpected<Error> cannot_name() {
+  if (errno == EEXIST) {
+    return make_error(Errc::output_exists, Error::kNone,
+                      "the output appeared meanwhile; pass --overwrite to replace it");
+  }
+  return system_error(Errc::write_failed, "cannot give the output its name");
+}
+
 std::string folder_of(const std::string& path) {
   const std::size_t slash = path.find_last_of('/');
   if (slash == std::string::npos) return ".";
   return slash == 0 ? "/" : path.substr(0, slash);
 }
 
-// Creates a file, replacing the Xs at the end of `name`; -1 and errno if that fails. mkostemp() would set mode 0600,
-// and the umask cannot be read without setting it; open() applies it, or the folder's ACL.
-int create_new(std::string& name) {
+// Calls `make` with other letters for the Xs at the end of `name` until it has no reason but EEXIST to fail. Returns its
+// result: -1 and errno if it failed.
+template <class Make>
+int with_new_name(std::string& name, const Make& make) {
   constexpr char kLetters[] = "abcdefghijklmnopqrstuvwxyz012345";
   constexpr int kAttempts = 100;
   for (int attempt = 0; attempt < kAttempts; ++attempt) {
     std::uint32_t random = 0;
     if (::getentropy(&random, sizeof random) != 0) return -1;
     for (std::size_t i = 1; i <= 6; ++i, random >>= 5) name[name.size() - i] = kLetters[random & 31u];
-    const int fd = ::open(name.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
-    if (fd >= 0 || errno != EEXIST) return fd;
+    const int made = make();
+    if (made >= 0 || errno != EEXIST) return made;
   }
   return -1;
 }
 
-// Moves the descriptor above the standard streams' numbers; on failure -1 and errno, and removes `name`.
-int beyond_standard_streams(int fd, const std::string& name) {
+// Moves the descriptor above the standard streams' numbers; -1 and errno on failure.
+int beyond_standard_streams(int fd) {
   if (fd < 0 || fd >= kFirstFree) return fd;
   const int moved = ::fcntl(fd, F_DUPFD_CLOEXEC, kFirstFree);
   const int error = errno;
   ::close(fd);
-  if (moved < 0) ::unlink(name.c_str());
   errno = error;
   return moved;
+}
+
+// A file without a name: it is gone with its process, whatever ends that. -1 and errno where the file system has none.
+int create_unnamed(const std::string& folder, mode_t mode) {
+  return beyond_standard_streams(::open(folder.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, mode));
+}
+
+// The name by which an open file is linked. linkat(AT_EMPTY_PATH) would need a capability.
+std::string open_name(int fd) {
+  return "/proc/self/fd/" + std::to_string(fd);
+}
+
+int link_open(int fd, const std::string& path) {
+  return ::linkat(AT_FDCWD, open_name(fd).c_str(), AT_FDCWD, path.c_str(), AT_SYMLINK_FOLLOW);
 }
 
 // Gives a replacement the old file's permissions before its first byte.
@@ -137,6 +161,16 @@ class SignalGuard {
 };
 
 }  // namespace
+
+int detail::open_scratch(const std::string& folder) {
+  const SignalGuard guard;
+  const int unnamed = create_unnamed(folder, 0600);
+  if (unnamed >= 0) return unnamed;
+  std::string name = folder + "/rgs-scratch-XXXXXX";
+  const int named = ::mkostemp(name.data(), O_CLOEXEC);
+  if (named >= 0) ::unlink(name.c_str());
+  return beyond_standard_streams(named);
+}
 
 std::string follow_links(const std::string& path) {
   constexpr int kMaxLinks = 40;  // the kernel's limit; a longer chain is a loop, and fails when it is opened
@@ -254,30 +288,34 @@ Result<AtomicFile> AtomicFile::begin(const std::string& name, const Options& opt
   AtomicFile file;
   file.path_ = path;
   file.options_ = options;
-  const SignalGuard guard;
   if (path == kStdout) {
     const char* folder = std::getenv("TMPDIR");
-    file.temporary_ = std::string(folder != nullptr && *folder != '\0' ? folder : "/tmp") + "/rgs-output-XXXXXX";
-    file.fd_ = beyond_standard_streams(::mkostemp(file.temporary_.data(), O_CLOEXEC), file.temporary_);
-  } else {
-    file.temporary_ = path + ".tmp-XXXXXX";
-    file.fd_ = beyond_standard_streams(create_new(file.temporary_), file.temporary_);
-  }
-  if (file.fd_ < 0) {
-    file.temporary_.clear();
-    return system_error(Errc::write_failed, path == kStdout
-                                                ? "cannot create a temporary file; set TMPDIR to a writable folder"
-                                                : "cannot create a file in the output's folder");
-  }
-  if (path == kStdout) {
-    // Unlinked at once, so that nothing is left behind however the process ends, SIGPIPE and SIGKILL included.
-    ::unlink(file.temporary_.c_str());
-    file.temporary_.clear();
+    file.fd_ = detail::open_scratch(folder != nullptr && *folder != '\0' ? folder : "/tmp");
+    if (file.fd_ < 0)
+      return system_error(Errc::write_failed, "cannot create a temporary file; set TMPDIR to a writable folder");
     return file;
   }
-  file.slot_ = claim_slot(file.temporary_);
+  file.fd_ = create_unnamed(folder_of(path), kUsualMode);
+  if (file.fd_ < 0 || ::access(open_name(file.fd_).c_str(), F_OK) != 0) {
+    file.discard();
+    const SignalGuard guard;
+    std::string temporary = path + kTemporary;
+    // mkostemp() would set mode 0600, and the umask cannot be read without setting it; open() applies it, or the
+    // folder's ACL.
+    file.fd_ = with_new_name(
+        temporary, [&] { return ::open(temporary.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, kUsualMode); });
+    if (file.fd_ < 0) return system_error(Errc::write_failed, "cannot create a file in the output's folder");
+    file.take_name(std::move(temporary));
+    file.fd_ = beyond_standard_streams(file.fd_);
+    if (file.fd_ < 0) return system_error(Errc::write_failed, "cannot create a file in the output's folder");
+  }
   if (replaces) take_over_rights(file.fd_, info);
   return file;
+}
+
+void AtomicFile::take_name(std::string name) {
+  temporary_ = std::move(name);
+  slot_ = claim_slot(temporary_);
 }
 
 AtomicFile::AtomicFile(AtomicFile&& other) noexcept {
@@ -386,26 +424,30 @@ Result<double> AtomicFile::finish() {
     return status == 0;
   };
   if (options_.sync && !timed_sync(fd_)) return system_error(Errc::write_failed, "cannot sync the output");
-  const int closed = ::close(std::exchange(fd_, -1));
-  if (closed != 0) return system_error(Errc::write_failed, "cannot close the output");
-  if (options_.overwrite) {
-    if (::rename(temporary_.c_str(), path_.c_str()) != 0) {
-      return system_error(Errc::write_failed, "cannot rename the output to its name");
+  // Some file systems report a failed write on closing alone, which must come before the name.
+  const int copy = ::fcntl(fd_, F_DUPFD_CLOEXEC, kFirstFree);
+  if (copy < 0 || ::close(copy) != 0) return system_error(Errc::write_failed, "cannot close the output");
+  if (temporary_.empty()) {
+    const bool linked = link_open(fd_, path_) == 0;
+    if (!linked && (errno != EEXIST || !options_.overwrite)) return cannot_name();
+    // Only a rename replaces a file in one step, and it needs a name to start from.
+    if (!linked) {
+      const SignalGuard guard;
+      std::string name = path_ + kTemporary;
+      if (with_new_name(name, [&] { return link_open(fd_, name); }) < 0) return cannot_name();
+      take_name(std::move(name));
     }
-  } else if (::renameat2(AT_FDCWD, temporary_.c_str(), AT_FDCWD, path_.c_str(), RENAME_NOREPLACE) != 0) {
-    if (errno == EEXIST) {
-      return make_error(Errc::output_exists, Error::kNone,
-                        "the output appeared meanwhile; pass --overwrite to replace it");
-    }
-    // For file systems without RENAME_NOREPLACE: a hard link rejects an existing name too.
-    if (errno != EINVAL && errno != ENOSYS)
-      return system_error(Errc::write_failed, "cannot rename the output to its name");
-    if (::link(temporary_.c_str(), path_.c_str()) != 0) {
-      return system_error(errno == EEXIST ? Errc::output_exists : Errc::write_failed,
-                          "cannot give the output its name");
-    }
-    ::unlink(temporary_.c_str());
   }
+  if (!temporary_.empty()) {
+    const unsigned flags = options_.overwrite ? 0 : RENAME_NOREPLACE;
+    if (::renameat2(AT_FDCWD, temporary_.c_str(), AT_FDCWD, path_.c_str(), flags) != 0) {
+      // For file systems without RENAME_NOREPLACE: a hard link rejects an existing name too.
+      if (flags == 0 || (errno != EINVAL && errno != ENOSYS)) return cannot_name();
+      if (::link(temporary_.c_str(), path_.c_str()) != 0) return cannot_name();
+      ::unlink(temporary_.c_str());
+    }
+  }
+  ::close(std::exchange(fd_, -1));
   temporary_.clear();
   release_slot(std::exchange(slot_, -1));
   if (options_.sync) {

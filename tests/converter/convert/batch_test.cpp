@@ -10,6 +10,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <fstream>
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -91,6 +92,17 @@ std::set<std::string> names(const std::map<std::string, std::string>& files) {
 bool has_temporaries(const fs::path& folder) {
   return std::ranges::any_of(names(contents(folder)),
                              [](const std::string& name) { return name.find(".tmp-") != name.npos; });
+}
+
+// Whether a child of the process has stopped itself.
+bool has_stopped_child(pid_t parent) {
+  const std::string id = std::to_string(parent);
+  std::ifstream children("/proc/" + id + "/task/" + id + "/children");
+  for (std::string child; children >> child;) {
+    const std::string stat = read_text("/proc/" + child + "/stat");  // "ID (NAME) STATE ..."
+    if (stat.find(") T ") != stat.npos) return true;
+  }
+  return false;
 }
 
 // in/ with n scenes, and out/.
@@ -647,6 +659,67 @@ TEST_CASE("killed after any number of scenes, the rerun does only the missing on
   CHECK(contents(f.out) == contents(whole));
 }
 
+TEST_CASE("a streamed SOG is named as what it is, and its parts are no scenes") {
+  const Folders f(1);
+  for (const char* name : {"/tree/0_0/meta.json", "/tree/1_0/meta.json"}) {
+    fs::create_directories(fs::path(f.in + name).parent_path());
+    write_text(f.in + name, R"({"version": 2, "count": 3, "means": {}})");
+  }
+  write_text(f.in + "/tree/lod-meta.json", R"({"lodLevels": 2, "filenames": ["0_0/meta.json", "1_0/meta.json"]})");
+  const Batch run = convert_all(f.command());
+  CHECK(run.exit_code == 4);
+  CHECK(run.n_lines == 2);
+  CHECK(run.lines.at("a.ply")["status"] == "converted");
+  const json& error = run.lines.at("tree/lod-meta.json")["error"];
+  CHECK(error["code"] == "unsupported_feature");
+  CHECK(error["message"].get<std::string>().find("a streamed SOG") != std::string::npos);
+  const Batch one = convert_all({f.in + "/tree/lod-meta.json", f.file("one.rgs")});
+  CHECK(one.exit_code == 4);
+  CHECK(one.err.find("a streamed SOG") != std::string::npos);
+  // Another file of that name is no scene.
+  write_text(f.in + "/tree/lod-meta.json", "{}");
+  CHECK(convert_all(f.command()).n_lines == 3);
+}
+
+TEST_CASE("--overwrite-damaged replaces the outputs that are damaged, says so, and touches no other") {
+  const Folders f(5);
+  const auto again = [&](const std::vector<std::string>& more) {
+    std::vector<std::string> options{"--lod"};
+    options.insert(options.end(), more.begin(), more.end());
+    return convert_all(f.command(options));
+  };
+  REQUIRE(again({}).count("converted") == 5);
+  const auto whole = contents(f.out);
+  // A prefix, a flipped bit in an upper page, and an empty file; d is a scene of another maker.
+  fs::resize_file(f.out + "/a.rgs", whole.at("a.rgs").size() / 2);
+  std::string flipped = whole.at("b.rgs");
+  flipped[flipped.size() / 2] = static_cast<char>(flipped[flipped.size() / 2] ^ 1);
+  write_text(f.out + "/b.rgs", flipped);
+  write_text(f.out + "/c.rgs", "");
+  write_text(f.out + "/d.rgs", whole.at("a.rgs"));
+  REQUIRE(again({}).count("failed") == 4);  // as ever: they changed since they were made
+  const Batch run = again({"--overwrite-damaged"});
+  INFO(run.err);
+  CHECK(run.exit_code == 3);
+  for (const char* name : {"a", "b", "c"}) {
+    CAPTURE(std::string(name));
+    CHECK(run.lines.at(name + std::string(".ply"))["status"] == "converted");
+    CHECK(run.lines.at(name + std::string(".ply"))["damaged_output"]["file"] == f.out + "/" + name + ".rgs");
+    CHECK(read_text(f.out + "/" + name + ".rgs") == whole.at(name + std::string(".rgs")));
+  }
+  CHECK(run.lines.at("c.ply")["damaged_output"]["message"].get<std::string>().find("empty") != std::string::npos);
+  CHECK(run.lines.at("d.ply")["error"]["code"] == "output_exists");
+  CHECK(run.lines.at("e.ply")["status"] == "kept");
+  CHECK(run.err.find("3 of them in place of damaged outputs") != std::string::npos);
+  fs::remove(f.out + "/d.rgs");
+  CHECK(again({"--overwrite-damaged"}).count("converted") == 1);
+  const Batch rest = again({"--overwrite-damaged"});
+  CHECK(rest.count("kept") == 5);
+  CHECK(rest.err.find("damaged") == std::string::npos);
+  CHECK(contents(f.out) == whole);
+  CHECK(convert_all({f.in + "/a.ply", f.file("one.rgs"), "--overwrite-damaged"}).exit_code == 2);
+}
+
 TEST_CASE("the rerun removes unfinished files of a killed process") {
   const Folders f(2);
   REQUIRE(convert_all(f.command()).exit_code == 0);
@@ -750,7 +823,7 @@ TEST_CASE("signals end all conversions, and leave no partial output and no damag
     CAPTURE(signal_number);
     const Folders f(4);
     Program run(program(f.command({"--jobs", "2"})), failpoint("encode"));  // each child stops there
-    while ((!fs::exists(f.out) || !has_temporaries(f.out)) && run.running()) std::this_thread::yield();
+    while (!has_stopped_child(run.id()) && run.running()) std::this_thread::yield();
     run.send(signal_number);
     const ProgramResult end = run.wait();
     CHECK(end.signal == signal_number);

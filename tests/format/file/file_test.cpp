@@ -12,7 +12,9 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <cerrno>
 #include <csignal>
+#include <cstdarg>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
@@ -48,8 +50,33 @@ std::size_t entries(const fs::path& folder) {
 }
 
 int g_umask_calls = 0;
+bool g_has_unnamed = true;
+
+/// Runs `test` with outputs that have no name until the end, and as on a file system that has no such files.
+template <class Test>
+void with_and_without_unnamed_files(const Test& test) {
+  for (const bool unnamed : {true, false}) {
+    CAPTURE(unnamed);
+    g_has_unnamed = unnamed;
+    test(unnamed);
+    g_has_unnamed = true;
+  }
+}
 
 }  // namespace
+
+// Replaces libc's in this program.
+extern "C" int open(const char* path, int flags, ...) {
+  if ((flags & O_TMPFILE) == O_TMPFILE && !g_has_unnamed) {
+    errno = EOPNOTSUPP;
+    return -1;
+  }
+  va_list more;
+  va_start(more, flags);
+  const unsigned mode = (flags & O_CREAT) != 0 || (flags & O_TMPFILE) == O_TMPFILE ? va_arg(more, unsigned) : 0;
+  va_end(more);
+  return static_cast<int>(::syscall(SYS_openat, AT_FDCWD, path, flags, mode));
+}
 
 // Replaces libc's in this program: whoever queries the umask this way sets it for all threads meanwhile.
 extern "C" mode_t umask(mode_t mask) noexcept {
@@ -58,22 +85,24 @@ extern "C" mode_t umask(mode_t mask) noexcept {
 }
 
 TEST_CASE("an output has the umask's mode, and the library never touches the umask") {
-  const TemporaryFolder folder;
-  for (const mode_t mask : {0022U, 0027U, 0077U, 0002U}) {
-    CAPTURE(mask);
-    const std::string path = folder.file("out");
-    fs::remove(path);  // a replaced file would keep its mode
-    const mode_t before = ::umask(mask);
-    const int calls = g_umask_calls;
-    auto file = AtomicFile::create(path, {.overwrite = true, .sync = false});
-    const bool committed = file && file->commit();
-    CHECK(g_umask_calls == calls);
-    ::umask(before);
-    REQUIRE(committed);
-    struct stat info {};
-    REQUIRE(::stat(path.c_str(), &info) == 0);
-    CHECK((info.st_mode & 07777) == (0666U & ~mask));
-  }
+  with_and_without_unnamed_files([](bool) {
+    const TemporaryFolder folder;
+    for (const mode_t mask : {0022U, 0027U, 0077U, 0002U}) {
+      CAPTURE(mask);
+      const std::string path = folder.file("out");
+      fs::remove(path);  // a replaced file would keep its mode
+      const mode_t before = ::umask(mask);
+      const int calls = g_umask_calls;
+      auto file = AtomicFile::create(path, {.overwrite = true, .sync = false});
+      const bool committed = file && file->commit();
+      CHECK(g_umask_calls == calls);
+      ::umask(before);
+      REQUIRE(committed);
+      struct stat info {};
+      REQUIRE(::stat(path.c_str(), &info) == 0);
+      CHECK((info.st_mode & 07777) == (0666U & ~mask));
+    }
+  });
 }
 
 TEST_CASE("a mapped file shows the bytes, and distinguishes empty from missing and folder inputs") {
@@ -97,45 +126,50 @@ TEST_CASE("a mapped file shows the bytes, and distinguishes empty from missing a
 }
 
 TEST_CASE("an output appears on commit and not before; without commit nothing stays") {
-  const TemporaryFolder folder;
-  const std::string path = folder.file("out");
-  {
-    auto file = AtomicFile::create(path, {});
-    REQUIRE(file);
-    REQUIRE(file->write_at(3, as_bytes("def")));
-    REQUIRE(file->write_at(0, as_bytes("abc")));
-    CHECK_FALSE(fs::exists(path));
-    REQUIRE(file->commit());
+  with_and_without_unnamed_files([](bool unnamed) {
+    const TemporaryFolder folder;
+    const std::string path = folder.file("out");
+    {
+      auto file = AtomicFile::create(path, {});
+      REQUIRE(file);
+      REQUIRE(file->write_at(3, as_bytes("def")));
+      REQUIRE(file->write_at(0, as_bytes("abc")));
+      CHECK(entries(folder.path()) == (unnamed ? 0 : 1));
+      CHECK_FALSE(fs::exists(path));
+      REQUIRE(file->commit());
+      CHECK(contents(path) == "abcdef");
+      CHECK(entries(folder.path()) == 1);
+    }
+    {
+      auto file = AtomicFile::create(path, {.overwrite = true, .sync = false});
+      REQUIRE(file);
+      REQUIRE(file->write_at(0, as_bytes("half")));
+    }
     CHECK(contents(path) == "abcdef");
     CHECK(entries(folder.path()) == 1);
-  }
-  {
-    auto file = AtomicFile::create(path, {.overwrite = true, .sync = false});
-    REQUIRE(file);
-    REQUIRE(file->write_at(0, as_bytes("half")));
-  }
-  CHECK(contents(path) == "abcdef");
-  CHECK(entries(folder.path()) == 1);
+  });
 }
 
 TEST_CASE("an existing output is kept unless overwriting is requested, also when it appears late") {
-  const TemporaryFolder folder;
-  const std::string path = folder.file("out");
-  auto late = AtomicFile::create(path, {});
-  REQUIRE(late);
-  std::ofstream(path) << "first";
-  const auto refused = AtomicFile::create(path, {});
-  REQUIRE_FALSE(refused);
-  CHECK(refused.error().code == Errc::output_exists);
-  const auto committed = late->commit();
-  REQUIRE_FALSE(committed);
-  CHECK(committed.error().code == Errc::output_exists);
-  CHECK(contents(path) == "first");
-  auto replace = AtomicFile::create(path, {.overwrite = true, .sync = true});
-  REQUIRE(replace);
-  REQUIRE(replace->write_at(0, as_bytes("second")));
-  REQUIRE(replace->commit());
-  CHECK(contents(path) == "second");
+  with_and_without_unnamed_files([](bool) {
+    const TemporaryFolder folder;
+    const std::string path = folder.file("out");
+    auto late = AtomicFile::create(path, {});
+    REQUIRE(late);
+    std::ofstream(path) << "first";
+    const auto refused = AtomicFile::create(path, {});
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().code == Errc::output_exists);
+    const auto committed = late->commit();
+    REQUIRE_FALSE(committed);
+    CHECK(committed.error().code == Errc::output_exists);
+    CHECK(contents(path) == "first");
+    auto replace = AtomicFile::create(path, {.overwrite = true, .sync = true});
+    REQUIRE(replace);
+    REQUIRE(replace->write_at(0, as_bytes("second")));
+    REQUIRE(replace->commit());
+    CHECK(contents(path) == "second");
+  });
 }
 
 TEST_CASE("folders and missing folders are refused as outputs") {
@@ -149,35 +183,39 @@ TEST_CASE("folders and missing folders are refused as outputs") {
 }
 
 TEST_CASE("moving an output keeps exactly one owner of the temporary") {
-  const TemporaryFolder folder;
-  auto a = AtomicFile::create(folder.file("a"), {});
-  REQUIRE(a);
-  AtomicFile b = std::move(*a);
-  CHECK(entries(folder.path()) == 1);
-  REQUIRE(b.write_at(0, as_bytes("x")));
-  b = AtomicFile();
-  CHECK(entries(folder.path()) == 0);
+  with_and_without_unnamed_files([](bool unnamed) {
+    const TemporaryFolder folder;
+    auto a = AtomicFile::create(folder.file("a"), {});
+    REQUIRE(a);
+    AtomicFile b = std::move(*a);
+    CHECK(entries(folder.path()) == (unnamed ? 0 : 1));
+    REQUIRE(b.write_at(0, as_bytes("x")));
+    b = AtomicFile();
+    CHECK(entries(folder.path()) == 0);
+  });
 }
 
-TEST_CASE("signals remove unfinished outputs and still end the process") {
-  for (const int signal_number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE}) {
-    const TemporaryFolder folder;
-    const pid_t child = ::fork();
-    REQUIRE(child >= 0);
-    if (child == 0) {
-      ::signal(signal_number, SIG_DFL);  // a test runner may ignore it
-      rgs::remove_temporaries_on_signal();
-      auto file = AtomicFile::create(folder.file("out"), {});
-      if (!file || !file->write_at(0, as_bytes("half"))) ::_exit(1);
-      ::raise(signal_number);
-      ::_exit(2);
+TEST_CASE("a signal ends the process, and leaves no unfinished output") {
+  with_and_without_unnamed_files([](bool unnamed) {
+    for (const int signal_number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGKILL}) {
+      const TemporaryFolder folder;
+      const pid_t child = ::fork();
+      REQUIRE(child >= 0);
+      if (child == 0) {
+        ::signal(signal_number, SIG_DFL);  // a test runner may ignore it
+        rgs::remove_temporaries_on_signal();
+        auto file = AtomicFile::create(folder.file("out"), {});
+        if (!file || !file->write_at(0, as_bytes("half"))) ::_exit(1);
+        ::raise(signal_number);
+        ::_exit(2);
+      }
+      int status = 0;
+      REQUIRE(::waitpid(child, &status, 0) == child);
+      CHECK(WIFSIGNALED(status));
+      CHECK(WTERMSIG(status) == signal_number);
+      CHECK(entries(folder.path()) == (!unnamed && signal_number == SIGKILL ? 1 : 0));
     }
-    int status = 0;
-    REQUIRE(::waitpid(child, &status, 0) == child);
-    CHECK(WIFSIGNALED(status));
-    CHECK(WTERMSIG(status) == signal_number);
-    CHECK(entries(folder.path()) == 0);
-  }
+  });
 }
 
 TEST_CASE("an output whose input changed its size does not appear") {
