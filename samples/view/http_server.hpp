@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // cpp-httplib parses and writes. This file adds what its version 0.11 lacks: limits on the size and time of a request's head and body,
-// byte ranges, and closing the connection after a refused request.
+// byte ranges, closing the connection after a refused request, and that clients take a thread only once a whole head has come.
 #pragma once
 
 #include <chrono>
@@ -23,7 +23,7 @@ namespace rgs::view {
 struct HttpLimits {
   std::size_t head_bytes = 8192, body_bytes = 65536;
   std::chrono::milliseconds request_time{10'000};  ///< for a head from its first byte, and then for its body
-  std::chrono::milliseconds idle_time{5'000};      ///< until a connection's next request
+  std::chrono::milliseconds idle_time{5'000};      ///< until a connection's next request; less when many wait
   std::chrono::milliseconds stall_time{30'000};    ///< while the client takes no byte
 };
 

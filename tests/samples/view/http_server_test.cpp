@@ -11,6 +11,7 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
+#include <deque>
 #include <filesystem>
 #include <stdexcept>
 #include <string>
@@ -196,6 +197,29 @@ TEST_CASE("others are served while a client does not end its request, or sends n
   slow.send("GET /slow HTT");
   body.send("POST /body HTTP/1.1\r\nContent-Length: 100\r\n\r\nhalf");
   CHECK(has(ask(server.port(), "GET /quick HTTP/1.1\r\n\r\n"), "GET /quick"));
+}
+
+TEST_CASE("others are served while hundreds of clients send nothing, half a request, or refused ones and stay") {
+  const Running server(echo());
+  for (const char* const said : {"", "GET /slow HTT", "GET /no HTTP/1.1\r\n\r\n"}) {
+    CAPTURE(std::string(said));
+    std::deque<Client> clients;
+    for (int i = 0; i < 600; ++i) {
+      clients.emplace_back(server.port());
+      clients.back().send(said);
+    }
+    CHECK(has(ask(server.port(), "GET /quick HTTP/1.1\r\n\r\n"), "GET /quick"));
+    // Of those that wait the oldest was closed for the others.
+    if (std::string_view(said).find("/no") == std::string_view::npos) CHECK(clients.front().rest().empty());
+  }
+  // A request that is being answered is not one that waits.
+  const Client body(server.port());
+  body.send("POST /body HTTP/1.1\r\nContent-Length: 4\r\n\r\nha");
+  std::deque<Client> clients;
+  for (int i = 0; i < 200; ++i) clients.emplace_back(server.port());
+  CHECK(clients.front().rest().empty());
+  body.send("lf");
+  CHECK(has(body.next(), "200 OK"));
 }
 
 TEST_CASE("a client that never ends its request is disconnected") {
