@@ -46,6 +46,7 @@ struct Renderer::Impl {
                                                    const PictureArrays& pictures, const RenderOptions& options);
   Result<detail::StreamRule> rule_of(const StreamedScene& scene, const Camera& camera,
                                      const RenderOptions& options) const;
+  std::uint64_t n_missing(const Scene& scene, const Camera& camera, const RenderOptions& options) const;
   static std::uint64_t next_identity() {
     static std::atomic<std::uint64_t> last{0};
     return ++last;
@@ -94,9 +95,14 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
   if (*detail > 0 && !target.contributions.empty()) {
     return make_error(Errc::bad_argument, Error::kNone, "contributions are counted for the leaves alone: set detail 0");
   }
-  // A device has all pages and chooses the cut itself.
-  if (*detail == 0 || impl_->cuda) return impl_->render(scene, camera, target, drawn);
   return detail::guard_memory([&]() -> Result<FrameStats> {
+    const std::uint64_t missing = impl_->n_missing(scene, camera, drawn);
+    // A device has all pages and chooses the cut itself.
+    if (*detail == 0 || impl_->cuda) {
+      auto stats = impl_->render(scene, camera, target, drawn);
+      if (stats) stats->stream.pages_missing = missing;
+      return stats;
+    }
     auto pages = drawn_pages(scene, camera, *detail);
     if (!pages) return tl::unexpected(pages.error());
     Impl::Cut& cut = impl_->cut;
@@ -107,7 +113,7 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
       cut = {scene.identity(), *std::move(pages), *std::move(chosen)};
     }
     auto stats = impl_->render(cut.scene, camera, target, drawn);
-    if (stats) stats->pages = cut.pages.size();
+    if (stats) stats->pages = cut.pages.size(), stats->stream.pages_missing = missing;
     return stats;
   });
 }
@@ -143,6 +149,7 @@ Result<std::vector<FrameStats>> Renderer::Impl::render_on_device(const Scene& sc
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     FrameStats& s = (*stats)[i];
     s.depth_resolution = detail::depth_resolution(*settings, s.depth_bits, cameras[i], scene.declarations());
+    s.stream.pages_missing = n_missing(scene, cameras[i], drawn);
   }
   return stats;
 }
@@ -200,6 +207,20 @@ Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& came
     stats->depth_resolution = detail::depth_resolution(*settings, stats->depth_bits, camera, scene.declarations());
   }
   return stats;
+}
+
+// Pages that the view wants and the file's missing end would hold: as a streamed scene counts them.
+std::uint64_t Renderer::Impl::n_missing(const Scene& scene, const Camera& camera, const RenderOptions& options) const {
+  const PagedFile* const file = scene.levels();
+  if (file == nullptr || file->n_present() == file->n_pages()) return 0;
+  const auto settings = detail::resolve(options, scene.declarations(), cuda ? Backend::cuda : Backend::cpu);
+  if (!settings) return 0;  // drawing refuses them
+  const auto eye =
+      detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, *options.detail_px}.eye(camera);
+  const auto wanted = lod::drawn_pages(file->pages(), eye.eye, eye.detail_px);
+  return static_cast<std::uint64_t>(std::ranges::count_if(wanted, [&](std::uint32_t page) {
+    return page >= file->n_present() && eye.volume.may_show(file->pages()[page].bounds);
+  }));
 }
 
 // Draws a streamed scene like one with levels that is entirely in memory.

@@ -21,6 +21,7 @@
 #include "image_file.hpp"
 #include "input_files.hpp"
 #include "max_expansion.hpp"
+#include "pace.hpp"
 #include "rgs/byte_source.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/paged_file.hpp"
@@ -66,6 +67,7 @@ struct Frame {
   rgs::FrameStats stats;
   // Streamed scenes, ms: waited for pages; due and actual begin after the first frame.
   double wait_ms = 0, due_ms = 0, begin_ms = 0;
+  float detail_px = 0;  // in real time: as asked, or lowered
 };
 
 constexpr double kDefaultWait = 60;  // seconds a frame
@@ -272,15 +274,25 @@ nlohmann::json stream_json(const Options& options, const Frame& frame) {
   if (options.realtime) {
     stream["due_ms"] = frame.due_ms;
     stream["begin_ms"] = frame.begin_ms;
+    stream["detail_px"] = frame.detail_px;
   } else {
     stream["wait_ms"] = frame.wait_ms;
   }
   return stream;
 }
 
+struct Drawn {
+  std::vector<Frame> frames;
+  double first_frame_ms = 0;     // since `opened`: what a viewer waits for
+  std::size_t n_incomplete = 0;  // coarser than asked for: pages are missing, or there was no time for them
+  // In real time.
+  int n_late = 0;
+  double reached_fps = 0;
+};
+
 nlohmann::json summary(const Options& options, const SceneFacts& scene, const rgs::Renderer& renderer,
-                       const std::vector<Frame>& frames, double load_seconds, double first_frame_ms,
-                       double total_seconds) {
+                       const Drawn& drawn, double load_seconds, double total_seconds) {
+  const std::vector<Frame>& frames = drawn.frames;
   nlohmann::json pictures = nlohmann::json::array();
   for (const Frame& frame : frames) {
     const rgs::FrameStats& s = frame.stats;
@@ -317,9 +329,10 @@ nlohmann::json summary(const Options& options, const SceneFacts& scene, const rg
                        {"memory_bytes", scene.memory_bytes}}},
                      {"backend", renderer.backend_name()},
                      {"load_seconds", load_seconds},
-                     {"first_frame_ms", first_frame_ms},
+                     {"first_frame_ms", drawn.first_frame_ms},
                      {"total_seconds", total_seconds},
                      {"median_ms", median_ms(frames)},
+                     {"frames_incomplete", drawn.n_incomplete},
                      {"frames", std::move(pictures)}};
   if (is_streamed(options)) {
     all["host_memory"] = scene.budget;
@@ -329,6 +342,8 @@ nlohmann::json summary(const Options& options, const SceneFacts& scene, const rg
     }
     if (options.realtime) {
       all["realtime_fps"] = *options.realtime;
+      all["reached_fps"] = drawn.reached_fps;
+      all["frames_late"] = drawn.n_late;
     } else {
       all["wait_seconds"] = options.wait.value_or(kDefaultWait);
     }
@@ -336,10 +351,11 @@ nlohmann::json summary(const Options& options, const SceneFacts& scene, const rg
   return all;
 }
 
-void print_summary(const Options& options, const SceneFacts& scene, const rgs::Renderer& renderer,
-                   const std::vector<Frame>& frames, double load_seconds, double first_frame_ms, double total_seconds) {
+void print_summary(const Options& options, const SceneFacts& scene, const rgs::Renderer& renderer, const Drawn& drawn,
+                   double load_seconds, double total_seconds) {
+  const std::vector<Frame>& frames = drawn.frames;
   if (options.json) {
-    const auto text = summary(options, scene, renderer, frames, load_seconds, first_frame_ms, total_seconds)
+    const auto text = summary(options, scene, renderer, drawn, load_seconds, total_seconds)
                           .dump(2, ' ', true, nlohmann::json::error_handler_t::replace);
     tool::print(text + "\n");
   } else if (!options.quiet) {
@@ -397,27 +413,22 @@ void warn_of_coarse_depths(const std::vector<Frame>& frames) {
       tool::printable(coarsest->shot->camera.name), s.depth_bits, s.depth_resolution, rgs::kCoarseDepthResolution));
 }
 
-struct Drawn {
-  std::vector<Frame> frames;
-  double first_frame_ms = 0;  // since `opened`: what a viewer waits for
-};
-
-// Draws and writes every shot, between begin(frame) and check(frame). A picture is encoded while the next frame is rendered; at most
-// two are in memory. Returns an exit code.
-template <class AnyScene, class Begin, class Check>
+// Draws and writes every shot, between begin(frame, options) and is_complete(frame). A picture is encoded while the next frame is
+// rendered; at most two are in memory. Returns an exit code.
+template <class AnyScene, class Begin, class IsComplete>
 int draw_frames(const Options& options, rgs::Renderer& renderer, const AnyScene& scene, const std::vector<Shot>& shots,
-                Clock::time_point opened, const Begin& begin, const Check& check, Drawn& drawn) {
-  const rgs::RenderOptions how = render_options(options);
+                Clock::time_point opened, const Begin& begin, const IsComplete& is_complete, Drawn& drawn) {
+  rgs::RenderOptions how = render_options(options);
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   progress.begin("rendering", shots.size(), "frames");
   std::future<int> writing;
   for (const Shot& shot : shots) {
     Frame frame{&shot, {}};
-    begin(frame);
+    begin(frame, how);
     auto picture = render_shot(renderer, scene, shot, how, options.alpha, frame.stats);
     if (!picture) return tool::report(shot.camera.name, picture.error());
     if (drawn.frames.empty()) drawn.first_frame_ms = 1e3 * seconds_since(opened);
-    check(frame);
+    if (!is_complete(frame)) ++drawn.n_incomplete;
     if (writing.valid())
       if (const int code = writing.get(); code != tool::kSuccess) return code;
     writing = std::async(std::launch::async, [&shot, &options, done = std::move(*picture)] {
@@ -429,6 +440,11 @@ int draw_frames(const Options& options, rgs::Renderer& renderer, const AnyScene&
   if (const int code = writing.get(); code != tool::kSuccess) return code;
   progress.finish();
   return tool::kSuccess;
+}
+
+// Of a run that wrote every picture.
+int exit_code(const Drawn& drawn) {
+  return drawn.n_incomplete == 0 ? tool::kSuccess : tool::kIncomplete;
 }
 
 int render(const Options& options) {
@@ -458,8 +474,9 @@ int render(const Options& options) {
   for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   Drawn drawn;
-  const auto nothing = [](const Frame&) {};
-  if (const int code = draw_frames(options, *renderer, scene->scene, shots, opened, nothing, nothing, drawn);
+  const auto nothing = [](const Frame&, const rgs::RenderOptions&) {};
+  const auto is_complete = [](const Frame& frame) { return frame.stats.stream.pages_missing == 0; };
+  if (const int code = draw_frames(options, *renderer, scene->scene, shots, opened, nothing, is_complete, drawn);
       code != tool::kSuccess)
     return code;
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess)
@@ -468,8 +485,8 @@ int render(const Options& options) {
   if (!options.quiet) warn_of_coarse_depths(drawn.frames);
   const double total_seconds = seconds_since(start);
   const SceneFacts facts{scene->file_bytes, scene->scene.size(), scene->scene.bytes(), scene->scene.sh_degree()};
-  print_summary(options, facts, *renderer, drawn.frames, load_seconds, drawn.first_frame_ms, total_seconds);
-  return tool::kSuccess;
+  print_summary(options, facts, *renderer, drawn, load_seconds, total_seconds);
+  return exit_code(drawn);
 }
 
 // Reports a file that cannot be streamed and what to do. Returns an exit code.
@@ -489,9 +506,21 @@ int report_not_streamed(const Options& options, const rgs::Error& error) {
 
 void warn_of_incomplete_frame(const Frame& frame, const rgs::Status& why) {
   const rgs::StreamStats& s = frame.stats.stream;
-  tool::print_error(fmt::format("rgs-render: {}: {} pages are missing, its error is {:.3g} px{}{}\n",
-                                tool::printable(frame.shot->camera.name), s.pages_missing, s.detail_reached_px,
-                                why ? "" : ": ", why ? "" : tool::describe(why.error())));
+  const std::string lacks = s.pages_missing == 0 ? "the table of pages is not verified"
+                                                 : fmt::format("{} pages are missing", s.pages_missing);
+  tool::print_error(fmt::format("rgs-render: {}: {}, its error is {:.3g} px{}{}\n",
+                                tool::printable(frame.shot->camera.name), lacks, s.detail_reached_px, why ? "" : ": ",
+                                why ? "" : tool::describe(why.error())));
+}
+
+void warn_of_late_frames(const Options& options, const Drawn& drawn) {
+  if (drawn.n_late == 0 && drawn.n_incomplete == 0) return;
+  const auto coarsest = std::ranges::max_element(drawn.frames, {}, &Frame::detail_px);
+  tool::print_error(fmt::format(
+      "rgs-render: of {} frames {} began late, {} are coarser than asked for: {:.3g} of {:g} frames a second, in a "
+      "detail of up to {:.3g} px\n",
+      drawn.frames.size(), drawn.n_late, drawn.n_incomplete, drawn.reached_fps, *options.realtime,
+      coarsest->detail_px));
 }
 
 // Frames of a streamed scene: each complete, or each at its time.
@@ -533,43 +562,60 @@ int render_streamed(const Options& options) {
   std::vector<std::string> outputs{options.json || !options.quiet ? "-" : ""};
   for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
-  const rgs::RenderOptions render_how = render_options(options);
 
-  bool is_complete = true;
+  bool is_refined = true;
   rgs::Status why;
   Drawn drawn;
-  const auto flight = Clock::now();
-  const auto wait = [&](Frame& frame) {
+  const rgs::RenderOptions asked = render_options(options);
+  const float detail = asked.detail_px.value_or(asked.pipeline == rgs::Pipeline::baseline ? 0 : rgs::kDefaultDetailPx);
+  rgs::render::Pace pace(options.realtime.value_or(1), detail);
+  std::optional<Clock::time_point> flight;
+  const auto begin = [&](Frame& frame, rgs::RenderOptions& render_how) {
     if (options.realtime) {
-      frame.due_ms = 1e3 * static_cast<double>(drawn.frames.size()) / *options.realtime;
+      if (!flight) flight = Clock::now();
+      frame.due_ms = pace.begin(drawn.frames.empty() ? 0 : 1e3 * seconds_since(*flight));
       std::this_thread::sleep_until(
-          flight + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1e-3 * frame.due_ms)));
-      frame.begin_ms = 1e3 * seconds_since(flight);
+          *flight + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1e-3 * frame.due_ms)));
+      frame.begin_ms = 1e3 * seconds_since(*flight);
+      render_how.detail_px = frame.detail_px = pace.detail_px();
       return;
     }
     const auto waiting = Clock::now();
     const auto refined = renderer->refine(*scene, frame.shot->camera, options.wait.value_or(kDefaultWait), render_how);
     // A wrong request has no picture; a damaged file still has one.
     why = refined ? rgs::Status() : tl::unexpected(refined.error());
+    is_refined = refined && *refined;
     frame.wait_ms = 1e3 * seconds_since(waiting);
   };
-  const auto check = [&](const Frame& frame) {
-    if (options.realtime || frame.stats.stream.pages_missing == 0) return;
-    is_complete = false;
+  const auto is_complete = [&](const Frame& frame) {
+    const bool has_pages = frame.stats.stream.pages_missing == 0;
+    if (options.realtime) {
+      pace.drew(frame.stats.total_ms);
+      return has_pages && frame.detail_px <= detail;
+    }
+    if (has_pages && is_refined) return true;
     if (!options.quiet) warn_of_incomplete_frame(frame, why);
+    return false;
   };
-  if (const int code = draw_frames(options, *renderer, *scene, shots, opened, wait, check, drawn);
+  if (const int code = draw_frames(options, *renderer, *scene, shots, opened, begin, is_complete, drawn);
       code != tool::kSuccess)
     return code;
+  if (options.realtime) {
+    drawn.n_late = pace.n_late();
+    drawn.reached_fps = static_cast<double>(drawn.frames.size()) / seconds_since(*flight);
+    if (!options.quiet) warn_of_late_frames(options, drawn);
+  }
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!options.quiet) warn_of_coarse_depths(drawn.frames);
   const SceneFacts facts{file_bytes,          scene->size(),         pool->host_bytes(),  scene->sh_degree(),
                          pool->host_memory(), pool->device_memory(), pool->device_bytes()};
-  print_summary(options, facts, *renderer, drawn.frames, load_seconds, drawn.first_frame_ms, seconds_since(start));
-  if (const rgs::Status status = scene->status(); !status && options.realtime && !options.quiet)
+  print_summary(options, facts, *renderer, drawn, load_seconds, seconds_since(start));
+  const rgs::Status status = scene->status();
+  if (status || !options.realtime) return exit_code(drawn);
+  if (!options.quiet)
     tool::print_error(
         fmt::format("rgs-render: {}: {}\n", tool::printable(shown_scene(options)), tool::describe(status.error())));
-  return is_complete ? tool::kSuccess : tool::kIncomplete;
+  return tool::kIncomplete;
 }
 
 void add_options(CLI::App& app, Options& o) {
@@ -610,7 +656,8 @@ void add_options(CLI::App& app, Options& o) {
   auto* const wait = app.add_option("--wait", o.wait, "seconds to wait for a frame before it is drawn incomplete [60]")
                          ->check(CLI::Range(0.0, 1e6))
                          ->group(stream);
-  app.add_option("--realtime", o.realtime, "frames of --path a second, drawn on time from the resident pages")
+  app.add_option("--realtime", o.realtime,
+                 "frames of --path a second, drawn on time from the resident pages; coarser where time is short")
       ->check(CLI::Range(0.001, 1e4))
       ->needs("--path")
       ->excludes(wait)
@@ -698,8 +745,8 @@ void add_options(CLI::App& app, Options& o) {
   app.add_flag("--quiet,-q", o.quiet, "print no progress, summary or warnings")->group(machine);
   app.set_version_flag("--version", "rgs-render " RGS_VERSION);
   app.footer(
-      "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 a streamed "
-      "frame stayed incomplete.");
+      "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 a picture is coarser than "
+      "asked for: pages of a file with levels of detail are missing, or --realtime had no time for them.");
 }
 
 // A contradiction among options; empty if there is none.

@@ -157,7 +157,11 @@ TEST_CASE("a prefix of a file with levels is drawn as far as it goes") {
     CHECK(scene.size() < whole->head().header().n_gaussians);
     CHECK(render(scene, camera, at_detail(0)).stats.gaussians == scene.size());
     CHECK(render(scene, camera, at_detail(1)).stats.pages >= 1);
+    // What a view lacks is counted as in a streamed scene; from far away the root is enough.
+    CHECK(render(scene, camera, at_detail(0)).stats.stream.pages_missing >= (n_present == n_pages - 1 ? 1 : 2));
+    CHECK(render(scene, camera, at_detail(1e6F)).stats.stream.pages_missing == 0);
   }
+  CHECK(render(load(of.levels), camera, at_detail(0)).stats.stream.pages_missing == 0);
   // All pages, but none of the positions behind them.
   Files behind = files(Profile::direct, true);
   behind.levels.resize(behind.levels.size() - 1);

@@ -150,7 +150,7 @@ struct FrameStats {
   /// the scene's declared box lies in front of the camera and outside the range, at least that of its end bin, which
   /// then extends to the box's end. 0: exact order. FP32's own steps, 6e-8, do not count.
   double depth_resolution = 0;
-  StreamStats stream;  ///< of a StreamedScene
+  StreamStats stream;  ///< of a StreamedScene; pages_missing also of a Scene whose file lacks its end
 };
 
 /// Memory of a device. Copies share it; the last one waits for the device and frees it.

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "image_file.hpp"
+#include "pace.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/interchange.hpp"
@@ -541,10 +542,12 @@ TEST_CASE("in real time a path's frames are drawn on time, from resident pages, 
   const StreamStage stage;
   const Outcome run = stage.run(
       "@town.rgs --path @cameras.json --frames 8 --host-memory 64MiB --realtime 20 --json --quiet --out @flight/");
-  REQUIRE(run.code == 0);
   const auto json = nlohmann::json::parse(without_summary(run.out));
   CHECK(json["realtime_fps"] == 20);
+  CHECK(json["reached_fps"] > 0);
+  CHECK(json["frames_late"] <= 8);
   REQUIRE(json["frames"].size() == 8);
+  CHECK(run.code == (json["frames_incomplete"] == 0 ? 0 : 6));
   double before = -1;
   for (std::size_t i = 0; i < 8; ++i) {
     const auto& stream = json["frames"][i]["stream"];
@@ -556,6 +559,59 @@ TEST_CASE("in real time a path's frames are drawn on time, from resident pages, 
     CHECK(!stream.contains("wait_ms"));
   }
   CHECK(stage.has("flight/frame_0007.png"));
+}
+
+TEST_CASE("in real time, too, coarser pictures than asked for end with exit code 6 and a message") {
+  const StreamStage stage;
+  const std::string flight = "@town.rgs --path @cameras.json --frames 3 --detail 0 --host-memory 1MiB --realtime 20";
+  const Outcome run = stage.run(flight + " --out @flight/");
+  CHECK(run.code == 6);
+  CHECK(run.out.find("of 3 frames ") != std::string::npos);
+  CHECK(run.out.find(" 3 are coarser than asked for: ") != std::string::npos);
+  const Outcome quiet = stage.run(flight + " --quiet --json --overwrite --out @flight/");
+  CHECK(quiet.code == 6);
+  const auto json = nlohmann::json::parse(quiet.out);
+  CHECK(json["frames_incomplete"] == 3);
+  for (const auto& frame : json["frames"]) CHECK(frame["stream"]["detail_px"] == 0);
+}
+
+TEST_CASE(
+    "a file without its end is drawn coarser with exit code 6, in memory and streamed, unless the view needs no more") {
+  const StreamStage stage;
+  const std::string town = rgs::test::read_text(stage.file("town.rgs"));
+  write_text(stage.file("cut.rgs"), town.substr(0, town.size() * 9 / 10));
+  const std::string view = " --cameras @cameras.json --view 0 --backend cpu --overwrite --out @a.png";
+  for (const std::string memory : {"", " --host-memory 64MiB"}) {
+    CAPTURE(memory);
+    const Outcome run = stage.run("@cut.rgs --detail 0" + memory + view);
+    CHECK(run.code == 6);
+    CHECK(run.out.find("missing") != std::string::npos);
+    CHECK(stage.run("@cut.rgs --detail 0 --quiet" + memory + view).code == 6);
+  }
+  CHECK(stage.run("@cut.rgs --detail 1e6" + view).code == 0);  // the root
+}
+
+TEST_CASE("frames that take too long make the next ones coarser, and never finer than asked for") {
+  rgs::render::Pace pace(10, 2);
+  CHECK(pace.begin(0) == 0);
+  CHECK(pace.detail_px() == 2);
+  pace.drew(101);
+  CHECK(pace.detail_px() == 2.5F);
+  CHECK(pace.begin(101) == 100);
+  CHECK(pace.n_late() == 1);
+  pace.drew(60);
+  CHECK(pace.detail_px() == 2.5F);
+  CHECK(pace.begin(161) == 200);
+  CHECK(pace.n_late() == 1);
+  pace.drew(10);
+  CHECK(pace.detail_px() == 2);
+  pace.drew(10);
+  CHECK(pace.detail_px() == 2);
+  for (int i = 0; i < 1000; ++i) pace.drew(1000);
+  CHECK(pace.detail_px() == 1000);
+  rgs::render::Pace leaves(10, 0);
+  leaves.drew(1000);
+  CHECK(leaves.detail_px() == 0);
 }
 
 TEST_CASE("inputs that cannot be streamed are refused with advice") {
