@@ -237,8 +237,10 @@ class PyRenderer {
     for (;;) {
       const auto step_start = Clock::now();
       const double step = std::min(kStep, std::max(0.0, seconds - since(start)));
-      if (take(renderer_->refine(held, camera, step, options), stream.name())) return true;
-      if (since(step_start) < step || since(start) >= seconds) return false;
+      auto refined = renderer_->refine(held, camera, step, options);
+      // An error at the end of a step is of a read that is retried.
+      const bool is_over = since(step_start) < step || since(start) >= seconds;
+      if (is_over || (refined && *refined)) return take(std::move(refined), stream.name());
       check_signals(false);
     }
   }

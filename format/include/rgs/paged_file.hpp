@@ -94,9 +94,8 @@ class PagedFile {
   /// Adds more of the table: pages whose records are now complete become known; known ones keep their numbers and
   /// values. `part` must start at or before unread_table().offset; bytes before that and behind the table are ignored.
   /// Takes time in proportion to the new bytes. The last page completes the hash of LODS and the checks of the whole
-  /// table. After an error the same pages are known as before, and every later call returns that error. Errors:
-  /// bad_argument (bytes in between are missing; another call may bring them); those of open() for LODS,
-  /// checksum_mismatch at its start.
+  /// table. After an error the same pages are known as before; a later call may bring the right bytes. Errors:
+  /// bad_argument (bytes in between are missing); those of open() for LODS, checksum_mismatch at its start.
   Status extend(const FilePart& part);
   /// The part of the table that extend() still needs; 0 bytes: none.
   FileRange unread_table() const;
@@ -153,12 +152,7 @@ class PagedFile {
   FileView head_;
   detail::PageTable table_;
   Codec codec_ = Codec::none;
-  // Until the whole table has been read.
-  struct Unread {
-    Hasher hash;  // of the part read so far
-    Status failed;
-  };
-  std::optional<Unread> unread_;
+  std::optional<Hasher> unread_;  // of the part read so far, until the whole table has been read
 };
 
 /// Decodes pages, one at a time, reusing its memory; starts no threads and maps no files.

@@ -189,7 +189,7 @@ Result<PagedFile> PagedFile::parse_beginning(std::span<const FilePart> parts, co
   file.table_ = *std::move(table);
   file.codec_ = static_cast<Codec>(context.pages.codec);
   file.unread_.emplace();
-  file.unread_->hash.update(section->first(kLevelsHeadBytes));
+  file.unread_->update(section->first(kLevelsHeadBytes));
   for (const FilePart& part : parts) {
     if (part.offset > file.unread_table().offset) continue;
     if (Status s = file.extend(part); !s) return tl::unexpected(s.error());
@@ -207,7 +207,6 @@ FileRange PagedFile::unread_table() const {
 
 Status PagedFile::extend(const FilePart& part) {
   if (!unread_) return {};
-  if (!unread_->failed) return unread_->failed;
   const FileRange unread = unread_table();
   if (part.offset > unread.offset) {
     return make_error(Errc::bad_argument, unread.offset, "bytes of the table of pages before these are missing",
@@ -224,7 +223,7 @@ Status PagedFile::read_records(std::span<const std::byte> records) {
   const PageContext context = context_of(head_);
   const std::size_t before = table_.pages.size();
   const bool last = before + records.size() / kPageRecordBytes == table_.n_pages;
-  Hasher hash = unread_->hash;
+  Hasher hash = *unread_;
   hash.update(records);
   Status read;
   if (last) read = check_hash(context.levels, hash.digest());
@@ -233,10 +232,9 @@ Status PagedFile::read_records(std::span<const std::byte> records) {
   if (!read) {
     table_.pages.resize(before);
     table_.stored.resize(before);
-    unread_->failed = read;
     return read;
   }
-  unread_->hash = hash;
+  *unread_ = hash;
   if (last) unread_.reset();
   return {};
 }

@@ -194,8 +194,9 @@ class Renderer {
   Result<FrameStats> render(const StreamedScene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
   /// Waits until no page is missing from this view and the file's table of pages is verified; then render() gives the
-  /// picture of the whole file, byte for byte. False: after `seconds`, or if the pool has no room for the rest of the
-  /// view. Errors: those of StreamedScene::status() that keep the view from completing, and of render().
+  /// picture of the whole file, byte for byte. Waits for room that others are about to release. False: after `seconds`, or
+  /// if the pool has no room for the rest of the view. Errors: those of StreamedScene::status() that keep the view from
+  /// completing; limit_exceeded (the pool has no room for the view, and nobody will release any); those of render().
   Result<bool> refine(const StreamedScene& scene, const Camera& camera, double seconds,
                       const RenderOptions& options = {});
 

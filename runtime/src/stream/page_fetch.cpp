@@ -139,7 +139,7 @@ StreamedState::Choice StreamedState::claim(std::uint32_t group, const Priority& 
 StreamedState::Choice StreamedState::claim_table(std::uint64_t n, Run& run) {
   if (is_extending || !can_extend()) return Choice::nothing;
   const auto now = pool->now();
-  if (const auto left = pause_left(n_table_failures, now - table_failed_at); left > 0s) {
+  if (const auto left = pause_left(std::max(n_table_failures, n_table_damages), now - table_failed_at); left > 0s) {
     run.later = std::min(run.later, now + left);
     return Choice::nothing;
   }
@@ -281,15 +281,17 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     if (read) continue;
     reported = group + 1;
     cancel(group);
+    const std::uint32_t now = milliseconds(pool->now());
     if (is_damage(read.error().code)) {
-      residency->quarantine(group);
+      // Another answer may have the right bytes. Other damage is in the file.
+      residency->damage(group, now, read.error().code == Errc::checksum_mismatch ? kMostTries : 1);
       drop_below(group);
-      if (damage) damage = read;
+      if (residency->can_request(group)) want(group);
+      damage = read;
       pool->changed();
       continue;
     }
     // Bytes or memory are missing for now. The rest of the run is retried with it.
-    const std::uint32_t now = milliseconds(pool->now());
     for (std::uint32_t again = group; again < run.first + run.n; ++again) {
       if (again > group) cancel(again);
       residency->fail(again, now);
@@ -393,11 +395,13 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
   succeed();
   n_table_failures = 0;
   for (const auto& view : views) view->failures.n = 0;
-  const Status extended = file->extend(*part);
-  residency->extend();
-  if (!extended) {
-    residency->mark_broken();
-    if (damage) damage = extended;
+  if (const Status extended = file->extend(*part); extended) {
+    residency->extend();
+    n_table_damages = 0;
+  } else {
+    damage = extended;
+    table_failed_at = pool->now();
+    if (++n_table_damages == kMostTries) residency->mark_broken();
   }
   pool->changed();
   if (n_waiting > 0) pool->news.notify_all();

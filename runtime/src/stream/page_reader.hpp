@@ -67,7 +67,7 @@ class PageReader {
   /// Call before pages that do not follow those read before.
   void begin_run() { begin_ = end_ = 0; }
   /// Reads, decodes and stores a page. Reads the pages that follow it, up to `end`, along with it for the next calls. A
-  /// damaged page is read a second time. Errors: those of ByteSource::read(), PageDecoder::decode() and
+  /// page whose checksum does not match is read a second time. Errors: those of ByteSource::read(), PageDecoder::decode() and
   /// PageStore::put().
   Status read(std::uint32_t page, std::uint32_t end);
   /// Numbers what was stored up to one send().

@@ -52,27 +52,39 @@ void Residency::drop(std::uint32_t group) {
   count_below(group, -1);
 }
 
+void Residency::set_damaged(Group& group, bool is_damaged) {
+  n_damaged_ = n_damaged_ - group.is_damaged + is_damaged;
+  group.is_damaged = is_damaged;
+}
+
 void Residency::fail(std::uint32_t group, std::uint32_t time) {
   drop(group);
   Group& g = groups_[group];
+  set_damaged(g, false);
   if (g.n_failed < std::numeric_limits<std::uint8_t>::max()) ++g.n_failed;
   g.failed_at = time;
 }
 
-void Residency::quarantine(std::uint32_t group) {
-  drop(group);
-  groups_[group].state = State::quarantined;
+void Residency::damage(std::uint32_t group, std::uint32_t time, int most_tries) {
+  Group& g = groups_[group];
+  const int n_before = g.is_damaged ? g.n_failed : 0;
+  fail(group, time);
+  g.n_failed = static_cast<std::uint8_t>(n_before + 1);
+  set_damaged(g, true);
+  g.is_quarantined = g.n_failed >= most_tries;
 }
 
 void Residency::arrive(std::uint32_t group) {
   assert(state(group) == State::requested && is_parent_in_flight(group));
   groups_[group].state = State::arrived;
+  set_damaged(groups_[group], false);
 }
 
 void Residency::make_resident(std::uint32_t group) {
   assert((state(group) == State::requested || state(group) == State::arrived) && is_resident(group));
   groups_[group].state = State::resident;
   groups_[group].n_failed = 0;
+  set_damaged(groups_[group], false);
   // Not newer than its parent, which is evicted later.
   if (const std::uint32_t above = group_of(group); above != kNoGroup)
     groups_[group].last_used = groups_[above].last_used;

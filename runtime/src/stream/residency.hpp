@@ -41,7 +41,6 @@ class Residency {
     requested,  ///< in flight
     arrived,    ///< decoded, but the parent page is not resident yet
     resident,
-    quarantined,  ///< damaged: never requested again
   };
 
   /// `pages` must outlive it and may grow up to `n_pages`.
@@ -72,23 +71,26 @@ class Residency {
     const State above = state(group_of(group));
     return above == State::requested || above == State::arrived;
   }
-  /// Absent, and its parent page is resident or in flight. Not below a group that has failed and is retried: it may
-  /// fail again.
+  /// Absent, not quarantined, and its parent page is resident or in flight. Not below a group that has failed and is
+  /// retried: it may fail again.
   bool can_request(std::uint32_t group) const {
-    if (state(group) != State::absent) return false;
+    if (state(group) != State::absent || groups_[group].is_quarantined) return false;
     return is_resident(group) || (is_parent_in_flight(group) && n_failed(group_of(group)) == 0);
   }
 
-  void request(std::uint32_t group);     ///< absent -> requested; can_request()
-  void drop(std::uint32_t group);        ///< requested or arrived -> absent
-  void quarantine(std::uint32_t group);  ///< requested -> quarantined
-  void arrive(std::uint32_t group);      ///< requested -> arrived; is_parent_in_flight()
+  void request(std::uint32_t group);  ///< absent -> requested; can_request()
+  void drop(std::uint32_t group);     ///< requested or arrived -> absent
+  void arrive(std::uint32_t group);   ///< requested -> arrived; is_parent_in_flight()
   /// requested or arrived -> resident, last used as its parent, which is resident
   void make_resident(std::uint32_t group);
   void evict(std::uint32_t group);  ///< resident or arrived -> absent; can_evict()
 
   /// requested -> absent: it could not be read at `time`, of a clock of the caller's.
   void fail(std::uint32_t group, std::uint32_t time);
+  /// The same if it is damaged; after `most_tries` in a row it is quarantined.
+  void damage(std::uint32_t group, std::uint32_t time, int most_tries);
+  bool is_damaged(std::uint32_t group) const { return groups_[group].is_damaged; }
+  std::uint32_t n_damaged() const { return n_damaged_; }  ///< groups
   /// Failed reads in a row, at most 255, and when the last one was.
   int n_failed(std::uint32_t group) const { return groups_[group].n_failed; }
   std::uint32_t failed_at(std::uint32_t group) const { return groups_[group].failed_at; }
@@ -113,7 +115,7 @@ class Residency {
     std::uint64_t gaussians = 0;
     /// Pages that the view wants and that are not drawn: absent, or finer than `eye` allows.
     std::uint64_t missing = 0;
-    std::uint64_t damaged = 0;    ///< of these, quarantined or beyond a broken table
+    std::uint64_t damaged = 0;    ///< of these, damaged or beyond a broken table
     std::uint64_t in_flight = 0;  ///< groups that the view wants
     double reached_px = 0;        ///< largest projected error
   };
@@ -134,7 +136,9 @@ class Residency {
     std::uint8_t n_failed = 0;
     std::uint8_t n_below = 0;  // child groups that are requested, arrived or resident
     State state = State::absent;
-    bool blocked = false;  // by a descendant, during for_each_evictable()
+    bool blocked : 1 = false;         // by a descendant, during for_each_evictable()
+    bool is_damaged : 1 = false;      // at the last try
+    bool is_quarantined : 1 = false;  // damaged too often: never requested again
   };
   static constexpr std::uint32_t kNoGroup = lod::kNoPage;
   static bool has_data(const Group& g) { return g.state == State::resident || g.state == State::arrived; }
@@ -146,13 +150,14 @@ class Residency {
 
   std::uint32_t group_of(std::uint32_t page) const { return pages_[page].parent; }  // kNoGroup: of the root
   void count_below(std::uint32_t group, int n);
+  void set_damaged(Group& group, bool is_damaged);
   static std::size_t n_words(std::uint32_t n_pages) { return (std::size_t{n_pages} + 63) / 64; }
   void set_occupied(std::uint32_t group, bool is_occupied);
 
   const std::vector<lod::Page>& pages_;
   std::vector<Group> groups_;            // [n_pages]; leaves have none
   std::vector<std::uint64_t> occupied_;  // a bit a group: requested, arrived or resident
-  std::uint32_t n_groups_ = 0;
+  std::uint32_t n_groups_ = 0, n_damaged_ = 0;
   bool is_broken_ = false;
   std::uint64_t n_resident_ = 1;
 };
@@ -218,7 +223,7 @@ Residency::Cut Residency::cut(const StreamEye& eye, std::uint32_t tick, const Dr
       cut.reached_px = static_cast<double>(px) > cut.reached_px ? static_cast<double>(px) : cut.reached_px;
       if (page.n_children > 0 && !lod::is_fine_enough(page.error, asked_px, footprint)) {
         cut.missing += page.n_children;
-        if (groups_[i].state == State::quarantined || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
+        if (groups_[i].is_damaged || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
         if (!is_fine) want_descendants(i, px, eye, want, cut);
       }
     }

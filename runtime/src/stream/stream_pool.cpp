@@ -104,7 +104,34 @@ Result<std::shared_ptr<DeviceSlots>> StreamPoolState::slots_of(const SlotShape& 
 
 void StreamPoolState::changed() {
   ++changes;
+  if (n_waiting_for_room > 0) news.notify_all();
   for (StreamedState* const scene : scenes) scene->work.notify_one();
+}
+
+bool StreamPoolState::wait_for_room(std::unique_lock<std::mutex>& lock, const StreamView* own,
+                                    StreamClock::time_point deadline) {
+  const std::uint64_t held_before = held;
+  const auto at = now();
+  bool is_held = false;
+  auto until = deadline;
+  for (StreamedState* const scene : scenes) {
+    scene->update_live_views(at);
+    scene->remove_old_views();
+    is_held = is_held || scene->n_at_work > 0;
+    for (const auto& view : scene->views) {
+      const bool is_idle = view->n_busy == 0;
+      if (view.get() == own || (is_idle && (view.get() == last_view || view->lists.bytes == 0))) continue;
+      is_held = true;
+      if (is_idle) until = std::min(until, view->seen + kViewLives);
+    }
+  }
+  if (held < held_before) return true;
+  if (!is_held) return false;
+  waits_for_pins = lacks_room = true;
+  ++n_waiting_for_room;
+  news.wait_until(lock, until, [this, seen = changes] { return changes != seen; });
+  --n_waiting_for_room;
+  return true;
 }
 
 void StreamPoolState::forget(StreamedState* scene) {

@@ -17,6 +17,7 @@
 namespace rgs::detail {
 
 using StreamClock = std::chrono::steady_clock;
+inline constexpr StreamClock::duration kViewLives = std::chrono::seconds(1);  ///< after its last frame
 
 struct StreamedState;
 struct StreamView;
@@ -43,6 +44,7 @@ struct StreamPoolState {
   const StreamView* last_view = nullptr;  ///< last used, of all scenes
   bool waits_for_pins = false;            ///< a request would fit if no frame pinned pages
   bool lacks_room = false;                ///< a request did not fit at the last try
+  int n_waiting_for_room = 0;             ///< callers in wait_for_room()
   std::vector<StreamedState*> scenes;
 
   enum class Room : std::uint8_t {
@@ -68,6 +70,9 @@ struct StreamPoolState {
   std::uint64_t reclaimable_bytes() const { return reclaimable_bytes_; }
   /// Something changed: wakes threads of all scenes.
   void changed();
+  /// Removes old views; if there are none, waits for a read, a frame or a view other than `own` to end. False if there is
+  /// none of these either: nobody will release memory.
+  bool wait_for_room(std::unique_lock<std::mutex>& lock, const StreamView* own, StreamClock::time_point deadline);
   void forget(StreamedState* scene);
 
  private:

@@ -17,7 +17,6 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr auto kViewLives = 1s;         // after its last frame
 constexpr double kAheadSeconds = 0.5;   // of the camera's motion
 constexpr double kMotionSeconds = 0.5;  // frames farther apart say nothing of motion
 constexpr double kMostTurn = 1;         // radians ahead
@@ -316,7 +315,7 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
     if (prefetches && seconds > 0 && seconds < kMotionSeconds) {
       view->ahead = rule.eye(moved_on(view->camera, camera, kAheadSeconds / seconds, extent(file->pages()[0].bounds)));
     }
-    view->is_refined = false;
+    view->is_refined = view->has_run_out = false;
     is_new = true;
   } else if (!view->is_refined) {
     view->ahead.reset();  // the camera stands still
@@ -446,10 +445,15 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
   const auto deadline = s.pool->now() + std::chrono::duration_cast<StreamClock::duration>(std::chrono::duration<double>(
                                             std::isnan(seconds) ? 0 : std::clamp(seconds, 0.0, kLongest)));
   std::unique_lock lock(s.pool->mutex);
-  const auto posted = s.post(renderer, camera, rule);
-  if (!posted) return tl::unexpected(posted.error());
+  Result<StreamView*> posted = nullptr;
+  for (;;) {
+    posted = s.post(renderer, camera, rule);
+    const Status room = posted ? s.need((*posted)->lists) : Status(tl::unexpected(posted.error()));
+    if (room) break;
+    if (!s.pool->wait_for_room(lock, posted ? *posted : nullptr, deadline)) return tl::unexpected(room.error());
+    if (s.pool->now() >= deadline) return false;
+  }
   StreamView& view = **posted;
-  if (Status there = s.need(view.lists); !there) return tl::unexpected(there.error());
   view.is_refined = true;
   ++view.n_busy, ++s.n_waiting;
   s.pool->changed();  // pauses are shorter now
@@ -462,7 +466,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
       if (scene.n_waiting == 0) scene.pool->changed();  // prefetch has waited
     }
   } waiter{s, view};
-  view.failures.n = 0;
+  if (!std::exchange(view.has_run_out, false)) view.failures.n = 0;
   const auto fails_for_long = [&] { return view.is_lasting && view.failures.n >= StreamedState::kLastingTrouble; };
   for (;;) {
     // With its lists, so that the next frame needs no more memory.
@@ -474,7 +478,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     if (cut.missing == 0 && s.residency->is_broken()) return tl::unexpected(s.damage.error());
     const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();
     const auto is_settled = [&] { return s.settled_at >= changes && s.n_at_work == 0; };
-    const bool is_late = s.pool->now() >= deadline;
+    const bool is_late = view.has_run_out = s.pool->now() >= deadline;
     const bool is_failing = is_late ? view.failures.n > 0 : fails_for_long();
     if (is_failing && (cut.missing > cut.damaged || cut.missing == 0)) return tl::unexpected(view.trouble.error());
     if (cut.damaged > 0 && (is_settled() || is_late || is_failing)) return tl::unexpected(s.damage.error());

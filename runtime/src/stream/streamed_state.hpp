@@ -124,6 +124,7 @@ struct StreamView {
   int n_busy = 0;             ///< frames and waiting callers
   bool is_live = true;        ///< counts: see StreamedState::update_live_views()
   DrawLists lists;            ///< empty during a frame
+  bool has_run_out = false;   ///< of time, the last refine(): the next one of that camera goes on with it
   Failures failures;          ///< of reads that it wants; reset when it starts to wait or a group arrives
   bool is_lasting = false;    ///< the last of them failed too often, or the source did
   Status trouble;             ///< the last of them
@@ -156,13 +157,13 @@ struct StreamedState {
   StreamStats stats;
   std::condition_variable work;   // wakes reading threads: pool->changes or n_requested grew
   std::uint64_t n_requested = 0;  // groups ever requested; each lets its child groups be requested
-  Status damage, trouble;         // of a page; of reading, while it lasts
+  Status damage, trouble;         // the last of a page or the table; of reading: while it lasts
   Failures failures;
   std::uint64_t n_failed = 0;  // reads that ever failed
   StreamClock::time_point failed_at{};
-  int n_unreachable = 0;     // latest of `failures` in which not even `readable` could be read
-  FileRange readable;        // bytes that were read before
-  int n_table_failures = 0;  // of the table, in a row
+  int n_unreachable = 0;                          // latest of `failures` in which not even `readable` could be read
+  FileRange readable;                             // bytes that were read before
+  int n_table_failures = 0, n_table_damages = 0;  // of the table, in a row
   StreamClock::time_point table_failed_at{};
   int n_at_work = 0;          // reading threads that are busy
   int n_waiting = 0;          // callers that wait for a view
@@ -212,7 +213,7 @@ struct StreamedState {
   /// Computes the view's cut: fills its lists of wants, and `lists` with pages unless null.
   Residency::Cut cut(StreamView& view, DrawLists* lists);
   StreamStats stats_now() const;
-  Status status() const { return damage ? trouble : damage; }
+  Status status() const { return residency->n_damaged() > 0 || n_table_damages > 0 ? damage : trouble; }
 
   // For reading threads. With the lock, but fetch(), extend_table(), fail() and work_until_stopped().
   struct Run {
@@ -247,6 +248,7 @@ struct StreamedState {
   /// n_failed when the read began.
   void fail(PageReader& reader, const Status& read, const Run& failed, int n_times, std::uint64_t begun);
   static constexpr int kLastingTrouble = 3;
+  static constexpr int kMostTries = 6;  ///< of damaged bytes, in a row
   void succeed();
   /// What is left of the pause after n failures, the last one `since` ago.
   StreamClock::duration pause_left(int n, StreamClock::duration since) const;

@@ -84,6 +84,80 @@ TEST_CASE("a frame whose list of pages finds no room is not called complete") {
   CHECK(opened.frame(over(), 0, 1).parts().size() == all.parts().size());
 }
 
+TEST_CASE("refine() waits for room that frames, reads and views of others release, and for nothing else") {
+  const Bytes bytes = town({.n = 20000, .sh_degree = 3, .page_chunks = 8});
+  Opened opened(bytes, false, 1);
+  StreamedState& s = *opened.state;
+  StreamPoolState& pool = *opened.pool;
+  const auto at_rest = [&] { return s.file->is_verified() && s.settled_at >= pool.changes && s.n_at_work == 0; };
+  opened.frame(over(), 1e9F, 1);  // the root, and the rest of the table
+  opened.await(at_rest);
+  std::uint64_t taken = 0;
+  const auto use_up = [&] {
+    const std::scoped_lock lock(pool.mutex);
+    taken += pool.left();
+    pool.held += pool.left();
+  };
+  const auto release = [&] {
+    const std::scoped_lock lock(pool.mutex);
+    pool.held -= std::exchange(taken, 0);
+  };
+  std::uint64_t renderer = 10;
+  const auto refined = [&](double seconds) { return opened.refine(over(), 1e9F, ++renderer, seconds); };
+  std::future<Result<bool>> complete;
+  const auto wait = [&] {
+    complete = std::async(std::launch::async, refined, kLong);
+    opened.await([&] { return pool.n_waiting_for_room == 1; });
+  };
+
+  // The pool has one view, its last, which stays.
+  use_up();
+  const auto failed = refined(kLong);
+  REQUIRE(!failed);
+  CHECK(failed.error().code == Errc::limit_exceeded);
+  release();
+
+  // A read that arrives can be evicted.
+  opened.script->is_shut = true;
+  opened.frame(over(), 0, 1);
+  opened.await([&] { return opened.script->n_at_once == 1; });
+  use_up();
+  CHECK(refined(0) == false);
+  wait();
+  opened.script->open_gate();
+  CHECK(complete.get() == true);
+  release();
+
+  // So can the pages of a frame that ends.
+  REQUIRE(opened.refine(over(), 0, 1) == true);
+  std::optional<StreamFrame> frame = opened.frame(over(), 0, 1);
+  use_up();
+  CHECK(refined(0) == false);
+  wait();
+  frame.reset();
+  CHECK(complete.get() == true);
+  release();
+
+  // A view lives for a second.
+  Opened lone(bytes, false, 1);
+  lone.stop();
+  lone.frame(over(), 1e9F, 1);
+  lone.frame(over(), 1e9F, 2);
+  lone.await([&] { return lone.state->file->is_verified() && lone.state->n_at_work == 0; });
+  {
+    const std::scoped_lock lock(lone.pool->mutex);
+    lone.pool->held += lone.pool->left();
+  }
+  CHECK(lone.refine(over(), 1e9F, 3, 0) == false);
+  complete = std::async(std::launch::async, [&] { return lone.refine(over(), 1e9F, 3); });
+  lone.await([&] { return lone.pool->n_waiting_for_room == 1; });
+  lone.stop(-2s);
+  CHECK(complete.get() == true);
+  const std::scoped_lock lock(lone.pool->mutex);
+  CHECK(lone.state->views.size() == 2);
+  lone.pool->held = 0;  // closing releases more than was counted
+}
+
 TEST_CASE("an outage that ends many reads at once is one failure, and a past one is none") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes, false, 6, 1);
@@ -105,6 +179,17 @@ TEST_CASE("an outage that ends many reads at once is one failure, and a past one
   dead.script->fails = false;
   CHECK(dead.refine(camera, 0.5F) == true);
   CHECK(dead.state->status());
+
+  // Waits for one view without a frame in between are one wait.
+  Opened steps(bytes, false, 1);
+  steps.script->fails = true;
+  test::await([&] {
+    steps.refine(camera, 0.5F, 1, 0);
+    const std::scoped_lock lock(steps.pool->mutex);
+    return steps.state->views.front()->failures.n >= StreamedState::kLastingTrouble;
+  });
+  steps.stop();  // nothing is retried
+  CHECK(!steps.refine(camera, 0.5F));
 }
 
 TEST_CASE("an unreadable range does not keep anything else from being read") {
@@ -303,8 +388,7 @@ TEST_CASE("pages that wait for a missing ancestor make room, and come again afte
       from = range.offset + 40, to = range.offset + 41;
       script.open_gate();
       opened.await([&] {
-        const bool is_over =
-            is_damaged ? s.residency->state(lost) == State::quarantined : s.residency->n_failed(lost) > 0;
+        const bool is_over = is_damaged ? s.residency->is_damaged(lost) : s.residency->n_failed(lost) > 0;
         return is_over && s.n_at_work == 0;
       });
       {
@@ -317,12 +401,8 @@ TEST_CASE("pages that wait for a missing ancestor make room, and come again afte
         CHECK(pool->held + given == held);
       }
       to = 0;
-      if (is_damaged) {
-        CHECK(!opened.refine(over(), 0));
-      } else {
-        CHECK(opened.refine(over(), 0) == true);
-        CHECK(s.residency->n_resident() == s.file->n_pages_in_all());
-      }
+      CHECK(opened.refine(over(), 0) == true);
+      CHECK(s.residency->n_resident() == s.file->n_pages_in_all());
     }
     CHECK(pool->held == 0);
   }
@@ -447,7 +527,7 @@ TEST_CASE("room freed by a page that arrived in vain is used") {
   for (const std::uint32_t group : {0U, 1U})
     REQUIRE(opened.pool->take_pages(s.group_bytes(group), {true, 1}) == StreamPoolState::Room::taken);
   s.cancel(0);
-  s.residency->quarantine(0);
+  s.residency->damage(0, 0, 1);
   opened.pool->lacks_room = true;
   const std::uint64_t changes = opened.pool->changes, held = opened.pool->held;
   s.arrived(1);
@@ -472,6 +552,61 @@ TEST_CASE("pauses after failed reads grow up to a limit, which is lower while a 
   CHECK(s.pause_left(2, 0s) == 500ms);
   CHECK(s.pause_left(100, 0s) == 1s);
   s.n_waiting = 0;
+}
+
+TEST_CASE("damaged bytes are read again after pauses that grow, a limited number of times") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  const std::uint32_t lost = 2;  // the root's second child
+  const StoredPage& stored = file->stored(file->pages()[lost].first_child);
+  const FileRange unread =
+      PagedFile::open_beginning(std::vector<FilePart>{{0, std::span(bytes).first(64 << 10)}})->unread_table();
+  REQUIRE(unread.bytes > 0);
+  enum class Where { page, table };
+  for (const Where where : {Where::page, Where::table}) {
+    for (const int n_bad : {1, 3, StreamedState::kMostTries}) {
+      CAPTURE(where == Where::page);
+      CAPTURE(n_bad);
+      Opened opened(bytes, false, 1);
+      StreamedState& s = *opened.state;
+      Script& script = *opened.script;
+      opened.stop();
+      script.flip_from = (where == Where::page ? stored.offset : unread.offset + 20),
+      script.flip_to = script.flip_from + 1;
+      const auto n_tries = [&] { return where == Where::page ? s.residency->n_failed(lost) : s.n_table_damages; };
+      const bool is_final = n_bad == StreamedState::kMostTries;
+      auto pause = 250ms;
+      for (int n = 1; n <= n_bad; ++n, pause *= 2) {
+        opened.frame(over(), 0);
+        opened.await([&] { return n_tries() == n && s.n_at_work == 0; });
+        {
+          const std::scoped_lock lock(opened.pool->mutex);
+          REQUIRE(!s.status());
+          CHECK(exit_code(s.status().error().code) == 4);
+        }
+        const int n_reads = script.n_reads;
+        if (n == n_bad) script.flip_to = 0;
+        opened.stop(-pause + 10ms);
+        {
+          const std::scoped_lock lock(opened.pool->mutex);
+          StreamedState::Run run;
+          CHECK(s.choose(run) ==
+                (is_final && n == n_bad ? StreamedState::Choice::nothing : StreamedState::Choice::later));
+          if (run.later != detail::StreamClock::time_point::max()) CHECK(run.later - opened.pool->now() <= 11ms);
+        }
+        CHECK(script.n_reads == n_reads);
+        opened.stop(-20ms);
+        const std::scoped_lock lock(opened.pool->mutex);
+        opened.pool->changed();
+      }
+      const auto complete = opened.refine(over(), 0);
+      const std::scoped_lock lock(opened.pool->mutex);
+      CHECK(complete.has_value() == !is_final);
+      CHECK(s.status().has_value() == !is_final);
+      CHECK((s.residency->n_resident() == s.file->n_pages_in_all()) == !is_final);
+    }
+  }
 }
 
 TEST_CASE("postponed groups come after all others, until their pause is over") {
