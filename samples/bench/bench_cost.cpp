@@ -161,8 +161,6 @@ Cost project_cost(const FrameWork& w, const Counts& n) {
   c.bytes = n.gaussians * kMeanBytes + n.visible * (geometry + sh_bytes(w.compact, w.sh_degree) + kSplatBytes);
   add(c, kToCamera, n.gaussians);
   const PaperSteps steps = steps_of(w.options, Backend::cuda);
-  const bool separate = steps.front_end == PaperSteps::FrontEnd::separate;
-  if (separate || steps.deterministic) c.bytes += n.gaussians * kWord;  // which is next in tie order
   const bool square = steps.extent == math::Extent::square;
   add(c, kProject + (square ? kSquare : kEllipse), n.visible);
   add(c, color_ops(std::min(w.sh_degree, w.options.sh_degree_limit), w.compact), n.visible);

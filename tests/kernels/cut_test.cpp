@@ -1,4 +1,4 @@
-// cut_test.cpp - levels of detail on the device: the host's cut, its tie order, and the same pictures.
+// cut_test.cpp - levels of detail on the device: the host's cut, in its order, and the same pictures.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -91,9 +91,8 @@ lod::Eye host_eye(const cuda::CutEye& e) {
   return {{e.position[0], e.position[1], e.position[2]}, e.focal_px, e.z_near};
 }
 
-/// Chunks of these pages on the device, in page order.
-std::vector<std::uint32_t> chunks_of(const detail::PagePlan& plan, std::vector<std::uint32_t> pages) {
-  std::ranges::sort(pages);
+/// Chunks of these pages on the device.
+std::vector<std::uint32_t> chunks_of(const detail::PagePlan& plan, const std::vector<std::uint32_t>& pages) {
   std::vector<std::uint32_t> chunks;
   for (const std::uint32_t page : pages) {
     for (std::uint64_t k = plan.first_chunk[page]; k < plan.first_chunk[page + 1]; ++k) {
@@ -110,7 +109,6 @@ std::uint32_t narrow(std::uint64_t n) {
 struct DeviceCut {
   std::vector<std::uint32_t> chosen;  ///< [counts.chunks]
   std::vector<std::uint32_t> chunks;  ///< [capacity] those in view
-  std::vector<std::uint32_t> places;
   cuda::CutCounts counts, listed;
 };
 /// Runs both launches; `entries`: CHNK.
@@ -120,17 +118,17 @@ DeviceCut cut(std::span<const cuda::CutPage> table, const detail::PagePlan& plan
   const auto n_chunks = static_cast<std::uint32_t>(plan.n_chunks());
   const DeviceArray<cuda::CutPage> pages(table);
   const DeviceArray<cuda::CutCounts> sums(cuda::cut_blocks(plan.n_pages)), counts(2);
-  const DeviceArray<std::uint32_t> chosen(n_chunks), chunks(capacity), places(n_chunks);
+  const DeviceArray<std::uint32_t> chosen(n_chunks), chunks(capacity);
   const DeviceArray<std::uint32_t> in_view(cuda::cull_blocks(n_chunks)), chunk_table(entries);
   detail::PageLocked<cuda::CutCounts> seen;
   require_ok(seen.create());
   require_ok(cuda::launch_cut({pages.data(), plan.n_pages, eye, sums.data(), counts.data(), chosen.data()}, nullptr));
   require_ok(cuda::launch_cull(
       {chosen.data(), counts.data(), n_chunks, chunk_table.data(), view.value_or(cuda::ViewParameters{}),
-       view.has_value(), in_view.data(), counts.data() + 1, seen.get(), chunks.data(), capacity, places.data()},
+       view.has_value(), in_view.data(), counts.data() + 1, seen.get(), chunks.data(), capacity},
       nullptr));
   const auto both = counts.download();
-  DeviceCut cut{chosen.download(), chunks.download(), places.download(), both[0], both[1]};
+  DeviceCut cut{chosen.download(), chunks.download(), both[0], both[1]};
   cut.chosen.resize(cut.counts.chunks);
   sums.check_guards(), in_view.check_guards();
   CHECK(std::memcmp(&cut.listed, seen.get(), sizeof cut.listed) == 0);
@@ -211,7 +209,7 @@ Camera camera_at(double back, int width = 96, int height = 64) {
 
 }  // namespace
 
-TEST_CASE("each page's own decision equals the host's traversal from the root") {
+TEST_CASE("each page's own decision equals the host's traversal from the root, in its order") {
   Random random(1612);
   const Levels& levels = many_pages();
   const std::uint32_t n_pages = open(levels.bytes).n_pages();
@@ -232,12 +230,11 @@ TEST_CASE("each page's own decision equals the host's traversal from the root") 
       std::uint64_t n = 0;
       for (std::uint32_t i = 0; i < n_present; ++i) {
         if (!is_fine(table[i]) || (table[i].parent != cuda::kNoCutPage && is_fine(table[table[i].parent]))) continue;
-        alone.push_back(i);
+        const auto next = std::ranges::upper_bound(plan.first_chunk, table[i].first_chunk);
+        alone.push_back(static_cast<std::uint32_t>(next - plan.first_chunk.begin() - 1));
         n += table[i].n;
       }
-      auto expected = lod::drawn_pages(file.pages(), host_eye(eye), eye.detail_px, n_present);
-      std::ranges::sort(expected);
-      REQUIRE(alone == expected);
+      REQUIRE(alone == lod::drawn_pages(file.pages(), host_eye(eye), eye.detail_px, n_present));
       if (k == 0) CHECK(n == plan.n_finest);
     }
   }
@@ -270,7 +267,6 @@ TEST_CASE("the device's cut equals the host's in 200 views, of whole files and p
       CHECK(drawn.listed.pages == expected.size());
       CHECK(drawn.listed.gaussians == drawn.counts.gaussians);
       CHECK(std::equal(chunks.begin(), chunks.end(), drawn.chunks.begin()));
-      for (std::size_t i = 0; i < chunks.size(); ++i) REQUIRE(drawn.places[chunks[i]] == i);
       sizes.insert(chunks.size());
     }
   }
@@ -296,7 +292,7 @@ TEST_CASE("chunks outside the view are dropped, the others keep their order; an 
   for (const std::uint32_t chunk : drawn.chosen) {
     const auto& c = centers[chunk];
     const bool listed = at < drawn.listed.chunks && drawn.chunks[at] == chunk;
-    if (listed) REQUIRE(drawn.places[chunk] == at++);
+    at += listed ? 1 : 0;
     // Clearly inside, and clearly outside: 160/256 and 100/256 are the slopes of the image's edges.
     const float x = std::abs(c[0]), y = std::abs(c[1]), z = c[2];
     if (z > 1 && x < 0.6F * z && y < 0.36F * z) CHECK(listed);
@@ -309,71 +305,6 @@ TEST_CASE("chunks outside the view are dropped, the others keep their order; an 
   const DeviceCut full = cut(table, plan, leaves, 3, entries);
   CHECK(full.listed.chunks == full.chosen.size());
   CHECK(std::equal(full.chunks.begin(), full.chunks.end(), full.chosen.begin()));
-}
-
-TEST_CASE("the rows of a view keep the tie order of all rows") {
-  if (!device_answers()) return;
-  Random random(1614);
-  constexpr std::uint32_t kChunk = 32;
-  for (const std::uint32_t n_chunks : {1u, 130u, sized(40000u, 9000u, 500u)}) {  // up to more than a block of bits
-    const std::uint32_t n_rows = n_chunks * kChunk;
-    std::vector<std::uint32_t> order(n_rows), rank(n_rows);
-    std::iota(order.begin(), order.end(), 0u);
-    std::shuffle(order.begin(), order.end(), std::mt19937(n_chunks));
-    for (std::uint32_t k = 0; k < n_rows; ++k) rank[order[k]] = k;
-    for (const double share : {1.0, 0.04}) {
-      std::vector<std::uint32_t> chunks, places(n_chunks, ~0u);
-      for (std::uint32_t c = 0; c < n_chunks; ++c) {
-        if (c != 0 && random.uniform(0, 1) >= share) continue;
-        places[c] = narrow(chunks.size());
-        chunks.push_back(c);
-      }
-      const std::uint32_t n = narrow(chunks.size()) * kChunk;
-      const std::uint32_t capacity = narrow(chunks.size()) + 3;
-      std::vector<std::uint32_t> rows(n);  // drawn row -> row
-      for (std::uint32_t i = 0; i < n; ++i) rows[i] = chunks[i / kChunk] * kChunk + i % kChunk;
-      std::vector<std::uint32_t> expected(n);
-      std::iota(expected.begin(), expected.end(), 0u);
-      std::ranges::sort(expected, {}, [&](std::uint32_t i) { return rank[rows[i]]; });
-
-      std::vector<std::uint32_t> listed = chunks;
-      listed.resize(capacity, ~0u);
-      const cuda::CutCounts one{n, 1, narrow(chunks.size())};
-      const DeviceArray<std::uint32_t> d_chunks{std::span<const std::uint32_t>(listed)};
-      const DeviceArray<std::uint32_t> d_places{std::span<const std::uint32_t>(places)};
-      const DeviceArray<std::uint32_t> d_order{std::span<const std::uint32_t>(order)};
-      const DeviceArray<std::uint32_t> d_rank{std::span<const std::uint32_t>(rank)};
-      const DeviceArray<cuda::CutCounts> counts(std::span(&one, 1));
-      const DeviceArray<std::uint32_t> bits(cuda::drawn_ties_words(n_rows)), sums(cuda::drawn_ties_blocks(n_rows));
-      const std::size_t room = std::size_t{capacity} * kChunk;
-      DeviceArray<std::uint32_t> drawn_order(room), drawn_rank(room), by_row(room);
-      cuda::DrawnTiesArguments a{{d_chunks.data(), counts.data(), capacity},
-                                 d_places.data(),
-                                 kChunk,
-                                 {d_order.data(), d_rank.data()},
-                                 n_rows,
-                                 bits.data(),
-                                 sums.data(),
-                                 drawn_order.data(),
-                                 drawn_rank.data()};
-      require_ok(cuda::launch_drawn_ties(a, nullptr));
-      const auto found = drawn_order.download(), ranks = drawn_rank.download();
-      CHECK(std::equal(expected.begin(), expected.end(), found.begin()));
-      for (std::uint32_t k = 0; k < n; ++k) REQUIRE(ranks[expected[k]] == k);
-      a.order = by_row.data(), a.rank = nullptr;
-      require_ok(cuda::launch_drawn_ties(a, nullptr));
-      const auto row_order = by_row.download();
-      for (std::uint32_t k = 0; k < n; ++k) REQUIRE(row_order[k] == rows[expected[k]]);
-      bits.check_guards(), sums.check_guards();
-      // Without room for the chunks nothing is drawn.
-      a.drawn.capacity = narrow(chunks.size()) - 1;
-      if (a.drawn.capacity == 0) continue;
-      drawn_order.fill(0xFF);
-      a.order = drawn_order.data();
-      require_ok(cuda::launch_drawn_ties(a, nullptr));
-      CHECK(drawn_order.download() == std::vector<std::uint32_t>(room, ~0u));
-    }
-  }
 }
 
 TEST_CASE("pages on the device equal the host's decoding, each from its own first chunk, in every profile") {
@@ -500,9 +431,9 @@ TEST_CASE("at detail 0 the picture equals that of the file without levels, in ev
   }
 }
 
-TEST_CASE("equal depths of a scene with levels are drawn in tie order, whatever else the frame draws") {
+TEST_CASE("equal depths of a scene with levels are drawn in the order of leaves") {
   if (!device_answers()) return;
-  // Gaussians on a grid: many share a depth, and lists of many equal depths have ranks.
+  // Gaussians on a grid: many share a depth.
   const Levels levels = Levels::of(grid_splats(1616, sized(12000, 6000, 1500)), 3, 32, 2);
   const Scene scene = load(levels.bytes);
   const DeviceScene on_device = upload(*scene.levels());

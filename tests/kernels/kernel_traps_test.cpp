@@ -321,7 +321,7 @@ TEST_CASE("trap 6: at 8K too few bits of depth cause exact order, which is repor
   CHECK(coarse.stats.key_bits == 32);
 }
 
-TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order, whatever their order in the scene") {
+TEST_CASE("trap 7: Gaussians of one depth are drawn in the order of the scene") {
   if (!device_answers()) return;
   auto splats = random_splats(704, small_sizes() ? 600 : 20000);
   for (Splat& s : splats) {
@@ -345,13 +345,12 @@ TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order, whatever their
     for (int run = 0; run < 4; ++run) CHECK(draw(uploaded, camera, turbo_options()).rgb == turbo.rgb);
     auto reversed = splats;
     std::reverse(reversed.begin(), reversed.end());
-    const DeviceScene backwards = upload(scene_of(cloud_of(reversed, 1)).view().value());
-    CHECK(draw(backwards, camera, options).rgb == first.rgb);
-    CHECK(draw(backwards, camera, turbo_options()).rgb == turbo.rgb);
-    // Depths that separate them in reverse give another picture, so the test detects order.
-    for (Splat& s : reversed) s.mean[2] -= 1e-4F * s.mean[0];
-    const auto other = draw(upload(scene_of(cloud_of(reversed, 1)).view().value()), camera, options);
-    if (order == DepthOrder::exact) CHECK(psnr(other.rgb, first.rgb) < 60);
+    const Scene backwards = scene_of(cloud_of(reversed, 1));
+    const DeviceScene uploaded_backwards = upload(backwards.view().value());
+    const Frame other = render(backwards, camera, options, {.backend = Backend::cpu, .simd = false});
+    CHECK(psnr(other.rgb, host.rgb) < 60);  // so the test detects order
+    CHECK(psnr(draw(uploaded_backwards, camera, options).rgb, other.rgb) >= 70);
+    CHECK(psnr(draw(uploaded_backwards, camera, turbo_options()).rgb, other.rgb) >= 60);
   }
 }
 

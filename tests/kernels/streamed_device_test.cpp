@@ -6,6 +6,7 @@
 #include <atomic>
 #include <thread>
 
+#include "common/frame.hpp"
 #include "device_fixture.hpp"
 #include "grid_scene.hpp"
 #include "skip.hpp"
@@ -78,8 +79,7 @@ Bytes in_pages(std::span<const Splat> splats) {
   return bytes;
 }
 
-/// Two Gaussians at each of n / 2 positions before front_camera(), at different depths; the file has the tie order's
-/// last one first.
+/// Two Gaussians at each of n / 2 positions before front_camera(), at different depths.
 std::vector<Splat> pairs(unsigned seed, int n) {
   Random random(seed);
   std::vector<Splat> splats;
@@ -176,7 +176,7 @@ TEST_CASE("pages that many threads send at once, in rings of any size, equal the
   }
 }
 
-TEST_CASE("equal depths are drawn in tie order, whatever slots they are in") {
+TEST_CASE("equal depths are drawn in the order of the file, whatever slots they are in") {
   if (!device_answers()) return;
   // A grid seen along its axis: many means at one depth, in pages that arrive in any order.
   const Bytes bytes = in_pages(grid_splats(5, sized(8000, 3000, 600)));
@@ -217,6 +217,23 @@ TEST_CASE("equal depths of a streamed frame: pairs, a grid, and more in a tile t
       CHECK(colours(renderer, scene, camera, leaves) == colours(reference, all, camera, leaves));
     }
   }
+}
+
+TEST_CASE("what a streamed cut has out of view takes no workspace") {
+  if (!device_answers()) return;
+  if (small_sizes()) return skip("RGS_TEST_SIZE is set");
+  const Bytes bytes = town({.n = 400000, .sh_degree = 0});
+  const StreamPool pool = device_pool(64 << 20);
+  const StreamedScene scene = streamed_in(pool, bytes);
+  const auto workspace = [&](const Camera& camera) {
+    Renderer renderer = device_renderer();
+    REQUIRE(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
+    const Frame frame = draw(renderer, scene, camera, at_detail(0));
+    CHECK(frame.stats.gaussians == scene.size());
+    return frame.stats.bytes;
+  };
+  const std::uint64_t away = workspace(camera_at({0, 30, 40}, {0, 60, 80}));
+  CHECK(away + scene.size() / 4 * sizeof(cuda::ScreenSplat) < workspace(camera_at({0, 30, 40}, {0, 0, 0})));
 }
 
 TEST_CASE("a small pool: coarser pictures, evicted pages, and never more device memory than its budget") {

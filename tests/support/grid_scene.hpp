@@ -3,6 +3,8 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
+#include <map>
 #include <random>
 #include <vector>
 
@@ -33,6 +35,28 @@ inline std::vector<Splat> grid_splats(unsigned seed, int n) {
       default: break;
     }
     splats.push_back(s);
+  }
+  return splats;
+}
+
+/// Turned so that different positions of the grid have different depths: only equal means tie.
+inline Camera turned_camera(int width, int height) {
+  Camera camera = front_camera(width, height);
+  camera.world_to_camera = from_row_major(rigid({0.98, 0.14, -0.1, 0.1}, {0.1, -0.2, 1.3}));
+  return camera;
+}
+
+/// The scene without ties: of the Gaussians at one mean, each later one a little farther from the camera, along its ray.
+/// Its picture, which no rule for equal depths can change, is the one that drawing them in this order gives.
+inline std::vector<Splat> untied(std::vector<Splat> splats, const Camera& camera) {
+  const glm::dmat4 to_world = glm::inverse(camera.world_to_camera);
+  std::map<std::array<float, 3>, int> n_before;
+  for (Splat& s : splats) {
+    const double farther = 2e-6 * n_before[{s.mean[0], s.mean[1], s.mean[2]}]++;
+    for (int axis = 0; axis < 3; ++axis) {
+      const double eye = to_world[3][axis];
+      s.mean[axis] = static_cast<float>(eye + (1 + farther) * (static_cast<double>(s.mean[axis]) - eye));
+    }
   }
   return splats;
 }

@@ -2,13 +2,13 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    common/cull_chunk.cuh
-// In/Out  chosen [n], CHNK -> chunks [in view], places [all chunks], counts
-// Cost    36 B a chosen chunk, gathered, twice; 12 B written a chunk in view
+// In/Out  chosen [n], CHNK -> chunks [in view], counts
+// Cost    36 B a chosen chunk, gathered, twice; 4 B written a chunk in view
 // Launch  256 threads, a block for 256 chunks of the scene; blocks beyond the chosen chunks end at once. Twice: count, write
 // Shared  sums of warps
 // Order   deterministic: chunks keep their order
 //
-// Chunks out of view take no drawn rows and no part in the tie order.
+// Chunks out of view take no drawn rows.
 #include <cstdint>
 
 #include "common/block_scan.cuh"
@@ -37,7 +37,7 @@ __global__ void __launch_bounds__(kThreads)
     write_kernel(const __grid_constant__ CullArguments a, const __grid_constant__ CullPlanes planes) {
   __shared__ std::uint32_t sums_before[kThreads / 32], warp_sums[kThreads / 32];
   const std::uint32_t n = a.counts->chunks, first = blockIdx.x * kThreads;
-  if (first >= n) return;
+  if (first >= n && first > 0) return;  // the first block writes the counts, also of no chunk
   std::uint32_t before = 0;
   for (std::uint32_t b = threadIdx.x; b < blockIdx.x; b += kThreads) before += a.sums[b];
   before = warp_sum(before);
@@ -47,11 +47,7 @@ __global__ void __launch_bounds__(kThreads)
   std::uint32_t end = inclusive_block_sum<kThreads>(listed ? 1 : 0, warp_sums);
 #pragma unroll
   for (const std::uint32_t sum : sums_before) end += sum;
-  if (listed) {
-    const std::uint32_t chunk = a.chosen[first + threadIdx.x];
-    if (end <= a.capacity) a.chunks[end - 1] = chunk;
-    a.places[chunk] = end - 1;
-  }
+  if (listed && end <= a.capacity) a.chunks[end - 1] = a.chosen[first + threadIdx.x];
   if (n - first <= kThreads && threadIdx.x == kThreads - 1) {
     const CutCounts all{a.counts->gaussians, a.counts->pages, end};
     *a.listed = all;

@@ -1,5 +1,5 @@
-// cut.hpp - launches that choose the pages that a frame draws of a scene with levels of detail, drop chunks out of
-// view, and put the rest in tie order.
+// cut.hpp - launches that choose the pages that a frame draws of a scene with levels of detail and drop chunks out of
+// view.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -39,7 +39,8 @@ struct CutCounts {
 /// Chooses among n_pages > 0 pages by lod::is_fine_enough(), each by its own record and its parent's: the pages of
 /// lod::drawn_pages(). Writes their chunks, page after page. Errors: device_failed.
 struct CutArguments {
-  const CutPage* pages;  ///< [n_pages]
+  /// [n_pages] a page before its children and what is below them: the pages of a cut are then in the order of leaves.
+  const CutPage* pages;
   std::uint32_t n_pages;
   CutEye eye;
   CutCounts* sums;        ///< [cut_blocks(n_pages)]
@@ -49,7 +50,8 @@ struct CutArguments {
 Status launch_cut(const CutArguments& arguments, Stream stream);
 std::uint32_t cut_blocks(std::uint32_t n_pages);
 
-/// The chosen chunks that are in view, in order. If there are more than `capacity` the list is empty and nothing is
+/// The chosen chunks that are in view, in the order of the scene; row j of drawn chunk k is drawn row k chunk_size + j.
+/// If there are more than `capacity` the list is empty and nothing is
 /// drawn.
 struct DrawnChunks {
   const std::uint32_t* chunks = nullptr;  ///< [capacity]
@@ -70,26 +72,8 @@ struct CullArguments {
   CutCounts* seen;        ///< copy in page-locked memory, which the device writes
   std::uint32_t* chunks;  ///< [capacity]
   std::uint32_t capacity;
-  std::uint32_t* places;  ///< [n_chunks] index in `chunks` of those listed
 };
 Status launch_cull(const CullArguments& arguments, Stream stream);
 std::uint32_t cull_blocks(std::uint32_t n_chunks);
-
-/// The tie order of drawn rows, from that of all rows, `all`. Row j of drawn chunk k is drawn row k chunk_size + j.
-/// Errors: device_failed.
-struct DrawnTiesArguments {
-  DrawnChunks drawn;
-  const std::uint32_t* places;  ///< see CullArguments
-  std::uint32_t chunk_size;
-  TieOrder all;          ///< [n_rows] each
-  std::uint32_t n_rows;  ///< of all pages; < 2^31
-  std::uint32_t* bits;   ///< [drawn_ties_words(n_rows)]
-  std::uint32_t* sums;   ///< [drawn_ties_blocks(n_rows)]
-  /// [capacity * chunk_size] drawn rows in tie order, and their ranks in `rank`; if `rank` is null, rows of the scene.
-  std::uint32_t *order, *rank;
-};
-Status launch_drawn_ties(const DrawnTiesArguments& arguments, Stream stream);
-std::uint64_t drawn_ties_words(std::uint32_t n_rows);
-std::uint32_t drawn_ties_blocks(std::uint32_t n_rows);
 
 }  // namespace rgs::cuda

@@ -40,12 +40,6 @@ struct alignas(16) ScreenSplat {
 };
 static_assert(sizeof(ScreenSplat) == 48);
 
-/// A scene's Gaussians in tie order (common/tie_order.hpp): order [n] and its inverse, rank [n]. Null: the order of
-/// their indices.
-struct TieOrder {
-  const std::uint32_t *order, *rank;
-};
-
 /// Counters of a frame, zeroed before it.
 struct Counters {
   std::uint64_t instances;  ///< (tile, Gaussian) pairs, also those that did not fit

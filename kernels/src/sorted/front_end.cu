@@ -8,8 +8,8 @@
 //         written a pair, coalesced. About 500 flops a Gaussian, 60 a tile row, 40 integer operations a pair
 // Launch  256 threads, ceil(n / 256) blocks
 // Shared  Shared: covers, depth keys and the sums that map rows and pairs to their owners; 16 KiB with ellipses
-// Order   pairs: by the Gaussian's number, row and column within a block; blocks in the order of their atomic addition, or with
-//         block_state by number; with `order`, as in project.cu, tie order. Compiled without contraction to FMA, see project.cu.
+// Order   pairs: by Gaussian, row and column within a block; blocks in the order of their atomic addition, or with
+//         block_state in their own. Compiled without contraction to FMA, see project.cu.
 //
 // A thread that walked its own Gaussian's tiles would make its warp wait for the largest, since coverage ranges from 1
 // to all tiles. So the block works on the rows of all its Gaussians side by side, and then on the pairs of 256 rows;
@@ -19,6 +19,7 @@
 
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
+#include "common/drawn_rows.cuh"
 #include "common/launch.cuh"
 #include "common/load_splat.cuh"
 #include "common/project_splat.cuh"
@@ -157,7 +158,7 @@ __device__ void emit(Shared<E>& s, std::uint32_t n_rows, std::uint32_t first, co
 
 template <class A, math::Extent E, class Key>
 __global__ void __launch_bounds__(kThreads)
-    fused_kernel(A attributes, std::uint32_t n, ViewParameters v, Output out, const std::uint32_t* order) {
+    fused_kernel(A attributes, std::uint32_t n, ViewParameters v, Output out, DrawnChunks drawn) {
   __shared__ Shared<E> s;
   if (threadIdx.x == 0) {
     // Look-back waits for earlier blocks, so they must have started: numbers are drawn, not taken from the grid.
@@ -166,17 +167,17 @@ __global__ void __launch_bounds__(kThreads)
   s.listed[threadIdx.x] = 0;
   __syncthreads();
   const std::uint32_t first = s.block * kThreads;
-  const std::uint32_t number = first + threadIdx.x;
-  std::uint32_t i = number;
+  const std::uint32_t i = first + threadIdx.x;
+  std::uint32_t scene_row = 0;
 
   math::Projected<float> p{};
   math::Vec3<float> mean{};
   float cutoff = 0;
   std::uint32_t rows = 0;
-  if (number < n) {
-    if (order != nullptr) i = __ldg(order + number);
-    mean = load_mean(attributes.mean, i);
-    p = project_splat(attributes, i, v, mean);
+  if (i < n) {
+    scene_row = row_of(attributes, drawn, i);
+    mean = load_mean(attributes.mean, scene_row);
+    p = project_splat(attributes, scene_row, v, mean);
     if (p.footprint.valid) {
       cutoff = math::power_cutoff(p.footprint.opacity);
       const auto cover = Cover<E>::of(p, cutoff, v.grid);
@@ -198,7 +199,7 @@ __global__ void __launch_bounds__(kThreads)
   }
   allocate(s, block_total(n_tiles, s.warp_sums[1]), out);
   const bool listed = s.listed[threadIdx.x] != 0;
-  if (listed) out.splats[number] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
+  if (listed) out.splats[i] = screen_splat(p, cutoff, color_of(attributes, scene_row, v.view, mean, v.sh_degree));
   const int visible = __syncthreads_count(listed);
   if (threadIdx.x == 0 && visible > 0) {
     atomic_add(out.counters->visible, static_cast<std::uint64_t>(visible));
@@ -211,9 +212,9 @@ void run(const A& attributes, const FusedArguments& a, Stream stream) {
   const Output out{a.splats, a.pairs, a.counters, a.block_state};
   const std::uint32_t blocks = fused_blocks(a.n);
   if (a.pairs.narrow_keys) {
-    fused_kernel<A, E, std::uint32_t><<<blocks, kThreads, 0, stream>>>(attributes, a.n, a.view, out, a.order);
+    fused_kernel<A, E, std::uint32_t><<<blocks, kThreads, 0, stream>>>(attributes, a.n, a.view, out, a.drawn);
   } else {
-    fused_kernel<A, E, std::uint64_t><<<blocks, kThreads, 0, stream>>>(attributes, a.n, a.view, out, a.order);
+    fused_kernel<A, E, std::uint64_t><<<blocks, kThreads, 0, stream>>>(attributes, a.n, a.view, out, a.drawn);
   }
 }
 

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "common/attributes.hpp"
+#include "common/cut.hpp"
 #include "common/frame.hpp"
 #include "rgs/result.hpp"
 
@@ -19,11 +20,11 @@ struct PairArrays {
   bool narrow_keys;
 };
 
-/// One fused kernel (the paper, III-A3): projects n Gaussians, writes splats [n] and pairs of the visible ones by their
-/// numbers, and adds to counters.instances and .visible. Pairs beyond the capacity are counted, not written. If
-/// `block_state` is null, blocks get offsets by an atomic addition, in the order in which they run; if it is
-/// [fused_blocks(n) + 1], zeroed before, pairs lie in the order of the Gaussians' numbers on every run (chained scan,
-/// Merrill and Garland 2016). Gaussian order[k] has the number k. Errors: device_failed.
+/// One fused kernel (the paper, III-A3): projects n Gaussians, writes splats [n] and pairs of the visible ones, and adds
+/// to counters.instances and .visible. Pairs beyond the capacity are counted, not written. If `block_state` is null,
+/// blocks get offsets by an atomic addition, in the order in which they run; if it is [fused_blocks(n) + 1], zeroed
+/// before, pairs lie in the order of the Gaussians on every run (chained scan, Merrill and Garland 2016). Of
+/// PagedAttributes, projects the n rows of `drawn`. Errors: device_failed.
 struct FusedArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -33,23 +34,23 @@ struct FusedArguments {
   PairArrays pairs;
   Counters* counters;
   std::uint64_t* block_state;
-  const std::uint32_t* order = nullptr;  ///< [n] a permutation; null: the identity
+  DrawnChunks drawn = {};
 };
 Status launch_fused(const FusedArguments& arguments, Stream stream);
 std::uint32_t fused_blocks(std::uint32_t n);
 
-/// The original's kernels. The first projects n Gaussians, writes splats [n], covers [n] and tiles touched [n], 0 if
-/// not drawn, by the Gaussians' numbers: Gaussian order[k] has the number k. Errors: device_failed.
+/// The original's kernels. The first projects n Gaussians, or rows of `drawn`, and writes splats [n], covers [n] and
+/// tiles touched [n], 0 if not drawn. Errors: device_failed.
 struct ProjectArguments {
   Attributes attributes;
   std::uint32_t n;
   ViewParameters view;
   math::Extent extent;
   ScreenSplat* splats;
-  void* covers;                          ///< [n] of cover_bytes()
-  std::uint32_t* tiles;                  ///< [n]
-  Counters* counters;                    ///< .visible
-  const std::uint32_t* order = nullptr;  ///< [n] a permutation; null: the identity
+  void* covers;          ///< [n] of cover_bytes()
+  std::uint32_t* tiles;  ///< [n]
+  Counters* counters;    ///< .visible
+  DrawnChunks drawn = {};
 };
 Status launch_project(const ProjectArguments& arguments, Stream stream);
 std::uint64_t cover_bytes();

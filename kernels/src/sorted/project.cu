@@ -7,12 +7,12 @@
 // Cost    project: 236 B (FP32) or 76 B (compact) read, 48 + 16 or 44 + 4 B written; about 500 flops: memory-bound
 //         duplicate: 12 or 8 B written a pair, uncoalesced: each thread writes its own run
 // Launch  256 threads, ceil(n / 256) blocks
-// Order   deterministic: pairs lie in the order of the Gaussians' numbers, which a stable sort keeps for equal depths; in tie order
-//         if `order` is given, for 4 B more a Gaussian and gathered attributes. Compiled without contraction to FMA, so that
-//         positions, covers and depths equal the CPU's to the bit.
+// Order   deterministic: pairs lie in the order of the Gaussians, which a stable sort keeps for equal depths. Compiled
+//         without contraction to FMA, so that positions, covers and depths equal the CPU's to the bit.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
+#include "common/drawn_rows.cuh"
 #include "common/launch.cuh"
 #include "common/load_splat.cuh"
 #include "common/project_splat.cuh"
@@ -27,13 +27,13 @@ constexpr int kThreads = 256;
 template <class A, math::Extent E>
 __global__ void __launch_bounds__(kThreads)
     project_kernel(A attributes, std::uint32_t n, ViewParameters v, ScreenSplat* splats, Cover<E>* covers,
-                   std::uint32_t* tiles, Counters* counters, const std::uint32_t* order) {
-  const std::uint32_t number = blockIdx.x * kThreads + threadIdx.x;
+                   std::uint32_t* tiles, Counters* counters, DrawnChunks drawn) {
+  const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
   std::uint32_t n_tiles = 0;
-  if (number < n) {
-    const std::uint32_t i = order == nullptr ? number : __ldg(order + number);
-    const math::Vec3<float> mean = load_mean(attributes.mean, i);
-    const auto p = project_splat(attributes, i, v, mean);
+  if (i < n) {
+    const std::uint32_t row = row_of(attributes, drawn, i);
+    const math::Vec3<float> mean = load_mean(attributes.mean, row);
+    const auto p = project_splat(attributes, row, v, mean);
     if (p.footprint.valid) {
       const float cutoff = math::power_cutoff(p.footprint.opacity);
       const auto cover = Cover<E>::of(p, cutoff, v.grid);
@@ -42,11 +42,11 @@ __global__ void __launch_bounds__(kThreads)
         n_tiles += static_cast<std::uint32_t>(span.last - span.first);
       }
       if (n_tiles > 0) {
-        covers[number] = cover;
-        splats[number] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
+        covers[i] = cover;
+        splats[i] = screen_splat(p, cutoff, color_of(attributes, row, v.view, mean, v.sh_degree));
       }
     }
-    tiles[number] = n_tiles;
+    tiles[i] = n_tiles;
   }
   const int visible = __syncthreads_count(n_tiles > 0);
   if (threadIdx.x == 0 && visible > 0) {
@@ -78,7 +78,7 @@ __global__ void __launch_bounds__(kThreads)
 template <class A, math::Extent E>
 void run_project(const A& attributes, const ProjectArguments& a, Stream stream) {
   project_kernel<A, E><<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(
-      attributes, a.n, a.view, a.splats, static_cast<Cover<E>*>(a.covers), a.tiles, a.counters, a.order);
+      attributes, a.n, a.view, a.splats, static_cast<Cover<E>*>(a.covers), a.tiles, a.counters, a.drawn);
 }
 
 template <math::Extent E, class Key>

@@ -9,12 +9,6 @@
 
 namespace rgs::cuda {
 
-/// The entry with the Gaussian's rank instead of its index.
-__device__ inline TurboEntry with_rank(const TieOrder& ties, TurboEntry entry) {
-  return make_entry(depth_of(entry), ties.rank[index_of(entry)],
-                    static_cast<std::uint32_t>(entry) & ((1u << kTurboCellBits) - 1));
-}
-
 struct TurboRuns {
   const TurboRun* runs;
   const TurboEntry* entries;

@@ -8,7 +8,6 @@
 
 #include "common/cut.hpp"
 #include "common/frame.hpp"
-#include "common/tie_order.hpp"
 #include "rgs/result.hpp"
 #include "sorted/front_end.hpp"
 #include "turbo/turbo_geometry.hpp"
@@ -91,11 +90,8 @@ inline constexpr std::uint32_t kTurboSliceRuns = 256;  ///< runs of a slice, at 
 inline constexpr std::uint32_t kTurboPart = 1024;      ///< entries of a part, up to the length of a bin
 inline constexpr std::uint32_t kTurboShare = 1024;     ///< entries of a share, up to a sample's error
 
-/// Lists of so many entries hold ranks in scratch memory, since parts of many shares are read many times.
-inline constexpr std::uint32_t kTurboRankedList = 1u << 16;
-RGS_HD constexpr bool has_ranks_in_scratch(const TieOrder& ties, const TurboLongList& list) {
-  return ties.rank != nullptr && list.n_entries >= kTurboRankedList;
-}
+/// Lists of so many entries choose their bins by a sample, since parts of many shares are read many times.
+inline constexpr std::uint32_t kTurboSampledList = 1u << 16;
 
 /// Of the part begin .. end - 1 of TurboArrays::scratch: all of it, or a share if it has more than kTurboRound entries.
 struct alignas(16) TurboUnit {
@@ -215,12 +211,6 @@ struct TurboArrays {
   std::uint32_t* segment_done;    ///< [segments]
   TurboSegment* waves;            ///< [kTurboWaves, segments]
   std::uint64_t entry_capacity, run_capacity, large_capacity, cell_capacity;
-  TieOrder ties;  ///< of the scene's Gaussians; if null, equal depths are ordered by index
-  /// Alternatively, with wants_ranks: equal depths are ordered by the values of drawn rows, which indices then denote.
-  /// *wants_ranks, page-locked memory that the device reaches, becomes 1 if a tile has more equal depths than are
-  /// ordered at a time: the frame is then wrong and must be redrawn with `ties`.
-  ChosenRows rows;
-  std::uint32_t* wants_ranks;
 };
 
 /// Upper bounds on long cells and segments for so many Gaussians of cells.
@@ -293,7 +283,7 @@ Status launch_turbo_large_gaussians(const TurboArrays& arrays, math::TileGrid gr
 /// Copies the state to `seen`, page-locked memory that the device reaches. Errors: device_failed.
 Status launch_turbo_lists(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
 
-/// Orders the lists that are not long by depth, then in tie order, and deals them out to their tiles' cells. Cells of
+/// Orders the lists that are not long by depth, then by index, and deals them out to their tiles' cells. Cells of
 /// tiles that do not fit are empty. `seen`, as above, gets the Gaussians of all cells once both this and
 /// launch_turbo_long_lists() have placed theirs. `is_sparse`: the frame before had few tiles with lists; this one may
 /// have any number. Errors: device_failed.

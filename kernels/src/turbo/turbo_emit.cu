@@ -7,7 +7,7 @@
 // Launch  256 threads, ceil(n / 256) blocks; with levels n is a capacity, and blocks beyond the drawn rows end at once
 // Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
 //         candidates between counting and placing; 33 KiB
-// Order   entries and runs: any. Lists are ordered later, by depth and in tie order, so the image is the same on every run.
+// Order   entries and runs: any. Lists are ordered later, by depth and index, so the image is the same on every run.
 //         Compiled without contraction to FMA, see project.cu.
 //
 // Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the

@@ -43,7 +43,7 @@ static_assert(std::has_single_bit(unsigned{kTurboTile}) && std::has_single_bit(u
 static_assert(kTurboCellWidth <= kTurboTile && kTurboCellHeight <= kTurboTile, "cells fill a tile");
 
 /// A Gaussian in a list: bits of its depth (positive: 31), its index, and a bit for each cell of the tile that it
-/// touches. Entries order by depth, then by index; for equal depths a rank may replace the index.
+/// touches. Entries order by depth, then by index.
 using TurboEntry = std::uint64_t;
 inline constexpr int kTurboDepthBits = 31, kTurboIndexBits = 25, kTurboCellBits = 8;
 inline constexpr std::uint64_t kMaxTurboGaussians = std::uint64_t{1} << kTurboIndexBits;

@@ -3,8 +3,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, cells; bins, unit_cells
-// Cost    an entry: 8 B read three times, 8 B written anywhere, of very long lists 4 B of its rank
-//         gathered; an atomic addition a slice and bin, twice
+// Cost    an entry: 8 B read three times, 8 B written anywhere; an atomic addition a slice and bin, twice
 // Launch  256 threads a slice of 1,024 to 4,096 entries; as many blocks as the device holds at a time take slices in turn
 // Shared  4 KiB of bins, 2 KiB of runs; the last block of a list 4 KiB more
 // Order   of entries in a bin, of lists' units and cells in memory: any
@@ -45,7 +44,7 @@ class DepthBins {
  public:
   // All threads of the block call it; all blocks compute the same.
   __device__ DepthBins(const TurboArrays& a, const TurboLongList& list, Stretches& stretches)
-      : nearest_(list.nearest), stretches_(list.n_entries >= kTurboRankedList ? &stretches : nullptr) {
+      : nearest_(list.nearest), stretches_(list.n_entries >= kTurboSampledList ? &stretches : nullptr) {
     constexpr int kBits = 10;
     static_assert(kTurboBins == 1 << kBits);
     shift_ = math::max(0, 32 - __clz(static_cast<int>(list.farthest - list.nearest)) - kBits);
@@ -250,7 +249,6 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
     const std::uint32_t own = a.slices[slice];
     const TurboLongList& list = a.long_lists[own];
     const DepthBins bins(a, list, s.stretches);
-    const bool has_ranks = has_ranks_in_scratch(a.ties, list);
     const TurboRuns runs = runs_of(a, list, slice);
     clear(s.bins);
     __syncthreads();
@@ -260,10 +258,8 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
       if (s.bins[k] > 0) s.bins[k] = atomicAdd(places + k, s.bins[k]);
     }
     __syncthreads();
-    runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t) {
-      const std::uint32_t at = atomicAdd(s.bins + bins.of(entry), 1u);
-      a.scratch[at] = has_ranks ? with_rank(a.ties, entry) : entry;
-    });
+    runs.for_each(s.places,
+                  [&](TurboEntry entry, std::uint32_t) { a.scratch[atomicAdd(s.bins + bins.of(entry), 1u)] = entry; });
   }
 }
 

@@ -2,14 +2,11 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
-// Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each touched cell; for equal
-//         depths 4 B of its rank, and 4 B back if the list gets ranks
+// Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each touched cell
 // Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds at a
 //         time. A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
 // Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
-// Order   exact: by depth, then in tie order, whatever the order of the list: deterministic. Of cells in memory: any
-//
-// Streamed scenes, whose pages change, have no ranks: equal depths are then compared by the Gaussians' values.
+// Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
 // Units of a list (turbo_long_lists.cu) are ordered side by side. A unit learns the offsets of its Gaussians in the
 // cells from earlier units: they publish their counts before they order, and they have started, because blocks take
@@ -19,7 +16,6 @@
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
-#include "common/tie_values.cuh"
 #include "turbo/place_cells.cuh"
 #include "turbo/read_list.cuh"
 #include "turbo/turbo.hpp"
@@ -31,35 +27,6 @@ constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
 static_assert(kTurboRound == 8 * kThreads && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
-
-// Decides between equal depths by ranks in tie order, if there are any. If too many are equal to compare them pairwise,
-// entries get the rank instead of the index.
-struct ByRank {
-  static constexpr bool kGivesRanks = true;
-  TieOrder ties;
-
-  __device__ explicit ByRank(const TurboArrays& a) : ties(a.ties) {}
-  __device__ bool decides() const { return ties.rank != nullptr; }
-  __device__ bool is_before(std::uint32_t a, std::uint32_t b) const {
-    return __ldg(ties.rank + a) < __ldg(ties.rank + b);
-  }
-};
-
-// Rarely called: not inlined, and passed by value so that the kernel's arguments need no address.
-__device__ __noinline__ bool is_chosen_before(ChosenRows rows, std::uint32_t a, std::uint32_t b) {
-  return chosen_ties_before(rows, a, b);
-}
-
-// Compares the Gaussians' values: free where depths differ, as they mostly do, whereas ranks cost a sort of all drawn
-// rows. If a list has more equal depths than are ordered at a time, reports that to the host.
-struct ByValue {
-  static constexpr bool kGivesRanks = false;
-  const TurboArrays& arrays;
-
-  __device__ explicit ByValue(const TurboArrays& a) : arrays(a) {}
-  __device__ bool is_before(std::uint32_t a, std::uint32_t b) const { return is_chosen_before(arrays.rows, a, b); }
-  __device__ void request_ranks() const { *static_cast<volatile std::uint32_t*>(arrays.wants_ranks) = 1; }
-};
 
 struct Shared {
   TurboEntry entries[kTurboRound];
@@ -75,7 +42,6 @@ struct Shared {
   // For each group of 32 ordered entries, how many touch a cell; then the sums before it.
   std::uint32_t groups[kTurboCells][kTurboRound / 32];
   std::uint32_t unit;
-  bool has_ranks;  // entries hold ranks instead of indices
   bool fits;
 };
 
@@ -204,9 +170,9 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shi
   return s.exchange[at];
 }
 
-// Orders the s.n entries themselves if 32-bit keys leave too much open: a bitonic network in shared memory.
-template <class IsBehind>
-__device__ inline void sort_whole_by(Shared& s, const IsBehind& is_behind) {
+// Orders the s.n entries themselves if 32-bit keys leave too much open: a bitonic network in shared memory. Rarely
+// called: must not cost the other code registers.
+__device__ __noinline__ void sort_whole(Shared& s) {
   const std::uint32_t total = 1u << (32 - __clz(static_cast<int>(s.n - 1)));
   for (std::uint32_t k = s.n + threadIdx.x; k < total; k += kThreads) s.entries[k] = ~TurboEntry{0};
   for (std::uint32_t k = threadIdx.x; k < total; k += kThreads) s.exchange[0][k] = k;
@@ -216,33 +182,21 @@ __device__ inline void sort_whole_by(Shared& s, const IsBehind& is_behind) {
       for (std::uint32_t pair = threadIdx.x; pair < total / 2; pair += kThreads) {
         const std::uint32_t k = 2 * pair - pair % stride;
         const TurboEntry a = s.entries[k], b = s.entries[k + stride];
-        if (is_behind(a, b) == ((k & length) == 0)) s.entries[k] = b, s.entries[k + stride] = a;
+        if ((a > b) == ((k & length) == 0)) s.entries[k] = b, s.entries[k + stride] = a;
       }
     }
   }
   if (threadIdx.x == 0) s.order = s.exchange[0], s.positions = kTurboRound - 1;
   __syncthreads();
 }
-// Rarely called: must not cost the other code registers.
-__device__ __noinline__ void sort_whole(Shared& s) {
-  sort_whole_by(s, [](TurboEntry a, TurboEntry b) { return a > b; });
-}
-__device__ __noinline__ void sort_whole_by_value(Shared& s, ChosenRows rows) {
-  sort_whole_by(s, [&](TurboEntry a, TurboEntry b) {
-    // Padding has no row.
-    if (a == b || depth_of(a) != depth_of(b)) return a > b;
-    return is_chosen_before(rows, index_of(b), index_of(a));
-  });
-}
 
-// Writes the position of each of the s.n entries in their order to s.order: by depth, then by index or, if has_ties, in
-// tie order. First orders 32-bit keys, whose depth is relative to the list's range, `range`; the remaining bits hold
-// the first bits of the index, since far away many depths are equal. Neighbours whose keys do not decide are then
-// corrected by their entries; if that takes too long, the entries themselves are ordered. False if there are too many
-// ties to correct: the entries need ranks.
-template <class Ties>
-__device__ inline bool sort_entries(Shared& s, DepthRange range, const Ties& ties, bool has_ties) {
-  constexpr std::uint32_t kMostTurns = 24, kMostTurnsOfTies = 8;
+// Writes the position of each of the s.n entries in their order to s.order. First orders 32-bit keys, whose depth is
+// relative to the list's range; the remaining bits hold the first bits of the index, since far away many depths are
+// equal. Neighbours whose keys do not decide are then corrected by their entries; if that takes too long, the entries
+// themselves are ordered. `range` holds the depths that the thread has seen.
+__device__ inline void order_entries(Shared& s, DepthRange range) {
+  constexpr std::uint32_t kMostTurns = 24;
+  range.combine(s);
   // Padding, all ones, comes last: no entry of its depth has a position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
   const std::uint32_t positions = (1u << position_bits) - 1;
@@ -254,25 +208,16 @@ __device__ inline bool sort_entries(Shared& s, DepthRange range, const Ties& tie
   std::uint32_t* const order =
       s.n <= 4 * kThreads ? sort_keys<4>(s, low, shift, position_bits) : sort_keys<8>(s, low, shift, position_bits);
   s.order = order;
-  // Bits of a key that do not decide: the position, and with ties the index.
-  const int open_bits = position_bits + (has_ties ? math::max(0, kTurboIndexBits - shift) : 0);
   const auto is_inverted = [&](std::uint32_t k) {
     const std::uint32_t a = order[k], b = order[k + 1];
-    if ((a ^ b) >> open_bits != 0) return false;
-    const TurboEntry first = s.entries[a & positions], second = s.entries[b & positions];
-    if (!has_ties || depth_of(first) != depth_of(second)) return first > second;
-    return ties.is_before(index_of(second), index_of(first));
+    return (a ^ b) >> position_bits == 0 && s.entries[a & positions] > s.entries[b & positions];
   };
   bool any = false;
   for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) any = any || is_inverted(k);
-  if (!__syncthreads_or(any)) return true;
+  if (!__syncthreads_or(any)) return;
   std::uint32_t turn = 0;
   for (std::uint32_t quiet = 0; quiet < 2; ++turn) {
-    if (turn == (has_ties ? kMostTurnsOfTies : kMostTurns)) {
-      if (has_ties) return false;
-      sort_whole(s);
-      return true;
-    }
+    if (turn == kMostTurns) return sort_whole(s);
     bool swapped = false;
     for (std::uint32_t k = 2 * threadIdx.x + turn % 2; k + 1 < s.n; k += 2 * kThreads) {
       if (!is_inverted(k)) continue;
@@ -281,30 +226,6 @@ __device__ inline bool sort_entries(Shared& s, DepthRange range, const Ties& tie
       swapped = true;
     }
     quiet = __syncthreads_or(swapped) ? 0 : quiet + 1;
-  }
-  return true;
-}
-
-// The same for entries with the index or, if s.has_ranks, with ranks; if most depths are equal, entries with indices
-// get ranks. `range` holds the depths that the thread has seen.
-template <class Ties>
-__device__ inline void order_entries(Shared& s, const Ties& ties, DepthRange range) {
-  range.combine(s);
-  if constexpr (Ties::kGivesRanks) {
-    bool wants_ranks = !s.has_ranks && ties.decides() && range.high - range.low < s.n;
-    for (;;) {
-      if (wants_ranks) {
-        __syncthreads();
-        for (std::uint32_t k = threadIdx.x; k < s.n; k += kThreads) s.entries[k] = with_rank(ties.ties, s.entries[k]);
-        if (threadIdx.x == 0) s.has_ranks = true;
-        __syncthreads();
-      }
-      if (sort_entries(s, range, ties, !s.has_ranks && ties.decides())) return;
-      wants_ranks = true;
-    }
-  } else if (range.high - range.low < s.n || !sort_entries(s, range, ties, true)) {
-    __syncthreads();
-    sort_whole_by_value(s, ties.arrays.rows);
   }
 }
 
@@ -348,8 +269,6 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
   for (std::uint32_t group = threadIdx.x / 32; 32 * group < s.n; group += kWarps) {
     const TurboEntry entry = ordered_entry(s, 32 * group);
-    std::uint32_t index = index_of(entry);
-    if (s.has_ranks) index = a.ties.order[index];
     const std::uint32_t own = lane % kTurboCells;
     const std::uint32_t begin = s.cell_begin[own] + s.groups[own][group];  // of cell `own`
 #pragma unroll
@@ -358,23 +277,22 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
       const std::uint32_t lanes = __ballot_sync(kFullWarp, own_entry);
       const std::uint32_t at = __shfl_sync(kFullWarp, begin, static_cast<int>(c));
       if (!own_entry) continue;
-      a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = index;
+      a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = index_of(entry);
     }
   }
 }
 
 // Orders a non-empty list that fits shared memory.
-template <class Ties>
 __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                       const TurboRankedList& list) {
-  if (threadIdx.x == 0) s.n = list.n_entries, s.has_ranks = false;
+  if (threadIdx.x == 0) s.n = list.n_entries;
   const TurboRuns runs{a.tile_runs + list.begin, a.entries, list.n_runs};
   DepthRange range;
   runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
     s.entries[k] = entry;
     range.add(depth_of(entry));
   });
-  order_entries(s, Ties(a), range);
+  order_entries(s, range);
   count_groups(s);
   if (threadIdx.x < kTurboCells) {
     const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
@@ -385,37 +303,25 @@ __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::Til
   if (s.fits) deal_out(s, a);
 }
 
-// A part of scratch memory, of which a unit orders the entries from <= entry < to. With gives_ranks, entries in memory
-// have the index and get the rank as they are read, since shares also cut equal depths.
+// A part of scratch memory, of which a unit orders the entries from <= entry < to.
 struct Part {
   const TurboEntry* entries;
   std::uint32_t n;
-  bool gives_ranks = false;
   TurboEntry from = 0, to = ~TurboEntry{0};
-
-  __device__ TurboEntry entry(const TieOrder& ties, std::uint64_t k) const {
-    return gives_ranks ? with_rank(ties, entries[k]) : entries[k];
-  }
 };
 
 // Cuts a part into equal shares by a sample; all blocks compute the same. Entries are unique, so equal depths are cut
-// too, unless values decide their order.
-template <class Ties>
-__device__ inline Part share_of(Shared& s, const Ties& order, const TieOrder& ties, Part part, std::uint32_t share,
-                                std::uint32_t n_shares) {
+// too.
+__device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::uint32_t n_shares) {
   DepthRange range;
   for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kThreads) {
-    s.entries[k] = part.entry(ties, std::uint64_t{k} * part.n / kTurboRound);
+    s.entries[k] = part.entries[std::uint64_t{k} * part.n / kTurboRound];
     range.add(depth_of(s.entries[k]));
   }
   if (threadIdx.x == 0) s.n = kTurboRound;
   __syncthreads();
-  range.combine(s);
-  sort_entries(s, range, order, false);
-  const auto cut = [&](std::uint32_t k) {
-    const TurboEntry entry = s.entries[s.order[k * kTurboRound / n_shares] & s.positions];
-    return Ties::kGivesRanks ? entry : make_entry(depth_of(entry), 0, 0);
-  };
+  order_entries(s, range);
+  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares] & s.positions]; };
   if (share > 0) part.from = cut(share);
   if (share + 1 < n_shares) part.to = cut(share + 1);
   __syncthreads();
@@ -424,14 +330,14 @@ __device__ inline Part share_of(Shared& s, const Ties& order, const TieOrder& ti
 
 // Loads the unit's entries into s.entries as far as they fit, their number into s.n, and counts by cell into s.cell_n;
 // returns the range of their depths.
-__device__ inline DepthRange load(Shared& s, const TieOrder& ties, const Part& part) {
+__device__ inline DepthRange load(Shared& s, const Part& part) {
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
   if (threadIdx.x == 0) s.n = part.n <= kTurboRound ? part.n : 0;
   __syncthreads();
   DepthRange range;
   CellCounter cells(s.cell_n);
   for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
-    const TurboEntry entry = part.entry(ties, k);
+    const TurboEntry entry = part.entries[k];
     if (entry < part.from || entry >= part.to) continue;
     const std::uint32_t at = part.n <= kTurboRound ? k : atomicAdd(&s.n, 1u);
     if (at < kTurboRound) s.entries[at] = entry;
@@ -446,7 +352,7 @@ __device__ inline DepthRange load(Shared& s, const TieOrder& ties, const Part& p
 // End of the round that starts at part.from, if the part has more than kTurboRound entries: at most kTurboRound, and at
 // least one, lie in part.from <= entry < end. Searches kBins bins of equal width, then the one that holds too many, and
 // so on; entries are unique, so bins of width 1 hold one each.
-__device__ inline TurboEntry round_end(Shared& s, const TieOrder& ties, const Part& part) {
+__device__ inline TurboEntry round_end(Shared& s, const Part& part) {
   constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
   __shared__ std::uint32_t bins[kBins];
   TurboEntry begin = part.from;
@@ -455,7 +361,7 @@ __device__ inline TurboEntry round_end(Shared& s, const TieOrder& ties, const Pa
     bins[threadIdx.x] = 0;
     __syncthreads();
     for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
-      const TurboEntry entry = part.entry(ties, k);
+      const TurboEntry entry = part.entries[k];
       const TurboEntry bin = (entry - begin) >> shift;
       if (entry >= begin && entry < part.to && bin < kBins) atomicAdd(bins + bin, 1u);
     }
@@ -467,17 +373,6 @@ __device__ inline TurboEntry round_end(Shared& s, const TieOrder& ties, const Pa
     if (any) return begin;
     shift = shift > kBinBits ? shift - kBinBits : 0;
   }
-}
-
-// The same if rounds must not cut equal depths, unless a round has only one depth.
-template <class Ties>
-__device__ inline TurboEntry whole_depths(const TurboArrays& a, const Part& part, TurboEntry end) {
-  if constexpr (!Ties::kGivesRanks) {
-    const TurboEntry nearer = make_entry(depth_of(end), 0, 0);
-    if (nearer > part.from) return nearer;
-    if (end != part.to) Ties(a).request_ranks();
-  }
-  return end;
 }
 
 // Publishes how many of the unit's entries touch each cell, and sums the counts of the units before it: s.cell_begin.
@@ -516,19 +411,13 @@ __device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint
 }
 
 // Orders a unit: at once, or, if a share is larger than the sample said, as much as fits at a time.
-template <class Ties>
 __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint32_t unit) {
   const TurboUnit own = a.units[unit];
   Part part{a.scratch + own.begin, own.end - own.begin};
   const TurboLongList& list = a.long_lists[own.long_list];
   const std::uint32_t n_shares = turbo_shares(part.n);
-  const bool ranks_in_memory = has_ranks_in_scratch(a.ties, list);
-  if (n_shares > 1) {
-    part.gives_ranks = !ranks_in_memory && a.ties.rank != nullptr;
-    part = share_of(s, Ties(a), a.ties, part, own.share, n_shares);
-  }
-  if (threadIdx.x == 0) s.has_ranks = ranks_in_memory || part.gives_ranks;
-  DepthRange range = load(s, a.ties, part);
+  if (n_shares > 1) part = share_of(s, part, own.share, n_shares);
+  DepthRange range = load(s, part);
   tell(s, a, unit);
   place_in_cells(s, a, unit, list);
   std::uint32_t left = s.n;
@@ -537,12 +426,12 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
     __syncthreads();
     if (!at_once) {
       Part round = part;
-      if (left > kTurboRound) round.to = whole_depths<Ties>(a, part, round_end(s, a.ties, part));
-      range = load(s, a.ties, round);
+      if (left > kTurboRound) round.to = round_end(s, part);
+      range = load(s, round);
       part.from = round.to;
     }
     left -= s.n;
-    order_entries(s, Ties(a), range);
+    order_entries(s, range);
     count_groups(s);
     deal_out(s, a);
     __syncthreads();
@@ -550,79 +439,60 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   }
 }
 
-template <class Ties>
 __device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
   for (const std::uint32_t n = a.state->n_units;;) {
     if (threadIdx.x == 0) s.unit = n > 0 ? atomicAdd(&a.state->n_taken, 1u) : 0;
     __syncthreads();
     if (s.unit >= n) return;
-    deal_out_unit<Ties>(s, a, s.unit);
+    deal_out_unit(s, a, s.unit);
     __syncthreads();
   }
 }
 
-template <class Ties>
 __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads)) turbo_unit_kernel(TurboArrays a) {
   __shared__ Shared s;
-  deal_out_units<Ties>(s, a);
+  deal_out_units(s, a);
 }
 
-template <class Ties>
 __device__ inline void order_tile(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                   TurboState* seen) {
   const TurboRankedList list = a.ranked[rank];
   if (list.n_entries == 0 || list.n_entries >= kTurboRound) return;  // empty, or a long list
-  deal_out_short<Ties>(s, a, grid, rank, list);
+  deal_out_short(s, a, grid, rank, list);
   if (threadIdx.x == 0) end_tile(a, seen);
 }
 
-template <class Ties>
 __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
     turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared s;
-  order_tile<Ties>(s, a, grid, blockIdx.x, seen);
+  order_tile(s, a, grid, blockIdx.x, seen);
 }
-template <class Ties>
 __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
     turbo_order_sparse_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared s;
   const std::uint32_t end = listed_tiles(a);
   for (std::uint32_t rank = blockIdx.x; rank < end; rank += gridDim.x) {
-    order_tile<Ties>(s, a, grid, rank, seen);
+    order_tile(s, a, grid, rank, seen);
     __syncthreads();
   }
-}
-
-template <class Ties>
-void launch_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, bool is_sparse, Stream stream) {
-  if (is_sparse) {
-    turbo_order_sparse_kernel<Ties><<<sparse_tiles(a.n_tiles), kThreads, 0, stream>>>(a, grid, seen);
-  } else {
-    turbo_order_kernel<Ties><<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
-  }
-}
-
-template <class Ties>
-Status launch_units(const TurboArrays& a, Stream stream) {
-  const auto blocks = resident_grid<turbo_unit_kernel<Ties>>(kThreads);
-  if (!blocks) return tl::unexpected(blocks.error());
-  turbo_unit_kernel<Ties><<<*blocks, kThreads, 0, stream>>>(a);
-  return launched("the kernel that orders the long lists could not be launched");
 }
 
 }  // namespace
 
 Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, bool is_sparse, Stream stream) {
-  if (a.wants_ranks != nullptr) {
-    launch_order<ByValue>(a, grid, seen, is_sparse, stream);
+  if (is_sparse) {
+    turbo_order_sparse_kernel<<<sparse_tiles(a.n_tiles), kThreads, 0, stream>>>(a, grid, seen);
   } else {
-    launch_order<ByRank>(a, grid, seen, is_sparse, stream);
+    turbo_order_kernel<<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
   }
   return launched("the kernel that orders the lists could not be launched");
 }
 
 Status launch_turbo_units(const TurboArrays& a, Stream stream) {
-  return a.wants_ranks != nullptr ? launch_units<ByValue>(a, stream) : launch_units<ByRank>(a, stream);
+  const auto blocks = resident_grid<turbo_unit_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  turbo_unit_kernel<<<*blocks, kThreads, 0, stream>>>(a);
+  return launched("the kernel that orders the long lists could not be launched");
 }
 
 }  // namespace rgs::cuda

@@ -41,15 +41,13 @@ struct DeviceAllocator {
 struct UploadTimes {
   double setup_ms = 0;   ///< page-locked and device memory, streams
   double host_ms = 0;    ///< then, until all is read, decompressed and queued for the device
-  double device_ms = 0;  ///< then, until the device has copied, decoded, checked and ordered ties
+  double device_ms = 0;  ///< then, until the device has copied, decoded and checked
 };
 
 struct UploadOptions {
   CudaStream stream = nullptr;  ///< for the copies and the kernels after them
   /// Return once the copies are queued. The uploaded arrays must stay unchanged, and the stream must live, until the
-  /// stream has done its work. Frames on any stream wait for the upload on the device. Until the first frame that
-  /// starts after it, the scene also holds the 4 bytes a Gaussian that making its tie order takes
-  /// (docs/format/RENDERING.md).
+  /// stream has done its work. Frames on any stream wait for the upload on the device.
   bool asynchronous = false;
   DeviceAllocator allocator = {};
   /// The rest is for a FileView alone. validate: as in LoadOptions; false if the file has been validated before.
@@ -68,14 +66,13 @@ class DeviceScene {
  public:
   DeviceScene() = default;  ///< no Gaussians
 
-  /// Activated FP32 attributes in the original's layout, 236 bytes a Gaussian at SH degree 3, and 8 of its rank in tie
-  /// order; 4 more while it is made. Waits unless asynchronous. Errors: bad_argument (sizes that contradict each other,
-  /// an SH degree not 0..3, half an allocator), limit_exceeded (2^31 Gaussians or more), device_out_of_memory,
-  /// device_failed.
+  /// Activated FP32 attributes in the original's layout, 236 bytes a Gaussian at SH degree 3. Waits unless
+  /// asynchronous. Errors: bad_argument (sizes that contradict each other, an SH degree not 0..3, half an allocator),
+  /// limit_exceeded (2^31 Gaussians or more), device_out_of_memory, device_failed.
   static Result<DeviceScene> upload(const SceneView& scene, const UploadOptions& options = {});
-  /// The sections of an .rgs file, or of some of its chunks, byte for byte: 76 bytes a Gaussian at SH degree 3, and 8
-  /// of its rank in tie order. load_direct() or read_chunks() has validated them; only values that kernels use as an
-  /// index are checked again. Errors: those of FileView::chunk() and of the other overload.
+  /// The sections of an .rgs file, or of some of its chunks, byte for byte: 76 bytes a Gaussian at SH degree 3.
+  /// load_direct() or read_chunks() has validated them; only values that kernels use as an index are checked again.
+  /// Errors: those of FileView::chunk() and of the other overload.
   static Result<DeviceScene> upload(const DirectData& data, const UploadOptions& options = {});
   /// The same of a whole file, decoded and checked on the way: host threads decompress coded sections into a ring of
   /// page-locked memory (32 MiB, or two frames), and the device makes rows of them and checks their values, in up to 96
@@ -85,7 +82,7 @@ class DeviceScene {
   static Result<DeviceScene> upload(const FileView& file, const UploadOptions& options = {});
 
   /// All pages that a file with levels of detail contains, in the same form, decoded and checked by host threads a few
-  /// at a time, in 40 MB of page-locked memory: 84 bytes a Gaussian at SH degree 3, up to a chunk of padding a page
+  /// at a time, in 40 MB of page-locked memory: 76 bytes a Gaussian at SH degree 3, up to a chunk of padding a page
   /// that is not a leaf, and 48 bytes a page. CudaRenderer chooses the cut on the device, by RenderOptions::detail_px.
   /// Always waits. Errors: pages_missing (even the root), those of PageDecoder and check_page_values(), and of the
   /// other overloads.

@@ -58,9 +58,9 @@ struct PaperSteps {
   math::Exp exp = math::Exp::paper;
   FrontEnd front_end = FrontEnd::fused;  ///< CUDA
   int pixels_per_thread = 2;             ///< CUDA: 1 (the original) or 2 (the paper)
-  /// CUDA: the same bytes on every run, whatever the order of the file: Gaussians that share a depth bin are drawn in
-  /// tie order (docs/format/RENDERING.md), as in every other pipeline. Otherwise the fused front end lists them in the
-  /// order in which its blocks run, as the paper does, which is a little faster.
+  /// CUDA: the same bytes on every run: Gaussians that share a depth bin are drawn in the order of the scene
+  /// (docs/format/RENDERING.md), as in every other pipeline. Otherwise the fused front end lists them in the order in
+  /// which its blocks run, as the paper does, which is a little faster.
   bool deterministic = true;
 };
 

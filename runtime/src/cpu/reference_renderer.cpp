@@ -2,9 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Gaussians are ordered by depth once; a stable counting sort by tile then gives every tile its list in that order, so
-// there is no (tile, depth) key. Equal depths, which are few, are then put into tie order (rgs/math/tie_order.hpp). The
-// image does not depend on the number of threads: blocks decide who does the work, never the order in which Gaussians
-// are listed or summed.
+// there is no (tile, depth) key. Equal depths keep the order of the scene. The image does not depend on the number of
+// threads: blocks decide who does the work, never the order in which Gaussians are listed or summed.
 #include "cpu/reference_renderer.hpp"
 
 #include <hwy/cache_control.h>
@@ -29,7 +28,6 @@
 #include "rgs/math/coverage.hpp"
 #include "rgs/math/projection.hpp"
 #include "rgs/math/sh.hpp"
-#include "rgs/math/tie_order.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -48,11 +46,6 @@ using SortItem = std::uint64_t;
 // 16 bits hold a tile coordinate: image sides are at most 65536 pixels.
 struct Span16 {
   std::uint16_t first, last;
-};
-
-// Items begin .. end - 1 of the depth order have equal keys.
-struct Tie {
-  std::uint64_t begin, end;
 };
 
 // Visible Gaussians of a projection block: splats first .. first + n - 1 of the frame's array.
@@ -133,7 +126,6 @@ struct ReferenceRenderer::Workspace {
 
   void project(const SceneParts& scene, const math::View<float>& view, const FrameSettings& settings);
   void sort_by_depth();
-  void order_ties(const SceneParts& scene);
   void list_by_tile();
   template <class BlendTile>
   void blend(const math::View<float>& view, const RenderTarget& target, const FrameSettings& settings,
@@ -161,7 +153,6 @@ struct ReferenceRenderer::Workspace {
   std::vector<Block> blocks;
   Scratch<ScreenSplat> splats;            // [blocks * kBlock], the visible ones of a block at its start
   Scratch<SortItem> order, spare;         // [n_visible]
-  std::vector<std::vector<Tie>> ties;     // of each part of `order`
   std::vector<std::uint64_t> counts;      // histograms of the two sorts
   std::vector<std::uint64_t> tile_begin;  // [n_tiles + 1] into `instances`
   Scratch<std::uint32_t> instances;
@@ -312,111 +303,6 @@ void ReferenceRenderer::Workspace::sort_by_depth() {
     std::swap(from, to);
   }
   if (from != order.get()) std::swap(order, spare);
-}
-
-namespace {
-
-// A scene's values, for the tie order.
-struct TieValues {
-  const SceneParts& scene;
-  const PartIndex& index;
-
-  struct Place {
-    const ScenePart& part;
-    std::uint64_t row;
-  };
-  Place place(std::uint32_t i) const {
-    const std::uint32_t part = index.part_of(i);
-    return {scene.parts[part], i - index.begin(part)};
-  }
-  float mean(std::uint32_t i, int axis) const {
-    const Place at = place(i);
-    return at.part.mean[3 * at.row + static_cast<std::uint64_t>(axis)];
-  }
-  math::Vec3<float> scale(std::uint32_t i) const {
-    const Place at = place(i);
-    const float* s = &at.part.scale[3 * at.row];
-    return {s[0], s[1], s[2]};
-  }
-  float opacity(std::uint32_t i) const {
-    const Place at = place(i);
-    return at.part.opacity[at.row];
-  }
-  math::Quaternion<float> rotation(std::uint32_t i) const {
-    const Place at = place(i);
-    const float* q = &at.part.rotation[4 * at.row];
-    return {q[0], q[1], q[2], q[3]};
-  }
-  int n_sh() const { return 3 * sh_coefficients(scene.sh_degree); }
-  float sh(std::uint32_t i, int k) const {
-    const Place at = place(i);
-    return at.part.sh[static_cast<std::uint64_t>(n_sh()) * at.row + static_cast<std::uint64_t>(k)];
-  }
-};
-
-// A Gaussian of a tie, with the value that tells most of them apart.
-struct TiedItem {
-  std::uint64_t place = 0;
-  std::uint32_t splat, gaussian = 0;
-};
-constexpr std::size_t kTiedAtOnce = 4096;    // loads that overlap
-constexpr std::size_t kSortAlone = 1 << 16;  // items that one thread sorts alone
-
-// x and y of the mean, the first values that decide.
-std::uint64_t place_of(const TieValues& values, std::uint32_t gaussian) {
-  return std::uint64_t{math::order_bits(values.mean(gaussian, 0))} << 32 | math::order_bits(values.mean(gaussian, 1));
-}
-
-void sort_tied(std::span<TiedItem> items, const TieValues& values) {
-  const auto before = [&values](const TiedItem& a, const TiedItem& b) {
-    return a.place != b.place ? a.place < b.place : math::ties_before(values, a.gaussian, b.gaussian);
-  };
-  if (items.size() <= kSortAlone) return std::sort(items.begin(), items.end(), before);
-  const std::size_t half = items.size() / 2;
-  parallel_blocks(2, [&](std::uint64_t k) { sort_tied(k == 0 ? items.first(half) : items.subspan(half), values); });
-  std::inplace_merge(items.begin(), items.begin() + static_cast<std::ptrdiff_t>(half), items.end(), before);
-}
-
-}  // namespace
-
-// Finds all ties before ordering any, since threads read their neighbours' items.
-void ReferenceRenderer::Workspace::order_ties(const SceneParts& scene) {
-  SortItem* const items = order.get();
-  const auto same_key = [items](std::uint64_t i) { return items[i - 1] >> 32 == items[i] >> 32; };
-  const std::uint64_t n_parts = parts(1);
-  ties.resize(n_parts);
-  parallel_blocks(n_parts, [&](std::uint64_t part) {
-    ties[part].clear();
-    const std::uint64_t part_end = n_visible * (part + 1) / n_parts;
-    for (std::uint64_t i = n_visible * part / n_parts + 1; i <= part_end && i < n_visible; ++i) {
-      if (!same_key(i) || (i > 1 && same_key(i - 1))) continue;  // a tie that starts earlier belongs to that part
-      const std::uint64_t begin = i - 1;
-      while (i < n_visible && same_key(i)) ++i;
-      ties[part].push_back({begin, i});
-    }
-  });
-  const TieValues values{scene, part_index};
-  parallel_blocks(n_parts, [&](std::uint64_t part) {
-    std::vector<TiedItem> tied;
-    std::size_t first = 0;  // tie whose items come first in `tied`
-    for (std::size_t k = 0; k < ties[part].size(); ++k) {
-      const Tie& tie = ties[part][k];
-      for (std::uint64_t i = tie.begin; i < tie.end; ++i)
-        tied.push_back({.splat = static_cast<std::uint32_t>(items[i])});
-      if (tied.size() < kTiedAtOnce && k + 1 < ties[part].size()) continue;
-      for (TiedItem& t : tied) t.gaussian = splats.get()[t.splat].gaussian;
-      for (TiedItem& t : tied) t.place = place_of(values, t.gaussian);
-      for (std::span<TiedItem> rest = tied; first <= k; ++first) {
-        const Tie& next = ties[part][first];
-        const auto own = rest.first(next.end - next.begin);
-        sort_tied(own, values);
-        const SortItem key = items[next.begin] >> 32 << 32;
-        for (std::size_t j = 0; j < own.size(); ++j) items[next.begin + j] = key | own[j].splat;
-        rest = rest.subspan(own.size());
-      }
-      tied.clear();
-    }
-  });
 }
 
 // Stable counting sort of all (tile, Gaussian) pairs by tile, in depth order.
@@ -576,7 +462,6 @@ Result<FrameStats> ReferenceRenderer::render(const SceneParts& scene, const Came
     fits = w.n_instances <= kMaxInstances;
     if (!fits) return;
     w.sort_by_depth();
-    w.order_ties(scene);
     stats.sort_ms = stage.lap_ms();
     w.list_by_tile();
     stats.bin_ms = stage.lap_ms();
@@ -599,7 +484,6 @@ Result<FrameStats> ReferenceRenderer::render(const SceneParts& scene, const Came
   stats.bytes = w.n_visible * (sizeof(ScreenSplat) + 2 * sizeof(SortItem)) + w.n_instances * sizeof(std::uint32_t) +
                 (w.counts.size() + w.tile_begin.size()) * sizeof(std::uint64_t);
   for (const Block& block : w.blocks) stats.bytes += block.spans.size() * sizeof(Span16);
-  for (const auto& part : w.ties) stats.bytes += part.size() * sizeof(Tie);
   return stats;
 }
 

@@ -28,12 +28,9 @@ constexpr std::uint64_t kMaxRows = kMaxImageSide / math::kTileSize, kMaxTurboRow
 static_assert(kMaxRows <= 65535 && kMaxTurboRows * kMaxTurboRows * cuda::kTurboCells < std::uint64_t{1} << 31);
 static_assert(kMaxTurboRows <= std::uint64_t{1} << 15);
 
-// With levels, how much is drawn is not known before, unless the host has chosen the cut.
+// With levels, how much is drawn is not known before.
 bool draws_turbo(const FrameSettings& settings, const detail::SceneStorage* scene) {
-  if (!settings.cuda.turbo || scene == nullptr) return settings.cuda.turbo;
-  if (!scene->pages) return detail::TurboPipeline::takes(scene->n);
-  const auto& chosen = scene->pages->chosen;
-  return !chosen || detail::TurboPipeline::takes(chosen->chunks.size() * scene->pages->chunk_size);
+  return settings.cuda.turbo && (scene == nullptr || scene->pages || detail::TurboPipeline::takes(scene->n));
 }
 
 cuda::CutEye cut_eye(const lod::Eye& eye, float detail_px) {

@@ -1,5 +1,4 @@
-// cut_stage.hpp - the stage before the front ends for scenes with levels of detail: chooses a frame's chunks and the
-// tie order of their rows.
+// cut_stage.hpp - the stage before the front ends for scenes with levels of detail: the chunks that a frame draws.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -7,7 +6,6 @@
 #include <functional>
 
 #include "common/cut.hpp"
-#include "common/tie_order.hpp"
 #include "cuda/cuda_objects.hpp"
 #include "cuda/device_memory.hpp"
 #include "cuda/device_scene.hpp"
@@ -23,21 +21,14 @@ class CutStage {
 
   /// Errors: device_failed.
   Status create() { return seen_.create(); }
-  /// What the front ends need besides the list of chunks.
-  enum class Order {
-    of_drawn_rows,  ///< the tie order of drawn rows, and their ranks
-    of_rows,        ///< the same rows by number, without ranks
-    none            ///< only if the host has chosen the chunks: rows() suffices
-  };
   /// Makes room for at least `n_chunks`, or for a first guess if that is 0 and there is none, but at most `max_chunks`;
   /// `splats` gets room for as many. Call before every launch. Errors: those of `reserve`.
-  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, Order order,
-                 DeviceBuffer& splats, const Reserve& reserve);
+  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, DeviceBuffer& splats,
+                 const Reserve& reserve);
   struct Choice {
     cuda::CutEye eye;
     cuda::ViewParameters view;
     bool by_view;  ///< leave out what is out of view, by the tiles that a Gaussian's ellipse touches
-    Order order;
   };
   /// Queues the choice. Errors: device_failed.
   Status launch(const SceneStorage& scene, const Choice& choice, CudaStream stream) const;
@@ -49,13 +40,11 @@ class CutStage {
 
   std::uint64_t capacity() const { return capacity_; }  ///< chunks
   cuda::DrawnChunks drawn() const;
-  cuda::TieOrder ties() const { return {order_.as<std::uint32_t>(), rank_.as<std::uint32_t>()}; }
-  cuda::ChosenRows rows(const SceneStorage& scene) const;
   std::uint64_t bytes() const;
 
  private:
-  Status launch_chosen(const SceneStorage& scene, Order order, CudaStream stream) const;
-  std::uint64_t held(const SceneStorage& scene, Order order, const DeviceBuffer& splats) const;
+  Status launch_choice(const SceneStorage& scene, const Choice& choice, CudaStream stream) const;
+  std::uint64_t held(const SceneStorage& scene, const DeviceBuffer& splats) const;
 
   std::uint64_t capacity_ = 0;
   PageLocked<cuda::CutCounts> seen_;
@@ -63,10 +52,6 @@ class CutStage {
   DeviceBuffer chosen_;   ///< [all chunks]
   DeviceBuffer in_view_;  ///< sums of blocks
   DeviceBuffer chunks_;   ///< [capacity]
-  DeviceBuffer places_;   ///< [all chunks]
-  DeviceBuffer bits_, bit_sums_;
-  DeviceBuffer order_, rank_;  ///< [rows]
-  DeviceBuffer sort_;          ///< for chunks that the host has chosen
 };
 
 }  // namespace rgs::detail

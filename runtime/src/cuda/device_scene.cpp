@@ -7,7 +7,6 @@
 #include <memory>
 #include <span>
 
-#include "common/tie_order.hpp"
 #include "cuda/file_upload.hpp"
 #include "cuda/page_upload.hpp"
 #include "rgs/guard_memory.hpp"
@@ -88,27 +87,6 @@ Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, co
   return places;
 }
 
-// Sorts the Gaussians in tie order, behind the copies on their stream; waits if the copies were waited for.
-Status order_ties(SceneStorage& storage, const UploadOptions& options) {
-  if (storage.n == 0) return {};
-  const auto n = static_cast<std::uint32_t>(storage.n_rows());
-  const auto bytes = cuda::tie_order_bytes(n);
-  if (!bytes) return tl::unexpected(bytes.error());
-  const auto memory = detail::DeviceMemory::create(options.allocator);
-  if (!memory) return tl::unexpected(memory.error());
-  Status ok = storage.ties.reserve(std::uint64_t{8} * n, *memory, options.stream);
-  if (ok) ok = storage.temporary.reserve(*bytes, *memory, options.stream);
-  if (!ok) return ok;
-  auto* const order = storage.ties.as<std::uint32_t>();
-  ok = cuda::launch_tie_order({storage.attributes, n, order, order + n, storage.temporary.as<void>(), *bytes},
-                              options.stream);
-  if (ok && storage.copied) ok = storage.copied->record(options.stream);
-  if (ok && storage.copied) return ok;
-  const Status done = device_status(cudaStreamSynchronize(options.stream), "a scene's ties could not be put in order");
-  storage.temporary = {};
-  return ok ? done : ok;
-}
-
 }  // namespace
 
 Result<DeviceScene> DeviceScene::upload(const SceneView& scene, const UploadOptions& options) {
@@ -125,7 +103,6 @@ Result<DeviceScene> DeviceScene::upload(const SceneView& scene, const UploadOpti
     if (!placed) return tl::unexpected(placed.error());
     const auto floats = [&placed](std::size_t k) { return reinterpret_cast<const float*>((*placed)[k]); };
     storage->attributes = cuda::Fp32Attributes{floats(0), floats(1), floats(2), floats(3), floats(4), scene.sh_degree};
-    if (const auto ok = order_ties(*storage, options); !ok) return tl::unexpected(ok.error());
     DeviceScene result;
     result.storage_ = std::move(storage);
     return result;
@@ -150,7 +127,6 @@ Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOpti
         copy_sections({data.means(), data.geometry(), data.sh(), data.step_table(), chunks}, *storage, options);
     if (!placed) return tl::unexpected(placed.error());
     storage->attributes = detail::compact_attributes(header, *placed);
-    if (const auto ok = order_ties(*storage, options); !ok) return tl::unexpected(ok.error());
     DeviceScene result;
     result.storage_ = std::move(storage);
     return result;
@@ -197,7 +173,6 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOption
     timed.times = &times;
     if (const auto ok = detail::upload_file(file, *placed, timed); !ok) return tl::unexpected(ok.error());
     storage->attributes = detail::compact_attributes(header, *placed);
-    if (const auto ok = order_ties(*storage, options); !ok) return tl::unexpected(ok.error());
     times.setup_ms += placed_ms;
     times.device_ms = ms_since(start) - times.setup_ms - times.host_ms;  // includes freeing the staging memory
     if (options.times != nullptr) *options.times = times;
@@ -243,7 +218,6 @@ Result<DeviceScene> DeviceScene::upload(const PagedFile& file, const UploadOptio
     if (ok) ok = uploaded;
     const double uploaded_ms = ms_since(start);
     storage->attributes = cuda::PagedAttributes{detail::compact_attributes(header, *placed)};
-    if (ok) ok = order_ties(*storage, options);
     if (!ok) return tl::unexpected(ok.error());
     if (options.times != nullptr) {
       *options.times = {setup_ms, uploaded_ms - setup_ms, ms_since(start) - uploaded_ms};

@@ -29,7 +29,7 @@ struct ScenePages {
   std::uint32_t n_pages = 0;
   std::uint32_t chunk_size = 0;
   std::uint64_t n_chunks = 0;  ///< of all pages
-  /// Replaces the table, from which the device chooses, and the tie order of all rows.
+  /// Replaces the table, from which the device chooses.
   std::optional<ChosenChunks> chosen;
 };
 
@@ -51,39 +51,22 @@ struct SceneStorage {
   Origin origin = kNoOrigin;
   cuda::Attributes attributes;
   DeviceBuffer memory;
-  DeviceBuffer ties;            ///< [n_rows()] Gaussians in tie order, then [n_rows()] the rank of each
   std::optional<Event> copied;  ///< the end of an upload that nobody has waited for
 
-  std::uint64_t n_rows() const { return pages ? pages->n_chunks * pages->chunk_size : n; }
-  cuda::TieOrder tie_order() const {
-    const auto* const order = ties.as<std::uint32_t>();
-    return {order, order != nullptr ? order + n_rows() : nullptr};
-  }
-  /// Device memory held. Thread-safe.
-  std::uint64_t bytes() const {
-    const std::scoped_lock lock(mutex);
-    return memory.bytes() + (pages ? pages->table.bytes() : 0) + ties.bytes() + temporary.bytes();
-  }
+  /// Device memory held.
+  std::uint64_t bytes() const { return memory.bytes() + (pages ? pages->table.bytes() : 0); }
   /// A renderer draws the scene, so freeing it waits for the renderer's last frame, `finished`. Thread-safe.
   void drawn_by(const std::shared_ptr<Event>& finished) const {
-    const std::scoped_lock lock(mutex);
+    const std::scoped_lock lock(mutex_);
     std::erase_if(frames_, [](const auto& frame) { return frame.expired(); });  // a destroyed renderer has waited
     for (const auto& frame : frames_) {
       if (frame.lock() == finished) return;
     }
     frames_.emplace_back(finished);
   }
-  /// Frees what only the upload needed, if it is over. Thread-safe.
-  void settle() const {
-    const std::scoped_lock lock(mutex);
-    if (temporary.bytes() == 0) return;
-    if (cudaEventQuery(copied->get()) == cudaSuccess) temporary = {};
-    cudaGetLastError();  // an upload in progress is no error of later calls
-  }
-  mutable std::mutex mutex;        // of what follows
-  mutable DeviceBuffer temporary;  // of an upload that nobody has waited for
 
  private:
+  mutable std::mutex mutex_;  // of what follows
   mutable std::vector<std::weak_ptr<Event>> frames_;
 };
 

@@ -50,7 +50,6 @@ struct Frame {
   }
   std::uint64_t n() const { return scene ? scene->n : 0; }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
-  cuda::TieOrder tie_order() const { return scene ? scene->tie_order() : cuda::TieOrder{}; }
   std::uint32_t n_tiles() const { return static_cast<std::uint32_t>(view.grid.columns * view.grid.rows); }
   math::Vec3<float> background() const {
     return {settings.background[0], settings.background[1], settings.background[2]};
@@ -76,10 +75,7 @@ struct FrameState {
 
   /// Waits for the last frame, which may run on another stream, and for the scene's upload.
   Status begin(const Frame& f) const {
-    if (f.scene) {
-      f.scene->settle();
-      f.scene->drawn_by(finished);
-    }
+    if (f.scene) f.scene->drawn_by(finished);
     const Status ok = finished->hold(f.stream);
     return ok && f.scene && f.scene->copied ? f.scene->copied->hold(f.stream) : ok;
   }
@@ -107,14 +103,15 @@ struct FrameState {
 
   /// Makes room for the frame's cut, if any: for at least `n_chunks`, or for what earlier frames drew if that is 0.
   /// Errors: those of the other reserve().
-  Status reserve_cut(const Frame& f, CutStage::Order order, std::uint64_t n_chunks = 0) {
+  Status reserve_cut(const Frame& f, std::uint64_t n_chunks = 0) {
     if (!f.cut) return {};
-    return cut.reserve(*f.scene, n_chunks, f.max_chunks(), order, splats,
+    return cut.reserve(*f.scene, n_chunks, f.max_chunks(), splats,
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
   }
-  Status launch_cut(const Frame& f, CutStage::Order order) const {
-    return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse, order}, f.stream);
+  Status launch_cut(const Frame& f) const {
+    return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse}, f.stream);
   }
+  cuda::DrawnChunks drawn(const Frame& f) const { return f.cut ? cut.drawn() : cuda::DrawnChunks{}; }
   /// Gaussians that the front end must have room for.
   std::uint64_t n_drawn(const Frame& f) const { return f.cut ? cut.capacity() * f.scene->pages->chunk_size : f.n(); }
 

@@ -211,18 +211,27 @@ std::array<std::uint64_t, 5> PagePlan::section_bytes(int sh_degree) const {
 }
 
 std::vector<cuda::CutPage> PagePlan::table(const PagedFile& file) const {
-  std::vector<cuda::CutPage> table(n_pages);
-  for (std::uint32_t i = 0; i < n_pages; ++i) {
-    const lod::Page& page = file.pages()[i];
+  std::vector<cuda::CutPage> table;
+  struct Place {
+    std::uint32_t page, parent;  // the parent's place in the table
+  };
+  std::vector<Place> open{{0, cuda::kNoCutPage}};
+  while (!open.empty()) {
+    const Place next = open.back();
+    open.pop_back();
+    const lod::Page& page = file.pages()[next.page];
+    for (std::uint32_t child = page.first_child + page.n_children; child-- > page.first_child;) {
+      if (child < n_pages) open.push_back({child, static_cast<std::uint32_t>(table.size())});
+    }
     const auto& [low, high] = page.core;
-    table[i] = {{low[0], low[1], low[2]},
-                has_children(file, i) ? page.error : 0.0F,
-                {high[0], high[1], high[2]},
-                page.parent == lod::kNoPage ? cuda::kNoCutPage : page.parent,
-                static_cast<std::uint32_t>(first_chunk[i]),
-                static_cast<std::uint32_t>(first_chunk[i + 1] - first_chunk[i]),
-                page.count,
-                0};
+    table.push_back({{low[0], low[1], low[2]},
+                     has_children(file, next.page) ? page.error : 0.0F,
+                     {high[0], high[1], high[2]},
+                     next.parent,
+                     static_cast<std::uint32_t>(first_chunk[next.page]),
+                     static_cast<std::uint32_t>(first_chunk[next.page + 1] - first_chunk[next.page]),
+                     page.count,
+                     0});
   }
   return table;
 }

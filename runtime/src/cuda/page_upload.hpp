@@ -26,7 +26,7 @@ struct PagePlan {
   std::uint64_t n_rows() const { return n_chunks() * chunk_size; }
   /// MEAN, GEOM, SHI8, SHSC, CHNK.
   std::array<std::uint64_t, 5> section_bytes(int sh_degree) const;
-  /// The table from which the device chooses the cut.
+  /// The table from which the device chooses the cut: see cuda::CutArguments.
   std::vector<cuda::CutPage> table(const PagedFile& file) const;
 
  private:

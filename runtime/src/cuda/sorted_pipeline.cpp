@@ -20,12 +20,6 @@ bool is_separate(const Frame& f) {
 
 }  // namespace
 
-// The order in which front ends visit Gaussians; null if pairs may lie in the order in which blocks run.
-const std::uint32_t* SortedPipeline::order_of(const Frame& f) const {
-  if (f.cut) return state_.cut.ties().order;
-  return f.settings.cuda.deterministic || is_separate(f) ? f.tie_order().order : nullptr;
-}
-
 std::uint64_t SortedPipeline::bytes() const {
   std::uint64_t sum = 0;
   for (const DeviceBuffer* b : {&counters_, &covers_, &tiles_, &sums_, &sum_temporary_, &block_state_, &keys_,
@@ -35,13 +29,13 @@ std::uint64_t SortedPipeline::bytes() const {
   return sum;
 }
 
-// How many Gaussians are drawn and, with a cut, which, in the order of their rows.
+// How many Gaussians are drawn and, with a cut, which.
 Status SortedPipeline::choose(const Frame& f) {
   n_ = f.n();
   if (!f.cut) return {};
-  Status ok = state_.reserve_cut(f, CutStage::Order::of_rows);
+  Status ok = state_.reserve_cut(f);
   for (;;) {
-    if (ok) ok = state_.launch_cut(f, CutStage::Order::of_rows);
+    if (ok) ok = state_.launch_cut(f);
     if (ok) ok = state_.wait(f.stream);
     if (!ok) return ok;
     const std::uint64_t n_chunks = state_.cut.seen().chunks;
@@ -51,7 +45,7 @@ Status SortedPipeline::choose(const Frame& f) {
       return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index", kMaxPairs,
                         n_);
     }
-    ok = state_.reserve_cut(f, CutStage::Order::of_rows, n_chunks);
+    ok = state_.reserve_cut(f, n_chunks);
   }
 }
 
@@ -117,10 +111,11 @@ Status SortedPipeline::count_and_write(const Frame& f) {
     }
     const cuda::PairArrays pairs = pair_arrays(f);
     if (ok) {
-      ok = cuda::launch_fused({f.attributes(), static_cast<std::uint32_t>(n_), f.view, f.settings.extent,
-                               state_.splats.as<cuda::ScreenSplat>(), pairs, counters_.as<cuda::Counters>(),
-                               f.settings.cuda.deterministic ? block_state_.as<std::uint64_t>() : nullptr, order_of(f)},
-                              f.stream);
+      ok = cuda::launch_fused(
+          {f.attributes(), static_cast<std::uint32_t>(n_), f.view, f.settings.extent,
+           state_.splats.as<cuda::ScreenSplat>(), pairs, counters_.as<cuda::Counters>(),
+           f.settings.cuda.deterministic ? block_state_.as<std::uint64_t>() : nullptr, state_.drawn(f)},
+          f.stream);
     }
     if (ok) ok = state_.mark(kProjected, f, f.stream);
     if (ok) ok = state_.fetch(&state_.host->counters, counters_.as<void>(), sizeof(cuda::Counters), f.stream);
@@ -141,7 +136,7 @@ Status SortedPipeline::count_then_write(const Frame& f) {
   if (ok) {
     ok = cuda::launch_project(
         {f.attributes(), n, f.view, f.settings.extent, state_.splats.as<cuda::ScreenSplat>(), covers_.as<void>(),
-         tiles_.as<std::uint32_t>(), counters_.as<cuda::Counters>(), order_of(f)},
+         tiles_.as<std::uint32_t>(), counters_.as<cuda::Counters>(), state_.drawn(f)},
         f.stream);
   }
   if (ok) ok = state_.mark(kProjected, f, f.stream);

@@ -33,7 +33,6 @@ class SortedPipeline {
   Status count_then_write(const Frame& frame);
   Status order(const Frame& frame, cuda::SortBuffers& sorted);
   Status choose(const Frame& frame);
-  const std::uint32_t* order_of(const Frame& frame) const;
 
   FrameState& state_;
 

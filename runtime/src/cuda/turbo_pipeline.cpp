@@ -13,17 +13,13 @@ namespace {
 // Below this, coefficients of exponents may leave the range of FP16.
 constexpr float kTensorLowPass = 0.1F;
 
-// After a frame that needed ranks the following ones make them at once, to avoid a repeat.
-constexpr unsigned kRankedFrames = 60;
-
 constexpr std::uint64_t kLargeBytes = sizeof(cuda::TurboLargeGaussian) + sizeof(cuda::TurboBox);
 
 }  // namespace
 
 Status TurboPipeline::create() {
   Status ok = seen_.create();
-  if (ok) ok = wants_ranks_.create();
-  for (Event* event : {&counted_, &counted_long_, &begun_, &filled_, &listed_, &ordered_long_, &done_long_}) {
+  for (Event* event : {&counted_, &counted_long_, &begun_, &filled_, &listed_, &done_long_}) {
     if (ok) ok = event->create();
   }
   int least = 0, greatest = 0;
@@ -76,7 +72,7 @@ Status TurboPipeline::reserve_lists(std::uint64_t n_entries, std::uint64_t n_run
 
 // Makes room for what is known before the frame; guesses the rest for the first frame.
 Status TurboPipeline::reserve_tiles(const Frame& f) {
-  Status ok = state_.reserve_cut(f, order_of(f));
+  Status ok = state_.reserve_cut(f);
   if (!ok) return ok;
   const std::uint64_t n = state_.n_drawn(f), n_tiles = f.n_tiles();
   const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f.stream); };
@@ -122,21 +118,7 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   a.cell_gaussians = cell_gaussians_.as<std::uint32_t>();
   a.cell_capacity = cell_capacity();
   cuda::TurboLongCellSizes::of(cell_capacity()).lay_out(long_cells_.as<void>(), a);
-  if (compares_values(f)) {
-    a.rows = state_.cut.rows(*f.scene);
-    a.wants_ranks = wants_ranks_.get();
-  } else {
-    a.ties = f.cut ? state_.cut.ties() : f.tie_order();
-  }
   return a;
-}
-
-// Whether ties are ordered by the Gaussians' values: the pages of a streamed scene have no order of all rows.
-bool TurboPipeline::compares_values(const Frame& f) const {
-  return f.cut && f.scene->pages->chosen && n_ranked_ == 0;
-}
-CutStage::Order TurboPipeline::order_of(const Frame& f) const {
-  return compares_values(f) ? CutStage::Order::none : CutStage::Order::of_drawn_rows;
 }
 
 // Whether the last frame was nearly empty; then this one probably is, and is filled before its Gaussians are known.
@@ -162,7 +144,6 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   ok = cuda::launch_turbo_long_lists(a.arrays, a.grid, seen_.get(), beside_.get());
   if (ok) ok = counted_long_.record(beside_.get());
   if (ok) ok = cuda::launch_turbo_units(a.arrays, beside_.get());
-  if (ok) ok = ordered_long_.record(beside_.get());
   if (ok && is_tensor) ok = cuda::launch_turbo_tensor_long(a, beside_.get());
   // Joined after errors too: the next frame waits for `on` alone.
   Status joined = done_long_.record(beside_.get());
@@ -193,12 +174,11 @@ Status TurboPipeline::launch(const Frame& f) {
     ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
                        "the frame's state could not be cleared");
   }
-  if (ok && f.cut) ok = state_.launch_cut(f, order_of(f));
+  if (ok && f.cut) ok = state_.launch_cut(f);
   if (ok) {
-    ok = cuda::launch_turbo_emit(
-        {f.attributes(), static_cast<std::uint32_t>(state_.n_drawn(f)), f.view, state_.splats.as<cuda::ScreenSplat>(),
-         arrays, f.cut ? state_.cut.drawn() : cuda::DrawnChunks{}},
-        on);
+    ok = cuda::launch_turbo_emit({f.attributes(), static_cast<std::uint32_t>(state_.n_drawn(f)), f.view,
+                                  state_.splats.as<cuda::ScreenSplat>(), arrays, state_.drawn(f)},
+                                 on);
   }
   if (ok) ok = state_.mark(kProjected, f, on);
   if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, seen_.get(), on);
@@ -212,7 +192,6 @@ Status TurboPipeline::launch(const Frame& f) {
 Status TurboPipeline::queue(const Frame& f) {
   Status ok = state_.begin(f);
   if (!ok) return ok;
-  *wants_ranks_.get() = 0;  // its last writer has settled
   ok = reserve_tiles(f);
   if (ok) ok = launch(f);
   const Status ended = state_.end(f);
@@ -223,12 +202,11 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
   for (;;) {
     Status ok = counted_.wait();
     if (ok) ok = counted_long_.wait();
-    if (ok && compares_values(f)) ok = ordered_long_.wait();
     if (!ok) return tl::unexpected(ok.error());
     if (f.cut && !state_.cut.fits()) {
       if (state_.cut.seen().chunks > f.max_chunks()) return kTooManyDrawn;
       if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());
-      ok = state_.reserve_cut(f, order_of(f), state_.cut.seen().chunks);
+      ok = state_.reserve_cut(f, state_.cut.seen().chunks);
       if (ok) ok = queue(f);
       if (!ok) return tl::unexpected(ok.error());
       continue;
@@ -243,14 +221,7 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
     if (all_listed && seen.in_cells <= arrays.cell_capacity) {
       last_ = {seen.runs, arrays.n_tiles};
-      if (!compares_values(f) || *wants_ranks_.get() == 0) {
-        if (n_ranked_ > 0) --n_ranked_;
-        return n;
-      }
-      if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());
-      n_ranked_ = kRankedFrames;
-      if (ok = queue(f); !ok) return tl::unexpected(ok.error());
-      continue;
+      return n;
     }
     if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());  // it uses the workspace until then
     // Counts without all large Gaussians are too low to size memory by.

@@ -38,8 +38,6 @@ class TurboPipeline {
   std::uint64_t cell_capacity() const;
   cuda::TurboLongListSizes long_sizes() const { return cuda::TurboLongListSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays arrays_for(const Frame& frame) const;
-  bool compares_values(const Frame& frame) const;
-  CutStage::Order order_of(const Frame& frame) const;
   bool fills(const cuda::TurboBlendArguments& arguments) const;
   Status fill(const Frame& frame, const cuda::TurboBlendArguments& arguments);
   Status order_and_blend(const Frame& frame, const cuda::TurboBlendArguments& arguments, bool is_tensor);
@@ -48,14 +46,12 @@ class TurboPipeline {
   FrameState& state_;
   Event counted_, counted_long_;  // both: the frame has counted its pairs
   OwnedStream beside_;  // runs what starts at `begun_` and ends at `filled_`, and long lists: `listed_`, `done_long_`
-  Event begun_, filled_, listed_, ordered_long_, done_long_;
+  Event begun_, filled_, listed_, done_long_;
   struct Settled {
     std::uint64_t runs = 0;
     std::uint32_t n_tiles = 0;
   } last_;  // frame
   PageLocked<cuda::TurboState> seen_;
-  PageLocked<std::uint32_t> wants_ranks_;
-  unsigned n_ranked_ = 0;  ///< frames left that make ranks at once, because one needed them
   DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, ranked_;
   DeviceBuffer long_lists_, cells_, cell_gaussians_, long_cells_;
 };

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <utility>
@@ -18,6 +19,7 @@
 #include "counted_memory.hpp"
 #include "edit_file.hpp"
 #include "rgs/checksum.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/version.hpp"
 #include "run_program.hpp"
 #include "skip.hpp"
@@ -226,6 +228,44 @@ TEST_CASE("a kept permutation restores the original order, without dropped Gauss
   }
   CHECK(expected.size() == 3 * (9000 - 819));
   CHECK(read_ply(back).value().mean == expected);
+}
+
+TEST_CASE("equal means keep the source's order in a file, in every profile, with levels and merged") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = golden_cloud(6000, 1, 3);
+  for (float& x : cloud.mean) x = std::round(x);
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), rgs = folder.file("scene.rgs");
+  const std::vector<std::vector<std::string>> ways{{"--profile", "direct", ply},
+                                                   {"--profile", "packed", ply},
+                                                   {"--profile", "archive:high", ply},
+                                                   {"--lod", "--profile", "packed", ply},
+                                                   {"--lod", "--profile", "archive:high", ply},
+                                                   {"--merge", ply, ply}};
+  for (std::vector<std::string> arguments : ways) {
+    CAPTURE(arguments);
+    arguments.insert(arguments.begin(), {"--overwrite", "--keep-permutation"});
+    arguments.push_back(rgs);
+    REQUIRE(rgs_convert(arguments).exit_code == 0);
+    Bytes bytes = read_bytes(rgs);
+    if (arguments[2] == "--lod") {
+      const auto paged = PagedFile::open(bytes);
+      REQUIRE(paged);
+      bytes = leaves_as_file(*paged).value();
+    }
+    const auto file = FileView::open(bytes);
+    REQUIRE(file);
+    std::map<std::array<float, 3>, std::uint64_t> last;  // position in the source of the last one at a mean, plus 1
+    std::uint64_t n_shared = 0;
+    for (std::uint64_t i = 0; i < file->header().n_gaussians; ++i) {
+      const std::uint64_t at = file->source_index(i), in_cloud = at % cloud.size();
+      std::uint64_t& before =
+          last[{cloud.mean[3 * in_cloud], cloud.mean[3 * in_cloud + 1], cloud.mean[3 * in_cloud + 2]}];
+      n_shared += before > 0;
+      REQUIRE(before <= at);
+      before = at + 1;
+    }
+    CHECK(n_shared > 500);
+  }
 }
 
 TEST_CASE("an .rgs whose last values break a rule gives no PLY, whatever its profile and order") {

@@ -85,7 +85,7 @@ std::uint32_t check_units(const cuda::TurboLongList& list, std::uint32_t own, co
     std::sort(part.begin(), part.end());
     CHECK_MESSAGE(std::equal(part.begin(), part.end(), entries.begin() + begin), "entries ", begin, " to ", end);
     // The list is too long because of its last bin alone: of a very long list that holds one depth, or few others.
-    if (n >= cuda::kTurboRankedList) {
+    if (n >= cuda::kTurboSampledList) {
       std::size_t most = 0, run = 0;
       for (std::size_t k = 0; k < part.size(); ++k) {
         run = k > 0 && cuda::depth_of(part[k]) == cuda::depth_of(part[k - 1]) ? run + 1 : 1;
@@ -609,13 +609,13 @@ TEST_CASE("a few distant Gaussians do not crowd the rest of a very long list int
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   Random random(813);
   std::vector<Splat> splats;
-  for (std::uint32_t i = 0; i < cuda::kTurboRankedList + 4000; ++i) {
+  for (std::uint32_t i = 0; i < cuda::kTurboSampledList + 4000; ++i) {
     const double z = i % 400 == 0 ? std::exp(random.uniform(std::log(5), std::log(1e4))) : random.uniform(4, 4.4);
     splats.push_back(splat_at(random.uniform(-0.4, 0.4) * z, random.uniform(-0.4, 0.4) * z, z, 0.01 * z, 0.3));
   }
   const Scene scene = scene_of(cloud_of(splats));
   const Lists lists = check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), one_tile());
-  REQUIRE(lists.tiles[0].size() >= cuda::kTurboRankedList);
+  REQUIRE(lists.tiles[0].size() >= cuda::kTurboSampledList);
   // Bins of equal width would make 69. The sample follows the order of runs, which atomic additions decide: rarely, a
   // bin more is left too large.
   CHECK(lists.n_shares <= 8);
@@ -633,6 +633,45 @@ TEST_CASE("a list with more entries of one depth than a sample distinguishes is 
   CHECK(check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), one_tile()).n_units > 1000);
 }
 
+namespace {
+
+/// Whether units of so many shares deal a part's entries out in the order of the entries.
+void check_units(const std::vector<TurboEntry>& part, std::uint32_t n_shares) {
+  const auto n = static_cast<std::uint32_t>(part.size());
+  std::vector<TurboEntry> in_order = part;
+  std::sort(in_order.begin(), in_order.end());
+  std::vector<std::uint32_t> expected;
+  cuda::TurboLongList list{};
+  for (std::uint32_t c = 0; c < cuda::kTurboCells; ++c) {
+    list.cell_begin[c] = static_cast<std::uint32_t>(expected.size());
+    for (const TurboEntry entry : in_order) {
+      if (cuda::touches(entry, c)) expected.push_back(cuda::index_of(entry));
+    }
+  }
+  std::vector<cuda::TurboUnit> units;
+  for (std::uint32_t share = 0; share < n_shares; ++share) units.push_back({0, n, 0, share});
+  TurboState begun{};
+  begun.n_units = n_shares;
+
+  const DeviceArray<TurboState> state{std::span<const TurboState>(&begun, 1)};
+  const DeviceArray<TurboEntry> scratch{std::span<const TurboEntry>(part)};
+  const DeviceArray<cuda::TurboLongList> lists{std::span<const cuda::TurboLongList>(&list, 1)};
+  const DeviceArray<cuda::TurboUnit> device_units{std::span<const cuda::TurboUnit>(units)};
+  DeviceArray<std::uint32_t> unit_cells(std::size_t{n_shares} * cuda::kTurboCells);
+  unit_cells.fill(0);
+  const DeviceArray<std::uint32_t> gaussians(expected.size());
+  cuda::TurboArrays arrays{};
+  arrays.n_tiles = 1;
+  arrays.state = state.data(), arrays.scratch = scratch.data(), arrays.long_lists = lists.data();
+  arrays.units = device_units.data(), arrays.unit_cells = unit_cells.data();
+  arrays.cell_gaussians = gaussians.data(), arrays.cell_capacity = expected.size();
+  require_ok(cuda::launch_turbo_units(arrays, nullptr));
+  CHECK(gaussians.download() == expected);
+  unit_cells.check_guards();
+}
+
+}  // namespace
+
 TEST_CASE("a share that the sample makes too large is ordered in rounds") {
   if (!device_answers()) return;
   // The sample takes every second entry of this part. These are its first half in order, so that the last of four
@@ -648,110 +687,33 @@ TEST_CASE("a share that the sample makes too large is ordered in rounds") {
       const auto cells = static_cast<std::uint32_t>(random.below(1u << cuda::kTurboCells));
       part.push_back(cuda::make_entry(math::depth_bits(4.0F) + (one_depth ? 0 : index), index, cells));
     }
-    std::vector<TurboEntry> in_order = part;
-    std::sort(in_order.begin(), in_order.end());
-    std::vector<std::uint32_t> expected;
-    cuda::TurboLongList list{};
-    for (std::uint32_t c = 0; c < cuda::kTurboCells; ++c) {
-      list.cell_begin[c] = static_cast<std::uint32_t>(expected.size());
-      for (const TurboEntry entry : in_order) {
-        if (cuda::touches(entry, c)) expected.push_back(cuda::index_of(entry));
-      }
-    }
-    std::vector<cuda::TurboUnit> units;
-    for (std::uint32_t share = 0; share < kUnits; ++share) units.push_back({0, kEntries, 0, share});
-    TurboState begun{};
-    begun.n_units = kUnits;
-
-    const DeviceArray<TurboState> state{std::span<const TurboState>(&begun, 1)};
-    const DeviceArray<TurboEntry> scratch{std::span<const TurboEntry>(part)};
-    const DeviceArray<cuda::TurboLongList> lists{std::span<const cuda::TurboLongList>(&list, 1)};
-    const DeviceArray<cuda::TurboUnit> device_units{std::span<const cuda::TurboUnit>(units)};
-    DeviceArray<std::uint32_t> unit_cells(std::size_t{kUnits} * cuda::kTurboCells);
-    unit_cells.fill(0);
-    const DeviceArray<std::uint32_t> gaussians(expected.size());
-    cuda::TurboArrays arrays{};
-    arrays.n_tiles = 1;
-    arrays.state = state.data(), arrays.scratch = scratch.data(), arrays.long_lists = lists.data();
-    arrays.units = device_units.data(), arrays.unit_cells = unit_cells.data();
-    arrays.cell_gaussians = gaussians.data(), arrays.cell_capacity = expected.size();
-    require_ok(cuda::launch_turbo_units(arrays, nullptr));
-    CHECK(gaussians.download() == expected);
-    unit_cells.check_guards();
+    check_units(part, kUnits);
   }
 }
 
-TEST_CASE("units without ranks order equal depths by values, and report when more are equal than fit a round") {
+TEST_CASE("units order equal depths by index, in a round and in more") {
   if (!device_answers()) return;
-  constexpr std::uint32_t kEntries = 3 * cuda::kTurboRound - 5, kShares = cuda::turbo_shares(kEntries);
-  // Row i of the scene is drawn as row n - 1 - i, and earlier rows have larger x: values and indices disagree.
-  constexpr std::uint32_t kChunk = 32, kChunks = (kEntries + kChunk - 1) / kChunk;
-  std::vector<float> means(3 * std::size_t{kChunks} * kChunk);
-  std::vector<std::uint32_t> chunks;
-  for (std::uint32_t k = 0; k < kChunks; ++k) chunks.push_back(kChunks - 1 - k);
-  const auto x_of = [&](std::uint32_t index) {
-    return static_cast<float>(index * 7919 % 4096);  // for equal x: by y
-  };
-  for (std::uint32_t i = 0; i < kEntries; ++i) {
-    const std::size_t row = std::size_t{chunks[i / kChunk]} * kChunk + i % kChunk;
-    means[3 * row] = x_of(i), means[3 * row + 1] = -static_cast<float>(i);
-  }
-  // Depths of one, of a few, of a thousand Gaussians, and one depth of all.
-  for (const std::uint32_t each : {1u, 5u, 1000u, kEntries}) {
-    CAPTURE(each);
-    SplitMix random(813);
-    std::vector<TurboEntry> part;
-    for (std::uint32_t k = 0; k < kEntries; ++k) {
-      const auto cells = static_cast<std::uint32_t>(random.below(1u << cuda::kTurboCells));
-      part.push_back(cuda::make_entry(math::depth_bits(4.0F) + k / each, k, cells));
-    }
-    std::shuffle(part.begin(), part.end(), std::mt19937(814));
-    std::vector<TurboEntry> in_order = part;
-    std::sort(in_order.begin(), in_order.end(), [&](TurboEntry a, TurboEntry b) {
-      const std::uint32_t i = cuda::index_of(a), j = cuda::index_of(b);
-      if (cuda::depth_of(a) != cuda::depth_of(b)) return cuda::depth_of(a) < cuda::depth_of(b);
-      return x_of(i) != x_of(j) ? x_of(i) < x_of(j) : i > j;
-    });
-    std::vector<std::uint32_t> expected;
-    cuda::TurboLongList list{};
-    for (std::uint32_t c = 0; c < cuda::kTurboCells; ++c) {
-      list.cell_begin[c] = static_cast<std::uint32_t>(expected.size());
-      for (const TurboEntry entry : in_order) {
-        if (cuda::touches(entry, c)) expected.push_back(cuda::index_of(entry));
+  for (const std::uint32_t n : {cuda::kTurboRound, 3 * cuda::kTurboRound - 5}) {
+    // Depths of one, of a few, of a thousand Gaussians, and one depth of all; near each other, and far apart.
+    for (const std::uint32_t each : {1u, 5u, 1000u, n}) {
+      for (const std::uint32_t apart : {1u, 1u << 16}) {
+        CAPTURE(n);
+        CAPTURE(each);
+        CAPTURE(apart);
+        SplitMix random(813);
+        std::vector<TurboEntry> part;
+        for (std::uint32_t k = 0; k < n; ++k) {
+          const auto cells = static_cast<std::uint32_t>(random.below(1u << cuda::kTurboCells));
+          part.push_back(cuda::make_entry(math::depth_bits(4.0F) + k / each * apart, 4099 * k % (1u << 25), cells));
+        }
+        std::shuffle(part.begin(), part.end(), std::mt19937(814));
+        check_units(part, cuda::turbo_shares(n));
       }
     }
-    std::vector<cuda::TurboUnit> units;
-    for (std::uint32_t share = 0; share < kShares; ++share) units.push_back({0, kEntries, 0, share});
-    TurboState begun{};
-    begun.n_units = kShares;
-    const DeviceArray<TurboState> state{std::span<const TurboState>(&begun, 1)};
-    const DeviceArray<TurboEntry> scratch{std::span<const TurboEntry>(part)};
-    const DeviceArray<cuda::TurboLongList> lists{std::span<const cuda::TurboLongList>(&list, 1)};
-    const DeviceArray<cuda::TurboUnit> device_units{std::span<const cuda::TurboUnit>(units)};
-    DeviceArray<std::uint32_t> unit_cells(std::size_t{kShares} * cuda::kTurboCells);
-    unit_cells.fill(0);
-    const DeviceArray<std::uint32_t> gaussians(expected.size());
-    const DeviceArray<float> device_means{std::span<const float>(means)};
-    const DeviceArray<std::uint32_t> device_chunks{std::span<const std::uint32_t>(chunks)};
-    DeviceArray<std::uint32_t> wants_ranks(1);
-    wants_ranks.fill(0);
-    cuda::TurboArrays arrays{};
-    arrays.n_tiles = 1;
-    arrays.state = state.data(), arrays.scratch = scratch.data(), arrays.long_lists = lists.data();
-    arrays.units = device_units.data(), arrays.unit_cells = unit_cells.data();
-    arrays.cell_gaussians = gaussians.data(), arrays.cell_capacity = expected.size();
-    arrays.rows.attributes.mean = device_means.data();
-    arrays.rows.attributes.chunk_size = kChunk;
-    arrays.rows.chunks = device_chunks.data();
-    arrays.wants_ranks = wants_ranks.data();
-    require_ok(cuda::launch_turbo_units(arrays, nullptr));
-    const bool too_many = each == kEntries;
-    CHECK(wants_ranks.download().front() == (too_many ? 1 : 0));
-    if (!too_many) CHECK(gaussians.download() == expected);
   }
 }
 
-TEST_CASE("lists longer than a round are still ordered, equal depths in tie order") {
+TEST_CASE("lists longer than a round are still ordered, equal depths in the order of the scene") {
   if (!device_answers()) return;
   for (const bool far : {false, true}) {
     CAPTURE(far);
@@ -770,7 +732,8 @@ TEST_CASE("lists longer than a round are still ordered, equal depths in tie orde
     if (!far) CHECK(largest_difference(device.depth, host.depth) <= 0.01);
     auto reversed = splats;
     std::reverse(reversed.begin(), reversed.end());
-    CHECK(render_with(reversed, turbo_options(), Backend::cuda).rgb == device.rgb);
+    CHECK(psnr(render_with(reversed, turbo_options(), Backend::cuda).rgb,
+               render_with(reversed, turbo_options(), Backend::cpu).rgb) >= 65);
   }
 }
 

@@ -93,7 +93,7 @@ TEST_CASE("the JSON report holds every mode and size") {
   CHECK(blend["time_over_floor"].get<double>() == doctest::Approx(0.5208 / blend["floor_ms"].get<double>()));
 }
 
-TEST_CASE("the JSON report states which modes draw equal depths in tie order") {
+TEST_CASE("the JSON report states which modes draw equal depths in the order of the scene") {
   Report report = sample_report();
   for (ModeReport& mode : report.modes) mode.configuration.options.paper.deterministic = false;
   report.modes.push_back({make_mode("turbo", {}), {}});
