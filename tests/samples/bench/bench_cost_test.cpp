@@ -37,7 +37,7 @@ const Cost& of(const StageCosts& costs, Stage stage) {
 TEST_CASE("bytes of the baseline's stages") {
   const StageCosts costs = stage_costs(small_work(make_mode("baseline", {})));
   // Means of 10; rotation, scale, opacity and 48 coefficients of 4, their splats and rectangles; 10 tile counts.
-  CHECK(of(costs, Stage::project).bytes == 10 * (4 + 12) + 4 * (32 + 192 + 48 + 16) + 10 * 4);
+  CHECK(of(costs, Stage::project).bytes == 10 * 12 + 4 * (32 + 192 + 48 + 16) + 10 * 4);
   // Sum: 10 x (4 read, 8 written). Duplication: sums, 4 x (rectangle, a sector for z), 3 pairs of 12. Ranges: 3 keys of
   // 8, one range twice.
   CHECK(of(costs, Stage::bin).bytes == 10 * 12 + 10 * 8 + 4 * (16 + 32) + 3 * 12 + 3 * 8 + 2 * 8);
@@ -52,7 +52,7 @@ TEST_CASE("bytes of the baseline's stages") {
 
 TEST_CASE("bytes of the paper's stages") {
   const StageCosts costs = stage_costs(small_work(make_mode("paper", {})));
-  CHECK(of(costs, Stage::project).bytes == 10 * (4 + 12) + 4 * (16 + 48 + 48) + 3 * 8);  // pairs of 8
+  CHECK(of(costs, Stage::project).bytes == 10 * 12 + 4 * (16 + 48 + 48) + 3 * 8);  // pairs of 8
   CHECK(of(costs, Stage::bin).bytes == 3 * 4 + 2 * 8);
   CHECK(of(costs, Stage::sort).bytes == 3 * (4 + 2 * 4 * 8));
 }
