@@ -302,6 +302,8 @@ class StreamedScene:
         A pool shared with other scenes, instead.
     prefetch : bool
         Also request what a moving camera is about to see.
+    open_seconds : float
+        The most that opening an address may take, until its coarsest page has come.
 
     Use it in a ``with`` statement, or call :meth:`close`: it has threads. Frames show resident pages and wait for nothing;
     :meth:`Renderer.refine` waits.
@@ -316,14 +318,15 @@ class StreamedScene:
     """
 
     def __init__(self, path: Path, *, host_memory: Optional[int] = None, device_memory: Optional[int] = None,
-                 pool: Optional[StreamPool] = None, prefetch: bool = True, max_expansion: Optional[int] = None) -> None:
+                 pool: Optional[StreamPool] = None, prefetch: bool = True, max_expansion: Optional[int] = None,
+                 open_seconds: float = 60.0) -> None:
         budget = {name: value for name, value in (("host_memory", host_memory), ("device_memory", device_memory))
                   if value is not None}
         if pool is not None and budget:
             raise argument_error(f"{' and '.join(budget)} are those of the pool that is given")
         self._pool = StreamPool(**budget) if pool is None else pool
         self._native = _roofgs.open_stream(encoded(path), self._pool._native, prefetch,
-                                           _count_or_none(max_expansion, "max_expansion"))
+                                           _count_or_none(max_expansion, "max_expansion"), float(open_seconds))
 
     def __len__(self) -> int:
         return self._native.n

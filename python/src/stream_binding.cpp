@@ -25,13 +25,14 @@ StreamPool make_pool(std::uint64_t host_memory, std::uint64_t device_memory) {
 }
 
 PyStream open(const std::string& name, const StreamPool& pool, bool prefetch,
-              std::optional<std::uint64_t> max_expansion) {
+              std::optional<std::uint64_t> max_expansion, double open_seconds) {
   const std::stop_source stop;
   const auto work = [=]() -> Result<StreamedScene> {
     StreamOptions options;
     options.pool = pool;
     options.prefetch = prefetch;
     options.url.stop = stop.get_token();
+    options.url.open_seconds = open_seconds;
     if (max_expansion) options.limits.max_expansion = *max_expansion;
     return StreamedScene::open(name, options);
   };
@@ -94,7 +95,7 @@ void bind_stream(py::module_& module) {
       .def("stats", &stats)
       .def("check", [](const PyStream& s) { take(asked(s, &StreamedScene::status), s.name()); })
       .def("close", &PyStream::close);
-  module.def("open_stream", &open, "name"_a, "pool"_a, "prefetch"_a, "max_expansion"_a);
+  module.def("open_stream", &open, "name"_a, "pool"_a, "prefetch"_a, "max_expansion"_a, "open_seconds"_a);
 }
 
 }  // namespace rgs::python

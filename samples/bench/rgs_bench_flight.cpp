@@ -171,7 +171,9 @@ struct Bench {
   std::optional<Picture> shown = {};  ///< target of frames that are not compared
 
   Result<rgs::StreamedScene> open(const rgs::StreamPool& pool) const {
-    return rgs::StreamedScene::open(options.scene, {.pool = pool});
+    rgs::UrlOptions way;
+    if (options.wait > 0) way.open_seconds = std::min(options.wait, 86400.);
+    return rgs::StreamedScene::open(options.scene, {.pool = pool, .url = way});
   }
   Result<rgs::StreamPool> pool() const {
     return rgs::StreamPool::create(

@@ -546,10 +546,14 @@ int render_streamed(const Options& options) {
   if (options.device_memory) budget.device_memory = *options.device_memory;
   const auto pool = rgs::StreamPool::create(budget);
   if (!pool) return tool::report("", pool.error());
-  auto source = rgs::open_source(options.scene);
+  rgs::UrlOptions way;
+  if (const double most = options.wait.value_or(0); most > 0) way.open_seconds = std::min(most, 86400.);
+  auto source = rgs::open_source(options.scene, way);
   if (!source) return tool::report(shown_scene(options), source.error());
   const std::uint64_t file_bytes = (*source)->size();
-  const auto scene = rgs::StreamedScene::open(*std::move(source), {.pool = *pool, .limits = options.limits});
+  way.open_seconds -= seconds_since(opened);
+  const auto scene =
+      rgs::StreamedScene::open(*std::move(source), {.pool = *pool, .limits = options.limits, .url = way});
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scene) return report_not_streamed(options, scene.error());
   const double load_seconds = seconds_since(start);
@@ -653,9 +657,13 @@ void add_options(CLI::App& app, Options& o) {
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->group(stream);
-  auto* const wait = app.add_option("--wait", o.wait, "seconds to wait for a frame before it is drawn incomplete [60]")
-                         ->check(CLI::Range(0.0, 1e6))
-                         ->group(stream);
+  auto* const wait =
+      app.add_option(
+             "--wait", o.wait,
+             "seconds to wait for the opening of an address, and for each frame before it is drawn incomplete [60]; 0: "
+             "draw what the opening has read")
+          ->check(CLI::Range(0.0, 1e6))
+          ->group(stream);
   app.add_option("--realtime", o.realtime,
                  "frames of --path a second, drawn on time from the resident pages; coarser where time is short")
       ->check(CLI::Range(0.001, 1e4))

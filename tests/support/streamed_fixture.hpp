@@ -92,6 +92,7 @@ struct Script {
   bool is_cancelled = false;
   int n_held = 0, n_allowed = 0;  // waiting reads; those that may go on
 
+  std::vector<double> limits;  ///< of set_limit()
   /// Lets a waiting read go on, if there is one.
   void let_one_go() {
     const std::scoped_lock lock(mutex);
@@ -124,6 +125,7 @@ class ScriptedSource final : public ByteSource {
     script_->is_cancelled = true;
     script_->opened.notify_all();
   }
+  void set_limit(double seconds) override { script_->limits.push_back(seconds); }
   Traits traits() const override { return traits_; }
 
  private:

@@ -25,6 +25,9 @@ class ByteSource {
   virtual Status read(std::uint64_t offset, std::span<std::byte> out) = 0;
   /// Ends reads in progress soon, and all later ones at once, with Errc::cancelled.
   virtual void cancel() noexcept = 0;
+  /// Reads that have not ended so many seconds from now on fail (read_failed), and so do later ones; infinity: no limit.
+  /// A source that never waits for long ignores it.
+  virtual void set_limit([[maybe_unused]] double seconds) {}
 
   /// How to read efficiently. Constant.
   struct Traits {
@@ -42,8 +45,10 @@ Result<std::unique_ptr<ByteSource>> open_file_source(const std::string& path);
 
 /// How to talk to a web server.
 struct UrlOptions {
-  int reads_at_once = 6;        ///< requests in flight, 1 to 64; over one connection with HTTP/2
-  int retries = 6;              ///< of one read, in a row without a byte; pauses of 0.25 s, doubled up to 8 s
+  int reads_at_once = 6;  ///< requests in flight, 1 to 64; over one connection with HTTP/2
+  int retries = 6;        ///< of one read, in a row without a byte; pauses of 0.25 s, doubled up to 8 s
+  /// To open, with all requests, redirects and retries; for a StreamedScene until its coarsest page has come.
+  double open_seconds = 60;
   double connect_seconds = 10;  ///< to establish a connection
   double stall_seconds = 20;    ///< without a byte, or without the response's head; then the request is repeated
   int most_redirects = 5;       ///< of one request; never from https to http

@@ -53,7 +53,7 @@ class StreamPool {
 struct StreamOptions {
   std::optional<StreamPool> pool;  ///< absent: a pool of its own
   DecodeLimits limits = {};
-  UrlOptions url = {};
+  UrlOptions url = {};   ///< with a source of the caller's, open_seconds alone: from then on
   bool prefetch = true;  ///< also read what a moving camera is about to see
 };
 

@@ -17,6 +17,7 @@
 #include <condition_variable>
 #include <cstring>
 #include <functional>
+#include <limits>
 #include <mutex>
 #include <optional>
 #include <random>
@@ -46,7 +47,9 @@ constexpr std::uint64_t kMostBytes =
     256 << 10;  // of a read, where there is a choice: small, so that the next one starts soon
 constexpr std::size_t kMostHeadBytes = 64 << 10;  // of a response, with those of 1xx before it; servers send about 500
 constexpr long kBufferBytes = 64 << 10;           // of libcurl, for each slot
+constexpr const char* kLate = "the server takes longer than allowed to open the file";
 constexpr const char* kLongHead = "the head of the server's answer is too long";
+constexpr double kLongest = 86400;                                          // of all times, seconds
 constexpr double kFirstPause = 0.25, kMostPause = 8, kMostRetryAfter = 30;  // seconds
 
 Clock::duration seconds(double s) {
@@ -254,6 +257,7 @@ class UrlSource final : public ByteSource {
     Request first;
     first.out = beginning_;
     first.opens = true;
+    set_limit(options_.open_seconds);
     if (Status s = wait_for(first); !s) {
       Error error = s.error();
       if (error.code == Errc::read_failed) error.code = Errc::open_failed;
@@ -261,6 +265,7 @@ class UrlSource final : public ByteSource {
       return tl::unexpected(error);
     }
     beginning_.resize(first.done);
+    set_limit(std::numeric_limits<double>::infinity());
     return {};
   }
 
@@ -288,6 +293,12 @@ class UrlSource final : public ByteSource {
   void cancel() noexcept override {
     const std::scoped_lock lock(mutex_);
     cancelled_ = true;
+    if (multi_) ::curl_multi_wakeup(multi_.get());
+  }
+
+  void set_limit(double seconds) override {
+    const std::scoped_lock lock(mutex_);
+    limit_ = seconds;
     if (multi_) ::curl_multi_wakeup(multi_.get());
   }
 
@@ -377,6 +388,7 @@ class UrlSource final : public ByteSource {
       for (Slot& slot : slots_) {
         if (slot.request != nullptr && slot.deadline <= now_) stalled(slot);
       }
+      if (until_ <= now_) end_late_ones();
       ::curl_multi_poll(multi_.get(), nullptr, 0, pause_ms(), nullptr);
     }
     take_arrived();  // the last ones: none is queued after cancel()
@@ -399,6 +411,8 @@ class UrlSource final : public ByteSource {
   void take_arrived() {
     const std::scoped_lock lock(mutex_);
     append(waiting_, std::exchange(arrived_, nullptr));
+    if (limit_) until_ = *limit_ <= kLongest ? now_ + seconds(*limit_) : Clock::time_point::max();
+    limit_.reset();
   }
 
   static void append(Request*& queue, Request* last) {
@@ -415,9 +429,10 @@ class UrlSource final : public ByteSource {
       if (slot.request == nullptr) {
         slot_free = true;
       } else {
-        due = std::min(due, slot.deadline);
+        due = std::min({due, until_, slot.deadline});
       }
     }
+    if (waiting_ != nullptr) due = std::min(due, until_);
     for (const Request* request = waiting_; slot_free && request != nullptr; request = request->next) {
       due = std::min(due, request->not_before);
     }
@@ -428,7 +443,7 @@ class UrlSource final : public ByteSource {
 
   void start_waiting() {
     for (Slot& slot : slots_) {
-      if (slot.request != nullptr) continue;
+      if (slot.request != nullptr || until_ <= now_) continue;
       Request** at = &waiting_;
       while (*at != nullptr && (*at)->not_before > now_) at = &(*at)->next;
       if (*at == nullptr) return;
@@ -468,6 +483,22 @@ class UrlSource final : public ByteSource {
     // The connection may be dead unnoticed; the last transfer over it closes it.
     ::curl_easy_setopt(slot.easy.get(), CURLOPT_FORBID_REUSE, 1L);
     ended(slot, CURLE_OPERATION_TIMEDOUT);
+  }
+
+  void end_late_ones() {
+    const auto late = [](const Request& request) {
+      return make_error(Errc::read_failed, request.offset + request.done, kLate);
+    };
+    // Readers first: ending a transfer may wait for a name lookup.
+    for (Slot& slot : slots_) {
+      if (slot.request == nullptr) continue;
+      release(slot, late(*slot.request));
+      ::curl_easy_setopt(slot.easy.get(), CURLOPT_FORBID_REUSE, 1L);  // the rest of the answer still comes
+      ::curl_multi_remove_handle(multi_.get(), slot.easy.get());
+    }
+    while (Request* request = std::exchange(waiting_, waiting_ != nullptr ? waiting_->next : nullptr)) {
+      finish(*request, late(*request));
+    }
   }
 
   // A transfer has ended, successfully or not.
@@ -575,12 +606,14 @@ class UrlSource final : public ByteSource {
   std::unique_ptr<CURLM, MultiDeleter> multi_;
   std::unique_ptr<curl_slist, ListDeleter> head_;
 
-  std::mutex mutex_;  // of these two, and of Request::finished
+  std::mutex mutex_;  // of these three, and of Request::finished
   std::atomic<bool> cancelled_{false};
   Request* arrived_ = nullptr;
+  std::optional<double> limit_;  // set_limit()'s, until the thread sees it
 
-  Clock::time_point now_{};  // of this turn
-  std::string url_;          // where redirects led
+  Clock::time_point now_{};                             // of this turn
+  Clock::time_point until_ = Clock::time_point::max();  // end of the limit
+  std::string url_;                                     // where redirects led
   std::vector<Slot> slots_;
   Request* waiting_ = nullptr;
   std::minstd_rand random_;
@@ -590,9 +623,9 @@ class UrlSource final : public ByteSource {
 };
 
 bool in_range(const UrlOptions& o) {
-  const auto is_time = [](double s) { return s > 0 && s <= 86400; };
+  const auto is_time = [](double s) { return s > 0 && s <= kLongest; };
   return o.reads_at_once >= 1 && o.reads_at_once <= 64 && o.retries >= 0 && o.most_redirects >= 0 &&
-         is_time(o.connect_seconds) && is_time(o.stall_seconds);
+         is_time(o.open_seconds) && is_time(o.connect_seconds) && is_time(o.stall_seconds);
 }
 
 }  // namespace

@@ -3,6 +3,7 @@
 #include "rgs/streamed_scene.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <system_error>
 #include <utility>
 
@@ -186,9 +187,11 @@ Result<std::shared_ptr<StreamedState>> StreamedState::open(std::unique_ptr<ByteS
   state->pool = std::move(pool);
   state->source = std::move(source);
   state->prefetches = options.prefetch;
+  state->source->set_limit(options.url.open_seconds);
   Status ok = state->read_tables(options.limits);
   if (ok) ok = state->make_room_for_pages();
   if (ok) ok = state->read_root();
+  state->source->set_limit(std::numeric_limits<double>::infinity());
   if (ok) ok = state->start_threads();
   if (!ok) return tl::unexpected(ok.error());
   return state;

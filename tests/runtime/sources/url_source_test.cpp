@@ -40,7 +40,7 @@ constexpr std::size_t kBytes = 100000;
 UrlOptions patient() {
   UrlOptions options;
   options.retries = 1;
-  options.connect_seconds = options.stall_seconds = 86400;
+  options.open_seconds = options.connect_seconds = options.stall_seconds = 86400;
   return options;
 }
 UrlOptions untiring() {
@@ -412,6 +412,60 @@ TEST_CASE("a silent server, or one that never ends a header, is retried as often
   }
 }
 
+TEST_CASE("opening ends at its limit, whatever the server does, and later reads have none") {
+  UrlOptions options = untiring();
+  options.stall_seconds = kStall;
+  options.open_seconds = 2.5 * kStall;
+  // Silent; a byte now and then; busy for long; redirects without end.
+  const std::string busy = "HTTP/1.1 503 whatever\r\nRetry-After: 99999999\r\nContent-Length: 0\r\n\r\n";
+  for (const std::string& said : {std::string(), Timed::head(0, kBeginning), busy}) {
+    CAPTURE(said);
+    const test::HandServer server;
+    UrlTime time;
+    auto opening =
+        std::async(std::launch::async, [&] { return detail::open_url_source(server.url(), options, time.clock()); });
+    const auto peer = server.accept();
+    CHECK(peer->asks("bytes=0-65535"));
+    peer->send(said);
+    for (int i = 0; i < 4; ++i) {
+      time.advance(0.5 * kStall);
+      if (said.starts_with("HTTP/1.1 206")) peer->send("x");
+    }
+    time.advance_last(0.5 * kStall);
+    const auto source = opening.get();
+    REQUIRE_FALSE(source);
+    CHECK(source.error().code == Errc::open_failed);
+    CHECK(has(source.error().what, "longer than allowed"));
+  }
+  const HostileServer redirects;
+  options.most_redirects = std::numeric_limits<int>::max();
+  options.open_seconds = 0.01;
+  const auto source = open_url_source(redirects.url("/loop"), options);
+  REQUIRE_FALSE(source);
+  CHECK(has(source.error().what, "longer than allowed"));
+
+  Timed timed(std::numeric_limits<int>::max());
+  timed.time.advance(86400);  // the limit of opening is over
+  timed.time.advance(0.25);
+  timed.expect_again("bytes=100000-199999");
+  timed.source->set_limit(1);
+  timed.time.advance(0);
+  timed.time.advance(1);
+  const Status read = timed.reading.get();
+  REQUIRE_FALSE(read);
+  CHECK(read.error().code == Errc::read_failed);
+  CHECK(read.error().offset == kFrom);
+  std::vector<std::byte> bytes(kBytes);
+  CHECK(has(timed.source->read(kFrom, bytes).error().what, "longer than allowed"));
+  timed.source->set_limit(std::numeric_limits<double>::infinity());
+  timed.reading = std::async(std::launch::async, [&] { return timed.source->read(kFrom, bytes); });
+  timed.peer = timed.server.accept();
+  CHECK(timed.peer->asks("bytes=100000-199999"));
+  timed.send(Timed::head(100000, 200000) + Timed::bytes(100000, 200000));
+  CHECK(timed.reading.get());
+  CHECK(are_bytes_from(kFrom, bytes));
+}
+
 TEST_CASE("pauses between attempts grow, and are at least as long as the server says") {
   Timed timed(3);
   const auto comes_after = [&](double least, double most, const std::string& fields) {
@@ -617,11 +671,12 @@ TEST_CASE("an address without a server, and an invalid one, fail at once") {
     options.*field = value;
     return options;
   };
-  for (const UrlOptions& options : {with(&UrlOptions::reads_at_once, 0), with(&UrlOptions::reads_at_once, 65),
-                                    with(&UrlOptions::retries, -1), with(&UrlOptions::most_redirects, -1),
-                                    with(&UrlOptions::connect_seconds, 0.), with(&UrlOptions::stall_seconds, -1.),
-                                    with(&UrlOptions::stall_seconds, std::numeric_limits<double>::quiet_NaN()),
-                                    with(&UrlOptions::connect_seconds, 1e300)}) {
+  for (const UrlOptions& options :
+       {with(&UrlOptions::reads_at_once, 0), with(&UrlOptions::reads_at_once, 65), with(&UrlOptions::retries, -1),
+        with(&UrlOptions::most_redirects, -1), with(&UrlOptions::open_seconds, 0.),
+        with(&UrlOptions::connect_seconds, 0.), with(&UrlOptions::stall_seconds, -1.),
+        with(&UrlOptions::stall_seconds, std::numeric_limits<double>::quiet_NaN()),
+        with(&UrlOptions::connect_seconds, 1e300)}) {
     CHECK(code_of(server.url("/plain"), options) == Errc::bad_argument);
   }
   CHECK(code_of(server.url("/plain"), with(&UrlOptions::certificates, std::string("/no/such/file"))) ==

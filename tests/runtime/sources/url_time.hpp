@@ -45,6 +45,11 @@ class UrlTime {
     now_ += std::chrono::nanoseconds(std::llround(seconds * 1e9));
     turned_.wait(lock, [this, before = n_turns_] { return n_turns_ >= before + 2; });
   }
+  /// Advances the clock and returns at once: for a source that then ends.
+  void advance_last(double seconds) {
+    const std::scoped_lock lock(mutex_);
+    now_ += std::chrono::nanoseconds(std::llround(seconds * 1e9));
+  }
 
  private:
   std::mutex mutex_;

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 #include <optional>
 #include <thread>
 
@@ -315,6 +316,15 @@ TEST_CASE("scenes close while their source reads, and release their memory") {
     copy.reset();
     CHECK(pool->host_bytes() == 0);
   }
+}
+
+TEST_CASE("the source's reads of opening are limited in time, later ones are not") {
+  const Bytes bytes = town();
+  const auto script = std::make_shared<Script>();
+  StreamOptions options;
+  options.url.open_seconds = 7;
+  REQUIRE(StreamedScene::open(std::make_unique<ScriptedSource>(bytes, script), options));
+  CHECK(script->limits == std::vector<double>{7, std::numeric_limits<double>::infinity()});
 }
 
 TEST_CASE("cancelling the source gives a status, and the scene continues with its resident pages") {

@@ -651,6 +651,19 @@ TEST_CASE("an address is printed without its query") {
   CHECK(run.out.find("hidden") == std::string::npos);
 }
 
+TEST_CASE("--wait limits the opening of an address, whatever its server does") {
+  const StreamStage stage;
+  const rgs::test::HostileServer server;
+  for (const std::string kind : {"silent?", "slow?all&rate=1&", "status?code=503&retry_after=999999&"}) {
+    CAPTURE(kind);
+    const Outcome run =
+        stage.run("'" + server.url("/" + kind + "file=" + stage.file("town.rgs")) + "' --wait 0.05 --out @x.png");
+    CHECK(run.code == 3);
+    CHECK(run.out.find("longer than allowed") != std::string::npos);
+    CHECK(!stage.has("x.png"));
+  }
+}
+
 TEST_CASE("a file on a web server is drawn like a local one, and other formats are refused") {
   if (!rgs::test::Nginx::is_installed()) {
     rgs::test::skip_without_tool(std::string("there is no ") + rgs::test::Nginx::kProgram);
