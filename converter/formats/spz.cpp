@@ -586,7 +586,7 @@ template <class Compress>
 CodedStreams compress_all(const CodedStreams& streams, Compress compress) {
   std::array<std::future<std::vector<std::byte>>, kStreams> compressed;
   for (std::size_t i = kStreams; i-- > 0;) {  // SH, which takes longest, first
-    compressed[i] = std::async(std::launch::async, compress, std::cref(streams[i]), i);
+    compressed[i] = std::async(std::launch::async | std::launch::deferred, compress, std::cref(streams[i]), i);
   }
   CodedStreams out;
   for (std::size_t i = 0; i < kStreams; ++i) out[i] = compressed[i].get();

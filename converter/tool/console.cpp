@@ -1,9 +1,8 @@
-// console.cpp - start and end of the command-line programs, error reports, progress and number formats.
+// console.cpp - error reports, progress and number formats of the command-line programs.
 // SPDX-License-Identifier: Apache-2.0
 #include "console.hpp"
 
 #include <errno.h>  // program_invocation_short_name
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <signal.h>
 #include <unistd.h>
@@ -15,15 +14,11 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <exception>
 #include <limits>
-#include <new>
 #include <nlohmann/json.hpp>
-#include <stdexcept>
 #include <system_error>
 
 #include "info_escape.hpp"
-#include "rgs/file.hpp"
 
 namespace rgs::tool {
 namespace {
@@ -102,53 +97,6 @@ void print_json_error(std::string_view file, const Error& error, std::string_vie
                        {"hint", hint(error)}});
 }
 
-// Opens something for each closed standard stream. Otherwise the next opened file could get number 2, and messages
-// would be written into it. The placeholders fail reads and writes with EBADF, as a closed stream does.
-void occupy_standard_streams() {
-  for (const int fd : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
-    if (::fcntl(fd, F_GETFD) < 0 && errno == EBADF && ::open("/", O_PATH) != fd) ::_exit(kInputOutput);
-  }
-}
-
-int report_out_of_memory() {
-  if (json_messages()) return report({}, {.code = Errc::host_out_of_memory, .what = "out of memory"});
-  print_error(fmt::format("{}: out of memory [{}]\n  hint: {}\n", program(), errc_name(Errc::host_out_of_memory),
-                          hint({Errc::host_out_of_memory})));
-  return exit_code(Errc::host_out_of_memory);
-}
-
-int guarded(const std::function<int()>& body) {
-  try {
-    return body();
-  } catch (const std::bad_alloc&) {
-    return report_out_of_memory();
-  } catch (const std::length_error&) {  // of a container that cannot grow so far
-    return report_out_of_memory();
-  } catch (const std::exception& e) {
-    // A thread cannot be created, mostly for lack of memory for its stack; only the text of the exception says so.
-    const std::string_view what = e.what();
-    for (const int error : {EAGAIN, ENOMEM})
-      if (what.find(std::generic_category().message(error)) != what.npos) return report_out_of_memory();
-    if (json_messages()) {
-      print_json_error({}, {.code = Errc::internal}, e.what());
-    } else {
-      print_error(fmt::format("{}: internal error: {}\n", program(), printable(e.what())));
-    }
-  }
-  return kInternal;
-}
-
-// The exit code, after flushing all output.
-int finish(int code) {
-  flush();
-  if (code != kSuccess && code != kGate) return code;
-  if (const int error = g_output_error; error != 0) {
-    return report("standard output",
-                  {Errc::write_failed, Error::kNone, "cannot be written", Error::kNone, Error::kNone, error});
-  }
-  return g_message_error != 0 ? kInputOutput : code;
-}
-
 }  // namespace
 
 int worse_exit_code(int a, int b) {
@@ -185,6 +133,7 @@ const char* hint(const Error& error) {
     case EACCES:
     case EPERM: return "check the permissions of the file and its folder";
     case ENOENT: return "check the spelling; relative paths start at the current folder";
+    case EAGAIN: return "raise the limits on processes and memory (ulimit -u, ulimit -v)";
     case EMFILE: return "raise the limit on open files (ulimit -n)";
     default: break;
   }
@@ -224,10 +173,14 @@ int report_usage(std::string_view message) {
   return kUsage;
 }
 
-int run(const std::function<int()>& body) {
-  occupy_standard_streams();
-  remove_temporaries_on_signal();
-  return finish(guarded(body));
+int finish(int code) {
+  flush();
+  if (code != kSuccess && code != kGate) return code;
+  if (const int error = g_output_error; error != 0) {
+    return report("standard output",
+                  {Errc::write_failed, Error::kNone, "cannot be written", Error::kNone, Error::kNone, error});
+  }
+  return g_message_error != 0 ? kInputOutput : code;
 }
 
 void print(std::string_view text) {

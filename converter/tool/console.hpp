@@ -49,9 +49,11 @@ int report(const std::string& file, const Error& error);
 int report_usage(std::string_view message);
 /// Runs a program's body. Before it: reserves the numbers of closed standard streams; makes signals remove unfinished
 /// outputs, see remove_temporaries_on_signal(). After it: success and a failed gate become kInputOutput if standard
-/// output or standard error could not be written. Prints escaping exceptions: out of memory becomes kInputOutput, a bug
-/// kInternal.
+/// output or standard error could not be written. Prints escaping exceptions: out of memory or of threads becomes
+/// kInputOutput, a bug kInternal. Where fewer threads can be started than the machine has, oneTBB gets fewer.
 int run(const std::function<int()>& body);
+/// Flushes all output. Returns `code`, or kInputOutput for a success or a failed gate whose output could not be written.
+int finish(int code);
 
 /// Write to standard output and standard error; never throw. run() checks that all was written. Names in `text` must be
 /// escaped.

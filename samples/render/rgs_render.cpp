@@ -421,6 +421,7 @@ int draw_frames(const Options& options, rgs::Renderer& renderer, const AnyScene&
   rgs::RenderOptions how = render_options(options);
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   progress.begin("rendering", shots.size(), "frames");
+  Picture done;
   std::future<int> writing;
   for (const Shot& shot : shots) {
     Frame frame{&shot, {}};
@@ -431,9 +432,10 @@ int draw_frames(const Options& options, rgs::Renderer& renderer, const AnyScene&
     if (!is_complete(frame)) ++drawn.n_incomplete;
     if (writing.valid())
       if (const int code = writing.get(); code != tool::kSuccess) return code;
-    writing = std::async(std::launch::async, [&shot, &options, done = std::move(*picture)] {
-      return write_shot(shot, done, options.overwrite);
-    });
+    done = std::move(*picture);
+    // If no thread can be started it is written once the next frame is rendered.
+    writing = std::async(std::launch::async | std::launch::deferred,
+                         [&shot, &options, &done] { return write_shot(shot, done, options.overwrite); });
     drawn.frames.push_back(frame);
     progress.advance(1);
   }

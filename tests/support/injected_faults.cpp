@@ -5,7 +5,7 @@
 // RGS_FAULT_AT=N: the Nth call that changes a file or folder and all later ones fail with ENOSPC as on a full disk, where a
 //                 full disk lets them fail. With RGS_FAULT_KILLS=1 the program is killed by SIGKILL before the Nth instead.
 // RGS_NO_UNNAMED_FILES=1: as on a file system without O_TMPFILE.
-// RGS_MOST_THREADS=N: the process starts N threads; more fail with EAGAIN.
+// RGS_MOST_THREADS=N: N threads run beside the first; more fail with EAGAIN.
 //
 // Calls are counted within a process; a forked child goes on from its parent's count.
 #include <dlfcn.h>
@@ -61,6 +61,21 @@ bool may_open(int flags) {
     return false;
   }
   return (!is_unnamed(flags) && (flags & O_CREAT) == 0) || !fails(true);
+}
+
+std::atomic<long> g_threads{0};  // that run
+
+struct Start {
+  void* (*body)(void*);
+  void* argument;
+};
+
+void* run_thread(void* started) {
+  const Start start = *static_cast<Start*>(started);
+  delete static_cast<Start*>(started);
+  void* const result = start.body(start.argument);
+  --g_threads;
+  return result;
 }
 
 }  // namespace
@@ -134,8 +149,17 @@ int close(int fd) {
 int pthread_create(pthread_t* thread, const pthread_attr_t* attributes, void* (*body)(void*), void* argument) {
   RGS_NEXT(pthread_create);
   static const long most = number("RGS_MOST_THREADS", std::numeric_limits<long>::max());
-  static std::atomic<long> count{0};
-  return ++count > most ? EAGAIN : real(thread, attributes, body, argument);
+  if (++g_threads > most) {
+    --g_threads;
+    return EAGAIN;
+  }
+  auto* const start = new Start{body, argument};
+  const int error = real(thread, attributes, run_thread, start);
+  if (error != 0) {
+    --g_threads;
+    delete start;
+  }
+  return error;
 }
 
 }  // extern "C"

@@ -596,6 +596,41 @@ TEST_CASE("a program that gets no more memory says so with exit code 3") {
   }
 }
 
+TEST_CASE("a program that gets few threads works with those, or says so with exit code 3") {
+  if (kSanitized) return skip("sanitizers replace the function that starts threads");
+  const Scene scene(20'000);
+  std::vector<Arguments> runs = scene.runs(scene.file("out"));
+  for (const char* more : {"spz", "lod"})
+    runs.push_back({program("rgs-convert"), scene.ply, scene.file("few.") + more, "--to",
+                    more == std::string("spz") ? "spz" : "rgs", "--overwrite", "--no-sync"});
+  runs.back().emplace_back("--lod");
+  for (const std::string& path : kPrograms)
+    for (const char* option : {"--version", "--help"}) runs.push_back({path, option});
+  for (const Arguments& run : runs) {
+    CAPTURE(run.front());
+    CAPTURE(run.back());
+    const bool asks = run.back() == "--version" || run.back() == "--help";
+    for (int n = 0; n <= 6; ++n) {
+      CAPTURE(n);
+      const ProgramResult result = run_program(run, [n] {
+        ::setenv("LD_PRELOAD", RGS_INJECTED_FAULTS, 1);
+        ::setenv("RGS_MOST_THREADS", std::to_string(n).c_str(), 1);
+      });
+      CAPTURE(result.err);
+      CHECK(result.signal == 0);
+      // Libraries below OpenImageIO start four threads before main(): nothing runs without them.
+      if (result.exit_code == 0) continue;
+      CHECK(result.exit_code == 3);
+      CHECK(n < 4);
+      CHECK(result.err.find("[host_out_of_memory]") != std::string::npos);
+      CHECK(result.err.find("ulimit -u") != std::string::npos);
+      const std::string name = fs::path(run.front()).filename().string();
+      CHECK((name == "rgs-audit" || name == "rgs-render" || name == "rgs-view"));
+      if (asks) CHECK(result.out.empty());
+    }
+  }
+}
+
 TEST_CASE("the error for a wrong value lists the valid ones") {
   const Scene scene;
   const auto refused = [&](const Arguments& arguments, const char* choice) {
