@@ -7,6 +7,7 @@
 #   size=N      of the generated file, at most 400000; file=PATH serves another
 #   etag=, modified=   of the file; absent: no such header. etag2=, modified2=, size2= hold from the Nth request on
 # A line: "GET ADDRESS range=... auth=... agent=... encoding=..."
+# With an argument, one of RAW below, every connection gets that instead of HTTP.
 # SPDX-License-Identifier: Apache-2.0
 import collections
 import fcntl
@@ -19,6 +20,7 @@ import termios
 import threading
 import time
 import urllib.parse
+import zlib
 
 FIRST = "bytes=0-65535"
 
@@ -315,6 +317,64 @@ def many_informations(r):
         r.send(b"HTTP/1.1 103 Early Hints\r\nLink: nothing\r\n\r\n" * 100)
 
 
+def bad_chunk(r):
+    """`size` is the chunk's, in the server's words."""
+    body = r.body()
+    r.head(more=["Transfer-Encoding: chunked"])
+    r.send(r.options["size"].encode() + b"\r\n" + body + b"\r\n0\r\n\r\n")
+
+
+def other_length(r):
+    """Content-Length is `length`; with `twice` also the right one."""
+    body = r.body()
+    r.head(length=r.options["length"], more=[f"Content-Length: {len(body)}"] if "twice" in r.options else ())
+    r.send(body)
+
+
+def flipped(r):
+    """The right bytes, but for every `every`th of the file."""
+    body, every = bytearray(r.body()), int(r.options.get("every", 4099))
+    for i in range(-r.begin % every, len(body), every):
+        body[i] ^= 0x40
+    r.head(length=len(body))
+    r.send(body)
+    return True
+
+
+def zeros(r):
+    r.head(length=r.end - r.begin)
+    r.send(bytes(r.end - r.begin))
+    return True
+
+
+def shifted(r):
+    """The bytes of another range, labelled as the right one."""
+    body = r.file.bytes(max(0, r.begin - 4096), max(0, r.begin - 4096) + r.end - r.begin)
+    r.head(length=len(body))
+    r.send(body)
+    return True
+
+
+def really_gzip(r):
+    body = zlib.compress(r.body(), wbits=31)
+    r.head(length=len(body), more=["Content-Encoding: gzip"])
+    r.send(body)
+    return True
+
+
+def no_head(r):
+    r.send(r.body())
+
+
+def zero_in_head(r):
+    r.send(b"HTTP/1.1 206 what\0ever\r\nX: \0\r\n")
+    r.answer()
+
+
+def no_status(r):
+    r.send(b"HTTP/1.1\r\nContent-Length: 3\r\n\r\nabc")
+
+
 def early_hints(r):
     r.send(b"HTTP/1.1 103 Early Hints\r\nContent-Range: bytes 0-1/2\r\nETag: other\r\n\r\n")
     return plain(r)
@@ -338,6 +398,24 @@ def busy(r):
         changed.wait_for(lambda: at_work[1] >= int(r.options["n"]))
         at_work[0] -= 1
     return plain(r)
+
+
+# What a connection gets that is not HTTP.
+RAW = {"silent": b"", "close": None, "garbage": bytes(range(256)) * 40, "banner": b"SSH-2.0-nobody\r\n",
+       "tls-alert": b"\x15\x03\x03\x00\x02\x02\x28", "tls-half": b"\x16\x03\x03\x00\x7a\x02\x00\x00\x76\x03\x03",
+       "tls-long": b"\x16\x03\x03\xff\xff" + bytes(65535), "answer": b"HTTP/1.1 206 early\r\n\r\n"}
+
+
+def serve_raw(connection, said):
+    try:
+        if said is not None:
+            connection.sendall(said)
+            while connection.recv(4096):
+                pass
+    except OSError:
+        pass
+    finally:
+        connection.close()
 
 
 lock = threading.Lock()
@@ -387,4 +465,6 @@ def serve(connection):
 listener = socket.create_server(("127.0.0.1", 0), backlog=64)
 print("port", listener.getsockname()[1], flush=True)
 while True:
-    threading.Thread(target=serve, args=(listener.accept()[0],), daemon=True).start()
+    connection = listener.accept()[0]
+    target, args = (serve_raw, (connection, RAW[sys.argv[1]])) if len(sys.argv) > 1 else (serve, (connection,))
+    threading.Thread(target=target, args=args, daemon=True).start()
