@@ -119,11 +119,15 @@ struct RangeCounts {
   std::uint64_t opacity_zero = 0, opacity_one = 0;  ///< where the source is not 0 or 1
 };
 
-enum class PairedBy : std::uint8_t { permutation, order, means };
+enum class PairedBy : std::uint8_t { permutation, order, means, nearest };
+
+/// Which Gaussians source and asset share, whatever the asset's format.
+struct PairReport {
+  PairedBy by = PairedBy::means;
+  std::uint64_t n_paired = 0, n_source_only = 0, n_asset_only = 0;
+};
 
 struct AttributeReport {
-  PairedBy paired_by = PairedBy::means;
-  std::uint64_t n_paired = 0, n_source_only = 0, n_asset_only = 0;
   std::vector<AttributeError> errors;
   AttributeError colour;  ///< all degrees and channels of a Gaussian, over all directions
   std::vector<WorstList> worst;
@@ -159,7 +163,7 @@ struct PhotoScore {
 /// drawn, the equal background adds 20 dB: 28 dB on the drawn pixels would pass for 48 dB, "no visible loss".
 inline constexpr double kRatedShare = 0.01;
 /// A view below this share is rated but flagged: the background adds 10 dB to its PSNR. If less than this share of the
-/// source's Gaussians lies in any view, most of the scene is not compared.
+/// source's or of the asset's Gaussians lies in rated views, most of the scene is not compared.
 inline constexpr double kHardlySeenShare = 0.1;
 
 struct ViewResult {
@@ -201,8 +205,9 @@ struct RenderReport {
   bool automatic_views = false;
   std::vector<ViewResult> views;  ///< rated ones first, worst PSNR first
   std::size_t n_rated = 0;
-  double drawn = 0;           ///< ViewResult::drawn, mean over all views
-  double gaussians_seen = 0;  ///< share of the source's Gaussians whose mean lies in a view
+  double drawn = 0;  ///< ViewResult::drawn, mean over all views
+  /// Gaussians whose mean lies in no rated view: what they draw was not compared.
+  std::uint64_t source_unseen = 0, asset_unseen = 0;
   /// NaN without a rated view, which fails every condition.
   double psnr = kUnrated, worst_psnr = kUnrated, ssim = kUnrated, worst_ssim = kUnrated, mse = kUnrated;
   float largest = std::numeric_limits<float>::quiet_NaN();
@@ -286,7 +291,8 @@ struct Report {
   /// The source's, if its anti-aliasing or low-pass is not the default: it is drawn with them.
   std::optional<Declarations> source_stated;
   SizeReport size;
-  std::optional<AttributeReport> attributes;
+  PairReport pairs;
+  std::optional<AttributeReport> attributes;  ///< of an .rgs asset
   std::optional<RenderReport> render;
   std::optional<DistanceReport> distances;  ///< of a file with levels of detail
   std::vector<AlsoReport> also;
@@ -294,6 +300,8 @@ struct Report {
   double seconds = 0;
 
   bool gate_holds() const;
+  /// Share of the Gaussians in rated views, of the source or, if smaller, of the asset; 0 without pictures.
+  double seen_share() const;
 };
 
 /// The result in words; the report's first line.

@@ -380,10 +380,6 @@ AttributeReport compare_attributes(const Source& source, const FileView& asset, 
   }
   const int degree = std::max(source.sh_degree(), static_cast<int>(asset.header().sh_degree));
   AttributeReport report = summarise(seen, total, degree, asset.header().sh_degree);
-  report.paired_by = pairing.by;
-  report.n_paired = pairing.n_paired;
-  report.n_source_only = source.size() - pairing.n_paired;
-  report.n_asset_only = n - pairing.n_paired;
   progress.finish();
   return report;
 }

@@ -14,7 +14,7 @@ namespace rgs::audit {
 namespace {
 
 using Needs = ConditionKind::Needs;
-constexpr std::array<ConditionKind, 21> kKinds{{
+constexpr std::array<ConditionKind, 23> kKinds{{
     {"psnr", "mean PSNR of the views, dB", true, Needs::pictures},
     {"worst-psnr", "PSNR of the worst view, dB", true, Needs::pictures},
     {"ssim", "mean SSIM of the views", true, Needs::pictures},
@@ -27,6 +27,8 @@ constexpr std::array<ConditionKind, 21> kKinds{{
     {"bytes-per-gaussian", "of the asset's file", false, Needs::nothing},
     {"gpu-bytes-per-gaussian", "resident on the GPU", false, Needs::nothing},
     {"dropped", "Gaussians of the source that the asset lacks", false, Needs::nothing},
+    {"added", "Gaussians of the asset that the source lacks", false, Needs::nothing},
+    {"unseen", "Gaussians in no rated view, of the source or of the asset, whichever has more", false, Needs::pictures},
     {"levels-psnr-1x", "mean PSNR of levels of detail against the truth, dB", true, Needs::distances},
     {"levels-psnr-2x", "the same from twice as far", true, Needs::distances},
     {"levels-psnr-4x", "from four times as far", true, Needs::distances},
@@ -57,15 +59,14 @@ double found_value(const std::string& name, const Report& report) {
   if (name == "bytes-per-gaussian") return report.size.bytes_per_gaussian();
   if (name == "gpu-bytes-per-gaussian")
     return report.size.gpu_bytes == 0 ? kNone : report.size.gpu_bytes_per_gaussian();
-  if (name == "dropped") {
-    const double missing = static_cast<double>(report.size.n_source) - static_cast<double>(report.size.n_asset);
-    return report.attributes ? static_cast<double>(report.attributes->n_source_only) : std::max(0.0, missing);
-  }
+  if (name == "dropped") return static_cast<double>(report.pairs.n_source_only);
+  if (name == "added") return static_cast<double>(report.pairs.n_asset_only);
   if (kind_of(name)->needs == Needs::distances)
     return report.distances ? distance_value(name, *report.distances) : kNone;
   if (!report.render) return kNone;
   const RenderReport& r = *report.render;
   if (name == "rated-views") return static_cast<double>(r.n_rated);
+  if (name == "unseen") return static_cast<double>(std::max(r.source_unseen, r.asset_unseen));
   if (name == "psnr") return r.psnr;
   if (name == "worst-psnr") return r.worst_psnr;
   if (name == "ssim") return r.ssim;
@@ -82,10 +83,12 @@ double found_value(const std::string& name, const Report& report) {
 // default conversion stays below 7, archive below 48, SPZ reaches 111.
 constexpr float kLosslessLargest = 16.F / 255, kCloseLargest = 64.F / 255;
 
-Verdict::Grade grade(const RenderReport& r) {
+Verdict::Grade grade(const Report& report) {
   using Grade = Verdict::Grade;
+  const RenderReport& r = *report.render;
   if (r.n_rated == 0) return Grade::unrated;
-  if (r.worst_psnr == std::numeric_limits<double>::infinity()) return Grade::identical;
+  const bool same_gaussians = report.pairs.n_source_only + report.pairs.n_asset_only == 0;
+  if (r.worst_psnr == std::numeric_limits<double>::infinity() && same_gaussians) return Grade::identical;
   // 8-bit rounding alone leaves 58.9 dB; at 50 dB the RMS error is 0.8 levels, at 40 dB 2.6, at 30 dB 8.
   if (r.worst_psnr >= 48 && r.worst_ssim >= 0.99 && r.largest <= kLosslessLargest) return Grade::lossless;
   if (r.worst_psnr >= 40 && r.worst_ssim >= 0.97 && r.largest <= kCloseLargest) return Grade::close;
@@ -217,11 +220,11 @@ Verdict verdict(const Report& report) {
     out.finding = fmt::format("{}; not rendered, so {}", size, words(out.grade));
   } else {
     const RenderReport& r = *report.render;
-    out.grade = grade(r);
+    out.grade = grade(report);
     out.finding = fmt::format("{}, {}", size, words(out.grade));
     if (out.grade == Verdict::Grade::unrated) {
       out.finding += ": no view shows the scene";
-    } else if (out.grade != Verdict::Grade::identical) {
+    } else if (std::isfinite(r.worst_psnr)) {
       out.detail = fmt::format(
           "Pictures differ by {:.3g} of 255 levels RMS: {:.1f} dB on average, {:.1f} dB in the worst of {} views. The "
           "largest difference of a pixel is {:.1f} levels.",
@@ -231,8 +234,8 @@ Verdict verdict(const Report& report) {
     }
     const auto n_blind = static_cast<std::size_t>(
         std::count_if(r.views.begin(), r.views.end(), [](const ViewResult& v) { return v.hardly_sees(); }));
-    out.hardly_seen =
-        out.grade != Verdict::Grade::unrated && (2 * n_blind > r.views.size() || r.gaussians_seen < kHardlySeenShare);
+    out.hardly_seen = out.grade != Verdict::Grade::unrated &&
+                      (2 * n_blind > r.views.size() || report.seen_share() < kHardlySeenShare);
     if (out.hardly_seen) out.finding += ", but the cameras hardly see the scene";
     if (r.loss && *r.loss > 0.0005) {
       out.detail += fmt::format(" Against the photographs {:.3f} dB are lost.", *r.loss);
@@ -241,12 +244,11 @@ Verdict verdict(const Report& report) {
     }
   }
   const auto add = [&out](const std::string& sentence) { out.detail += (out.detail.empty() ? "" : " ") + sentence; };
-  if (report.attributes && report.attributes->n_source_only != 0)
+  if (report.pairs.n_source_only != 0)
     add(fmt::format("{} Gaussians of the source are missing from the asset.",
-                    tool::format_count(report.attributes->n_source_only)));
-  if (report.attributes && report.attributes->n_asset_only != 0)
-    add(fmt::format("{} Gaussians of the asset are not in the source.",
-                    tool::format_count(report.attributes->n_asset_only)));
+                    tool::format_count(report.pairs.n_source_only)));
+  if (report.pairs.n_asset_only != 0)
+    add(fmt::format("{} Gaussians of the asset are not in the source.", tool::format_count(report.pairs.n_asset_only)));
   if (const AttributionRow* key = misfit_key(report)) {
     out.depth_range_misfit = true;
     out.finding += ", but its depth range does not fit these views";
@@ -288,9 +290,11 @@ std::vector<std::string> warnings(const Report& report) {
         "{} of {} views show the scene on less than {:g} % of their pixels; the rest is equal background, which raises "
         "PSNR by 10 dB and more.",
         n_little, n_views, 100 * kHardlySeenShare));
-  if (r.gaussians_seen < kHardlySeenShare)
-    out.push_back(fmt::format("Only {:.1f} % of the source's Gaussians lie in any view; the others are not compared.",
-                              100 * r.gaussians_seen));
+  if (report.seen_share() < kHardlySeenShare)
+    out.push_back(fmt::format(
+        "Only {:.1f} % of the {}'s Gaussians lie in a rated view; the others are not compared.",
+        100 * report.seen_share(),
+        r.source_unseen * report.size.n_asset >= r.asset_unseen * report.size.n_source ? "source" : "asset"));
   return out;
 }
 

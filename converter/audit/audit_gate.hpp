@@ -12,7 +12,7 @@
 namespace rgs::audit {
 
 /// A condition by name: psnr, worst-psnr, ssim, worst-ssim, together-psnr, rated-views, ratio and levels-psnr-1x to -8x must reach
-/// their limit; largest (in 8-bit levels), loss (dB), bytes-per-gaussian, gpu-bytes-per-gaussian, dropped (Gaussians),
+/// their limit; largest (in 8-bit levels), loss (dB), bytes-per-gaussian, gpu-bytes-per-gaussian, dropped, added and unseen (Gaussians),
 /// levels-loss (dB) and levels-drawn-1x to -8x (a share) must not exceed it.
 struct ConditionKind {
   const char* name;

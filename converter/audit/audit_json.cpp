@@ -40,6 +40,7 @@ const char* name_of(PairedBy by) {
     case PairedBy::permutation: return "permutation";
     case PairedBy::order: return "order";
     case PairedBy::means: return "means";
+    case PairedBy::nearest: return "nearest";
   }
   return "";
 }
@@ -136,11 +137,7 @@ Json json(const AttributeReport& a) {
   for (const CodeUsage& c : a.codes)
     codes.push_back({{"used", c.used()}, {"entropy_bits", c.entropy_bits()}, {"count", c.count}});
   const RangeCounts& r = a.ranges;
-  return {{"paired_by", name_of(a.paired_by)},
-          {"n_paired", a.n_paired},
-          {"n_source_only", a.n_source_only},
-          {"n_asset_only", a.n_asset_only},
-          {"colour", json(a.colour.meaning)},
+  return {{"colour", json(a.colour.meaning)},
           {"errors", std::move(errors)},
           {"ranges",
            {{"sh_clipped", r.sh_clipped},
@@ -189,9 +186,13 @@ Json json(const RenderReport& r) {
                            {"mse", row.mse},
                            {"share", row.share},
                            {"loss", optional(row.loss)}});
-  Json out{{"backend", r.backend},      {"automatic_views", r.automatic_views},
-           {"n_views", r.views.size()}, {"n_rated", r.n_rated},
-           {"drawn", r.drawn},          {"gaussians_seen", r.gaussians_seen}};
+  Json out{{"backend", r.backend},
+           {"automatic_views", r.automatic_views},
+           {"n_views", r.views.size()},
+           {"n_rated", r.n_rated},
+           {"drawn", r.drawn},
+           {"source_unseen", r.source_unseen},
+           {"asset_unseen", r.asset_unseen}};
   if (r.n_rated != 0) {
     out["psnr"] = number(r.psnr);
     out["worst_psnr"] = number(r.worst_psnr);
@@ -269,6 +270,10 @@ std::string audit_json(const Report& report) {
            {"detail", v.detail}}},
          {"warnings", warnings(report)},
          {"size", json(report.size)}};
+  j["gaussians"] = {{"paired_by", name_of(report.pairs.by)},
+                    {"paired", report.pairs.n_paired},
+                    {"dropped", report.pairs.n_source_only},
+                    {"added", report.pairs.n_asset_only}};
   if (report.attributes) j["attributes"] = json(*report.attributes);
   if (report.render) j["rendered"] = json(*report.render);
   if (report.distances) j["distances"] = json(*report.distances);

@@ -1,4 +1,4 @@
-// audit_pairing.cpp - pairs by permutation, by order, or by a merge join of hashed means.
+// audit_pairing.cpp - pairs by permutation, by order, by a merge join of hashed means, or by the nearest mean.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_pairing.hpp"
 
@@ -8,9 +8,13 @@
 #include <algorithm>
 #include <array>
 #include <bit>
+#include <cmath>
 #include <optional>
+#include <utility>
 
+#include "audit_nearest.hpp"
 #include "rgs/encode.hpp"
+#include "rgs/quantize.hpp"
 
 namespace rgs::audit {
 namespace {
@@ -42,30 +46,18 @@ bool same_bits(const float* a, const float* b) {
       a, a + 3, b, [](float x, float y) { return std::bit_cast<std::uint32_t>(x) == std::bit_cast<std::uint32_t>(y); });
 }
 
-// Calls use(row, mean) for all rows, in blocks on all threads.
+// In blocks on all threads.
 template <class Row, class Read, class Use>
-void for_each_mean(std::uint64_t n, const Read& read, const Use& use) {
+void for_each_row(std::uint64_t n, const Read& read, const Use& use) {
   tbb::parallel_for(std::uint64_t{0}, (n + kRows - 1) / kRows, [&](std::uint64_t block) {
     std::array<Row, kAtOnce> rows;
     const std::uint64_t end = std::min(n, (block + 1) * kRows);
     for (std::uint64_t first = block * kRows; first < end; first += kAtOnce) {
       const auto part = std::span(rows).first(std::min<std::uint64_t>(kAtOnce, end - first));
       read(first, part);
-      for (std::size_t i = 0; i < part.size(); ++i) use(first + i, part[i].mean);
+      for (std::size_t i = 0; i < part.size(); ++i) use(first + i, part[i]);
     }
   });
-}
-
-template <class Use>
-void for_each_source_mean(const Source& source, const Use& use) {
-  for_each_mean<Splat>(
-      source.size(), [&](std::uint64_t first, auto part) { source.read(first, part); }, use);
-}
-
-template <class Use>
-void for_each_asset_mean(const FileView& asset, const Use& use) {
-  for_each_mean<ActivatedSplat>(
-      asset.header().n_gaussians, [&](std::uint64_t first, auto part) { (void)asset.read(first, part); }, use);
 }
 
 // Empty if the permutation does not fit this source. An asset made from another .rgs has that file's source's
@@ -105,22 +97,11 @@ std::optional<Pairing> pair_by_order(const Source& source, const FileView& asset
   return pairing;
 }
 
-Pairing pair_by_means(const Source& source, const FileView& asset) {
-  std::vector<KeyedRow> of_source(source.size()), of_asset(asset.header().n_gaussians);
-  const auto note = [](std::vector<KeyedRow>& rows) {
-    return [&rows](std::uint64_t row, const float* mean) {
-      rows[row] = {key_of(mean), static_cast<std::uint32_t>(row)};
-    };
-  };
-  if (const ArchiveParameters* archive = asset.archive()) {
-    const auto keep = note(of_source);
-    for_each_source_mean(source, [&](std::uint64_t row, const float* mean) {
-      keep(row, archive_mean(*archive, mean).data());  // its value in the archive
-    });
-  } else {
-    for_each_source_mean(source, note(of_source));
-  }
-  for_each_asset_mean(asset, note(of_asset));
+UseMean note_in(std::vector<KeyedRow>& rows) {
+  return [&rows](std::uint64_t row, const float* mean) { rows[row] = {key_of(mean), static_cast<std::uint32_t>(row)}; };
+}
+
+Pairing join(std::vector<KeyedRow> of_source, std::vector<KeyedRow> of_asset) {
   tbb::parallel_sort(of_source);
   tbb::parallel_sort(of_asset);
   Pairing pairing{PairedBy::means, std::vector<std::uint32_t>(of_asset.size(), kUnpaired), 0};
@@ -135,12 +116,81 @@ Pairing pair_by_means(const Source& source, const FileView& asset) {
   return pairing;
 }
 
+Pairing pair_by_means(const Source& source, const FileView& asset) {
+  std::vector<KeyedRow> of_source(source.size()), of_asset(asset.header().n_gaussians);
+  const UseMean note = note_in(of_source);
+  if (const ArchiveParameters* archive = asset.archive()) {
+    for_each_mean(source, [&](std::uint64_t row, const float* mean) {
+      note(row, archive_mean(*archive, mean).data());  // its value in the archive
+    });
+  } else {
+    for_each_mean(source, note);
+  }
+  for_each_mean(asset, note_in(of_asset));
+  return join(std::move(of_source), std::move(of_asset));
+}
+
+// Pairs what is left of the source, in order, each with the nearest that is left of the asset. A format that rounds to
+// a grid puts every mean on the point of the grid that is nearest to it, so each finds its own.
+void pair_nearest(const Source& source, const Source& asset, Pairing& pairing) {
+  std::vector<std::uint8_t> is_paired(source.size());
+  for (const std::uint32_t row : pairing.source_of)
+    if (row != kUnpaired) is_paired[row] = 1;
+  std::vector<Point> points(asset.size());
+  for_each_mean(asset, [&](std::uint64_t row, const float* mean) {
+    for (std::size_t k = 0; k < 3; ++k)
+      points[row][k] = static_cast<float>(asset.origin()[k] - source.origin()[k] + static_cast<double>(mean[k]));
+  });
+  std::vector<std::uint32_t> rows;
+  std::vector<Point> left;
+  for (std::uint32_t row = 0; row < points.size(); ++row) {
+    if (pairing.source_of[row] != kUnpaired ||
+        !std::ranges::all_of(points[row], [](float x) { return std::isfinite(x); }))
+      continue;
+    rows.push_back(row);
+    left.push_back(points[row]);
+  }
+  if (left.empty() || pairing.n_paired == source.size()) return;
+  NearestPoints nearest(left);
+  std::array<Splat, kAtOnce> splats;
+  for (std::uint64_t first = 0; first < source.size(); first += kAtOnce) {
+    const auto part = std::span(splats).first(std::min<std::uint64_t>(kAtOnce, source.size() - first));
+    source.read(first, part);
+    for (std::size_t i = 0; i < part.size(); ++i) {
+      const Splat& s = part[i];
+      if (is_paired[first + i] != 0) continue;
+      const float size = scale_from_log(std::max({s.log_scale[0], s.log_scale[1], s.log_scale[2]}));
+      const auto found = nearest.take({s.mean[0], s.mean[1], s.mean[2]}, kSameGaussian * size);
+      if (!found) continue;
+      pairing.source_of[rows[*found]] = static_cast<std::uint32_t>(first + i);
+      ++pairing.n_paired;
+      pairing.by = PairedBy::nearest;
+    }
+  }
+}
+
+Status check_count(std::uint64_t n_source, std::uint64_t n_asset) {
+  if (n_source < kUnpaired && n_asset < kUnpaired) return {};
+  return rgs::make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than can be paired", kUnpaired - 1,
+                         std::max(n_source, n_asset));
+}
+
 }  // namespace
 
+void for_each_mean(const Source& source, const UseMean& use) {
+  for_each_row<Splat>(
+      source.size(), [&](std::uint64_t first, auto part) { source.read(first, part); },
+      [&](std::uint64_t row, const Splat& splat) { use(row, splat.mean); });
+}
+
+void for_each_mean(const FileView& asset, const UseMean& use) {
+  for_each_row<ActivatedSplat>(
+      asset.header().n_gaussians, [&](std::uint64_t first, auto part) { (void)asset.read(first, part); },
+      [&](std::uint64_t row, const ActivatedSplat& splat) { use(row, splat.mean); });
+}
+
 Result<Pairing> pair_gaussians(const Source& source, const FileView& asset) {
-  if (source.size() >= kUnpaired || asset.header().n_gaussians >= kUnpaired)
-    return rgs::make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than can be paired", kUnpaired - 1,
-                           std::max(source.size(), asset.header().n_gaussians));
+  if (auto ok = check_count(source.size(), asset.header().n_gaussians); !ok) return tl::unexpected(ok.error());
   if (auto pairing = pair_by_permutation(source, asset)) return *std::move(pairing);
   const Origin& origin = asset.declarations().origin;
   if (source.origin() != origin) {
@@ -152,6 +202,19 @@ Result<Pairing> pair_gaussians(const Source& source, const FileView& asset) {
   }
   if (auto pairing = pair_by_order(source, asset)) return *std::move(pairing);
   return pair_by_means(source, asset);
+}
+
+Result<Pairing> pair_gaussians(const Source& source, const Source& asset) {
+  if (auto ok = check_count(source.size(), asset.size()); !ok) return tl::unexpected(ok.error());
+  Pairing pairing{PairedBy::means, std::vector<std::uint32_t>(asset.size(), kUnpaired), 0};
+  if (source.origin() == asset.origin()) {
+    std::vector<KeyedRow> of_source(source.size()), of_asset(asset.size());
+    for_each_mean(source, note_in(of_source));
+    for_each_mean(asset, note_in(of_asset));
+    pairing = join(std::move(of_source), std::move(of_asset));
+  }
+  pair_nearest(source, asset, pairing);
+  return pairing;
 }
 
 }  // namespace rgs::audit

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include "audit.hpp"
@@ -17,12 +18,26 @@ struct Pairing {
   PairedBy by = PairedBy::means;
   std::vector<std::uint32_t> source_of;  ///< [n_asset] row of the source, or kUnpaired
   std::uint64_t n_paired = 0;
+
+  PairReport report(std::uint64_t n_source) const {
+    return {by, n_paired, n_source - n_paired, source_of.size() - n_paired};
+  }
 };
+
+/// Calls use(row, mean) for all rows on all threads; `mean` [3] is relative to the file's origin.
+using UseMean = std::function<void(std::uint64_t row, const float* mean)>;
+void for_each_mean(const Source& source, const UseMean& use);
+void for_each_mean(const FileView& asset, const UseMean& use);
 
 /// Pairs by the file's permutation if it has one; else in order, if the asset keeps the source's; else by equal means,
 /// relative to the asset's origin, which conversion never changes (coincident Gaussians keep their order). `asset` must
 /// be valid, and preloaded if it is coded. Takes at most 36 bytes a Gaussian. Errors: limit_exceeded (2^32 - 1
 /// Gaussians or more).
 Result<Pairing> pair_gaussians(const Source& source, const FileView& asset);
+/// The same for an asset of another format, which may have rounded means: those that are not equal pair with the nearest
+/// mean within kSameGaussian of the source's largest standard deviations. Takes at most 100 bytes a Gaussian.
+Result<Pairing> pair_gaussians(const Source& source, const Source& asset);
+/// The compact formats round means by less; what moved farther is another Gaussian.
+inline constexpr float kSameGaussian = 3;
 
 }  // namespace rgs::audit

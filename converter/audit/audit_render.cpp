@@ -2,9 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_render.hpp"
 
-#include <tbb/parallel_for.h>
-
 #include <algorithm>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <functional>
@@ -114,13 +113,13 @@ class PictureAudit {
 
   // ---- scenes and variants
 
-  bool attribute() const { return options_.attribution && inputs_.pairing != nullptr && mixable(); }
+  bool attribute() const { return options_.attribution && inputs_.rgs != nullptr && mixable(); }
   bool mixable() const { return inputs_.pairing->n_paired == inputs_.pairing->source_of.size(); }
 
   void plan_attribution() {
     if (!options_.attribution) {
       report_.attribution_note = "not requested";
-    } else if (inputs_.pairing == nullptr) {
+    } else if (inputs_.rgs == nullptr) {
       report_.attribution_note = "only .rgs files record how they were made";
     } else if (!mixable()) {
       report_.attribution_note = "Gaussians of the asset have no partner in the source";
@@ -162,7 +161,6 @@ class PictureAudit {
     const RenderOptions exact = reference_arithmetic(inputs_.declared);
     if (scene_.size() == 0 && first > 0)
       if (auto ok = load_source(); !ok) return ok;
-    if (auto ok = mark_visible_gaussians(first, end); !ok) return ok;
     const RenderOptions as_source = inputs_.source_stated ? reference_arithmetic(inputs_.source_stated) : exact;
     references_.clear();
     reference_drawn_.clear();
@@ -283,24 +281,16 @@ class PictureAudit {
     return rated_[view] != 0;
   }
 
-  // Marks the Gaussians of the source whose means lie in views [first, end).
-  Done mark_visible_gaussians(std::size_t first, std::size_t end) {
-    const auto source = scene_.view();
-    if (!source) return make_error(options_.source, source.error());
-    seen_.resize(source->n);
-    constexpr std::uint64_t kBlock = 4096;
-    tbb::parallel_for(std::uint64_t{0}, (source->n + kBlock - 1) / kBlock, [&](std::uint64_t block) {
-      for (std::uint64_t g = block * kBlock; g < std::min(source->n, (block + 1) * kBlock); ++g) {
-        glm::dvec3 mean_world;
-        for (int k = 0; k < 3; ++k) {
-          const auto axis = static_cast<std::size_t>(k);
-          mean_world[k] = source->origin[axis] + static_cast<double>(source->mean[3 * g + axis]);
-        }
-        for (std::size_t i = first; i < end && seen_[g] == 0; ++i)
-          seen_[g] = in_view(views_[i].camera, mean_world) ? 1 : 0;
-      }
+  // Gaussians of a file whose means lie in no rated view.
+  template <class File>
+  std::uint64_t n_unseen(const File& file, const Origin& origin) const {
+    std::atomic<std::uint64_t> n = 0;
+    for_each_mean(file, [&](std::uint64_t, const float* mean) {
+      const glm::dvec3 offset(mean[0], mean[1], mean[2]);
+      const glm::dvec3 mean_world = glm::dvec3(origin[0], origin[1], origin[2]) + offset;
+      if (std::ranges::none_of(report_.cameras, [&](const Camera& c) { return in_view(c, mean_world); })) ++n;
     });
-    return {};
+    return n;
   }
 
   Done render_variant(Series& series, std::size_t first, std::size_t end, const RenderOptions& how) {
@@ -396,6 +386,9 @@ class PictureAudit {
 
   void summarise() {
     summarise_views();
+    report_.source_unseen = n_unseen(*inputs_.source, inputs_.source->origin());
+    report_.asset_unseen = inputs_.rgs != nullptr ? n_unseen(*inputs_.rgs, inputs_.rgs->declarations().origin)
+                                                  : n_unseen(*inputs_.other, inputs_.other->origin());
     if (report_.n_rated == 0) {
       if (!variants_.empty()) report_.attribution_note = "no view shows the scene";
       for (AlsoReport& a : also_)
@@ -432,8 +425,6 @@ class PictureAudit {
       if (v.rated()) ++report_.n_rated;
     }
     report_.drawn = drawn / static_cast<double>(views.size());
-    const auto n_seen = std::count(seen_.begin(), seen_.end(), 1);
-    report_.gaussians_seen = seen_.empty() ? 0 : static_cast<double>(n_seen) / static_cast<double>(seen_.size());
     if (report_.n_rated == 0) return;
     report_.worst_psnr = std::numeric_limits<double>::infinity();
     report_.worst_ssim = 1;
@@ -497,7 +488,6 @@ class PictureAudit {
   SceneBounds bounds_;
   std::vector<View> views_;
   std::vector<std::uint8_t> rated_;      // [views], of those drawn so far
-  std::vector<std::uint8_t> seen_;       // [Gaussians drawn of the source]
   std::vector<Picture> references_;      // of the batch
   std::vector<double> reference_drawn_;  // of the batch
   std::vector<float> alpha_;             // of the last frame

@@ -13,12 +13,12 @@
 
 namespace rgs::audit {
 
-/// Inputs of the comparison. `rgs` and `pairing` are absent for assets of other formats, which get no attribution. All
-/// is drawn as the asset declares, except the source's own pictures if the source declares something: a lost
-/// anti-aliasing shows.
+/// Inputs of the comparison. Assets of formats other than .rgs come as `other`; they get no attribution. All is drawn as
+/// the asset declares, except the source's own pictures if the source declares something: a lost anti-aliasing shows.
 struct RenderInputs {
   const Source* source = nullptr;
   const FileView* rgs = nullptr;
+  const Source* other = nullptr;
   const Pairing* pairing = nullptr;
   std::optional<Declarations> declared = {}, source_stated = {};
 };

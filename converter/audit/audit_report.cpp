@@ -103,6 +103,7 @@ std::string pairing_words(PairedBy by) {
     case PairedBy::permutation: return "by the permutation that the asset carries";
     case PairedBy::order: return "in order, which the asset keeps";
     case PairedBy::means: return "by equal means, which the conversion does not change";
+    case PairedBy::nearest: return "by the nearest means within three standard deviations, as the format rounds them";
   }
   return "";
 }
@@ -499,11 +500,6 @@ class Page {
 
   void attributes(const AttributeReport& a) {
     title("attributes", "Attributes");
-    add("<p>{} Gaussians paired {}. {}</p>\n", format_count(a.n_paired), pairing_words(a.paired_by),
-        a.n_source_only + a.n_asset_only == 0
-            ? std::string("None is missing or added.")
-            : fmt::format("<b class=\"bad\">{} are only in the source, {} only in the asset.</b>",
-                          format_count(a.n_source_only), format_count(a.n_asset_only)));
     error_table("Errors by meaning");
     error_row(a.colour.name, a.colour.meaning_unit, a.colour.meaning);
     for (const AttributeError& e : a.errors)
@@ -634,10 +630,24 @@ class Page {
                measured);
     }
     end_table();
+    gaussians();
     if (s.gpu_bytes != 0)
       add("<p>On the GPU the asset takes {} ({:.1f} bytes per Gaussian), as FP32 attributes {}.</p>\n",
           format_bytes(s.gpu_bytes), s.gpu_bytes_per_gaussian(), format_bytes(s.gpu_bytes_fp32));
     end_section();
+  }
+
+  void gaussians() {
+    const PairReport& p = report_.pairs;
+    add("<p>{} Gaussians paired {}. {}", format_count(p.n_paired), pairing_words(p.by),
+        p.n_source_only + p.n_asset_only == 0
+            ? std::string("None is missing or added.")
+            : fmt::format("<b class=\"bad\">{} are only in the source, {} only in the asset.</b>",
+                          format_count(p.n_source_only), format_count(p.n_asset_only)));
+    if (const auto& r = report_.render)
+      add(" {} of the source and {} of the asset lie in no rated view.", format_count(r->source_unseen),
+          format_count(r->asset_unseen));
+    add("</p>\n");
   }
 
   void file_row(const std::string& name, std::uint64_t bytes, std::uint64_t n, const std::string& quality) {

@@ -163,6 +163,13 @@ double SizeReport::bytes_per_gaussian() const {
 double SizeReport::gpu_bytes_per_gaussian() const {
   return n_asset == 0 ? 0 : static_cast<double>(gpu_bytes) / static_cast<double>(n_asset);
 }
+double Report::seen_share() const {
+  if (!render) return 0;
+  const auto share = [](std::uint64_t unseen, std::uint64_t n) {
+    return n == 0 ? 0 : 1 - static_cast<double>(unseen) / static_cast<double>(n);
+  };
+  return std::min(share(render->source_unseen, size.n_source), share(render->asset_unseen, size.n_asset));
+}
 bool Report::gate_holds() const {
   return std::all_of(gate.begin(), gate.end(), [](const Condition& c) { return c.holds; });
 }
@@ -229,6 +236,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   if (stated.aa_mode != usual.aa_mode || stated.low_pass_px2 != usual.low_pass_px2) report.source_stated = stated;
   size.gpu_bytes_fp32 = size.n_source * fp32_bytes(size.source_sh_degree);
   Pairing pairing;
+  Source splats;  // of an asset that is not an .rgs
   if (rgs_asset) {
     report.asset_format = "rgs";
     report.declarations = view.declarations();
@@ -263,20 +271,25 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
       return make_error(options.asset, {Errc::bad_value, Error::kNone,
                                         "none of its Gaussians is in the source: was it converted from another file?",
                                         size.n_asset, 0});
+    report.pairs = pairing.report(source->size());
     report.attributes = compare_attributes(*source, view, pairing, progress);
     report.attributes->seconds = since(began);
   } else {
-    const auto scene = load_scene_file(options.asset, options.limits, source->declarations().axes);
-    if (!scene) return make_error(options.asset, scene.error());
-    report.asset_format = format_name(scene->format);
-    report.declarations = scene->scene.declarations();
-    size.asset_bytes = scene->file_bytes;
-    size.n_asset = scene->scene.size();
-    size.asset_sh_degree = scene->scene.sh_degree();
+    auto opened = Source::open(options.asset, options.limits, source->declarations().axes);
+    if (!opened) return make_error(options.asset, opened.error());
+    splats = *std::move(opened);
+    report.asset_format = format_name(splats.format());
+    report.declarations = splats.declarations();
+    size.asset_bytes = splats.bytes();
+    size.n_asset = splats.size();
+    size.asset_sh_degree = splats.sh_degree();
+    auto paired = pair_gaussians(*source, splats);
+    if (!paired) return make_error(options.asset, paired.error());
+    report.pairs = paired->report(source->size());
   }
   if (options.render) {
-    const RenderInputs inputs{&*source, rgs_asset ? &view : nullptr, rgs_asset ? &pairing : nullptr,
-                              report.declarations, report.source_stated};
+    const RenderInputs inputs{&*source, rgs_asset ? &view : nullptr, rgs_asset ? nullptr : &splats,
+                              &pairing, report.declarations,         report.source_stated};
     auto rendered = compare_pictures(inputs, options, *also, progress);
     if (!rendered) return tl::unexpected(rendered.error());
     report.render = std::move(*rendered);

@@ -22,6 +22,7 @@ class Text : private tool::TextLines {
 
   std::string all(const std::string& report_path) {
     sizes();
+    gaussians(report_.pairs);
     if (report_.attributes) attributes(*report_.attributes);
     if (report_.render) pictures(*report_.render);
     if (report_.distances) distances(*report_.distances);
@@ -48,12 +49,16 @@ class Text : private tool::TextLines {
            s.levels->n_levels, format_count(s.levels->n_gaussians), format_count(s.levels->n_pages));
   }
 
+  void gaussians(const PairReport& p) {
+    line("  paired      {} Gaussians, by {}; only in the source {}, only in the asset {}", format_count(p.n_paired),
+         p.by == PairedBy::permutation ? "the file's permutation"
+         : p.by == PairedBy::order     ? "order"
+         : p.by == PairedBy::means     ? "equal means"
+                                       : "the nearest means",
+         format_count(p.n_source_only), format_count(p.n_asset_only));
+  }
+
   void attributes(const AttributeReport& a) {
-    line("  paired      {} Gaussians, by {}; only in the source {}, only in the asset {}", format_count(a.n_paired),
-         a.paired_by == PairedBy::permutation ? "the file's permutation"
-         : a.paired_by == PairedBy::order     ? "order"
-                                              : "equal means",
-         format_count(a.n_source_only), format_count(a.n_asset_only));
     line("  {:<18}{:>11}{:>11}{:>11}{:>11}", "error", "RMS", "99 %", "99.9 %", "largest");
     row(a.colour);
     for (const AttributeError& e : a.errors)
@@ -79,6 +84,8 @@ class Text : private tool::TextLines {
       line("  pictures    {}: {} on average, worst {}; SSIM {:.6f}, worst {:.6f}; largest difference {:.1f}/255", views,
            format_psnr(r.psnr), format_psnr(r.worst_psnr), r.ssim, r.worst_ssim, 255 * static_cast<double>(r.largest));
     }
+    line("  unseen      in no rated view: {} Gaussians of the source, {} of the asset", format_count(r.source_unseen),
+         format_count(r.asset_unseen));
     if (r.photo)
       line("  photos      source {:.3f} dB, asset {:.3f} dB: loss {:.4f} dB; SSIM {:.5f}, {:.5f}", r.photo->source_psnr,
            r.photo->asset_psnr, r.photo->loss(), r.photo->source_ssim, r.photo->asset_ssim);

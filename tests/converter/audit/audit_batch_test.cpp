@@ -105,8 +105,8 @@ TEST_CASE("an asset is audited against a source of any format as against the sam
     CHECK(from_ply["source"]["format"] == "ply");
     CHECK(from_other["source"]["bytes"] == fs::file_size(source));
     CHECK(from_other["source"]["gaussians"] == 700);
-    CHECK(from_other["attributes"]["n_paired"] == 700);
-    CHECK(from_other["attributes"]["n_source_only"] == 0);
+    CHECK(from_other["gaussians"]["paired"] == 700);
+    CHECK(from_other["gaussians"]["dropped"] == 0);
     CHECK(from_other["attributes"]["errors"] == from_ply["attributes"]["errors"]);
     CHECK(from_other["rendered"]["mse"] == from_ply["rendered"]["mse"]);
     CHECK(from_other["rendered"]["attribution"] == from_ply["rendered"]["attribution"]);
@@ -120,7 +120,7 @@ TEST_CASE("an asset is audited against a source of any format as against the sam
   convert({scene.ply, scene.file("kept.rgs"), "--keep-permutation"});
   convert({scene.file("kept.rgs"), archive, "--keep-permutation", "--profile", "archive:small"});
   CHECK(audited({scene.file("kept.rgs"), archive})["rendered"]["psnr"].get<double>() > 20);
-  CHECK(audited({scene.file("kept.rgs"), archive})["attributes"]["paired_by"] == "means");
+  CHECK(audited({scene.file("kept.rgs"), archive})["gaussians"]["paired_by"] == "means");
 }
 
 TEST_CASE("a source in other axes, far away or unzipped is audited") {
@@ -129,20 +129,20 @@ TEST_CASE("a source in other axes, far away or unzipped is audited") {
   const std::string spz = scene.file("scene.spz"), turned = scene.file("turned.rgs");
   convert({scene.ply, spz});
   convert({spz, turned, "--to-axes", "opengl"});
-  CHECK(audited({spz, turned})["attributes"]["n_paired"] == 700);
+  CHECK(audited({spz, turned})["gaussians"]["paired"] == 700);
   convert({scene.ply, turned, "--to-axes", "opengl"});
-  CHECK(audited({scene.ply, turned})["attributes"]["n_paired"] == 700);
+  CHECK(audited({scene.ply, turned})["gaussians"]["paired"] == 700);
   // --axes overrides the axes that the source states, and turns nothing.
   convert({scene.ply, turned, "--axes", "opengl"});
-  CHECK(audited({scene.ply, turned})["attributes"]["n_paired"] == 700);
+  CHECK(audited({scene.ply, turned})["gaussians"]["paired"] == 700);
   convert({spz, turned, "--axes", "gltf"});
-  CHECK(audited({spz, turned})["attributes"]["n_paired"] == 700);
+  CHECK(audited({spz, turned})["gaussians"]["paired"] == 700);
   const Origin place{4.2e6, 1.7e5, 4.8e6};
   const std::string far = write_ply(scene.file("far.ply"), scene.cloud, place), glb = scene.file("far.glb");
   convert({far, glb});
   convert({glb, scene.file("far.rgs")});
   const json j = audited({glb, scene.file("far.rgs")});
-  CHECK(j["attributes"]["n_paired"] == 700);
+  CHECK(j["gaussians"]["paired"] == 700);
   CHECK(j["rendered"]["psnr"].get<double>() > 40);
   const fs::path sog = data_folder() / "formats" / "crop.sog";
   if (!fs::exists(sog)) return;
@@ -151,7 +151,7 @@ TEST_CASE("a source in other axes, far away or unzipped is audited") {
   const json unzipped = audited({scene.file("sog/meta.json"), scene.file("sog.rgs"), "--no-render"});
   CHECK(unzipped["source"]["format"] == "sog");
   CHECK(unzipped["asset"]["made_from_source"] == true);
-  CHECK(unzipped["attributes"]["n_source_only"] == 0);
+  CHECK(unzipped["gaussians"]["dropped"] == 0);
   // Its pictures count as an earlier result's do.
   const std::vector<std::string> command{scene.file("sog/meta.json"), scene.file("sog.rgs"), "--no-render", "--json",
                                          scene.file("sog.json")};

@@ -1,4 +1,5 @@
-// audit_differences_test.cpp - what an audit must not miss: differences over other backgrounds.
+// audit_differences_test.cpp - what an audit must not miss: differences over other backgrounds, and Gaussians that are
+// missing, added or in no view.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
@@ -9,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "audit_nearest.hpp"
 #include "audit_picture.hpp"
 #include "audit_program_fixture.hpp"
 #include "rgs/splat_edit.hpp"
@@ -119,4 +121,85 @@ TEST_CASE("no background within 0..1 shows a larger difference than black and wh
   }
   CHECK(static_cast<double>(found->largest) == doctest::Approx(most).epsilon(1e-6));
   CHECK(found->mse == doctest::Approx(squares / static_cast<double>(a.pixels.size())).epsilon(1e-6));
+}
+
+TEST_CASE("Gaussians added behind the cameras are counted in assets of every format") {
+  const SceneFolder scene;
+  SplatCloud more = scene.cloud, behind = audit_cloud(3000, 3, 77);
+  for (std::uint64_t i = 0; i < behind.size(); ++i) behind.mean[3 * i + 2] -= 12;
+  append_splats(more, behind);
+  const std::string ply = write_ply(scene.file("more.ply"), more), text = scene.file("page.html");
+  for (const char* format : {"ply", "rgs", "spz", "splat", "glb", "compressed.ply"}) {
+    CAPTURE(format);
+    const std::string same = scene.file(std::string("same.") + format),
+                      asset = scene.file(std::string("more.") + format);
+    if (std::string(format) == "ply")
+      write_ply(same, scene.cloud);
+    else {
+      REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", scene.ply, same}).exit_code == 0);
+      REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", ply, asset}).exit_code == 0);
+    }
+    const json kept = audited({scene.ply, same, "--no-render", "--fail-below", "added=0,dropped=0"});
+    CHECK(kept["gaussians"]["paired"] == 700);
+    for (const bool reverse : {false, true}) {
+      const std::string junit = scene.file("junit.xml");
+      const json j = audited({reverse ? asset : scene.ply, reverse ? scene.ply : asset, "--cameras", scene.cameras,
+                              "--no-attribution", "--report", text, "--overwrite", "--junit", junit, "--fail-below",
+                              reverse ? "added=0,dropped=2999,unseen=2999" : "added=2999,dropped=0,unseen=2999"},
+                             5);
+      CHECK(j["gaussians"]["paired"] == 700);
+      CHECK(j["gaussians"][reverse ? "dropped" : "added"] == 3000);
+      CHECK(j["rendered"][reverse ? "source_unseen" : "asset_unseen"] == 3000);
+      CHECK(j["rendered"][reverse ? "asset_unseen" : "source_unseen"] == 0);
+      CHECK(j["verdict"]["grade"] != "identical");
+      CHECK(j["verdict"]["detail"].get<std::string>().find(reverse ? "3,000 Gaussians of the source are missing"
+                                                                   : "3,000 Gaussians of the asset are not") !=
+            std::string::npos);
+      CHECK(read_text(text).find("lie in no rated view") != std::string::npos);
+      CHECK(read_text(junit).find("unseen 3000 &gt; 2999") != std::string::npos);
+    }
+  }
+}
+
+TEST_CASE("as many Gaussians replaced as were there do not go unnoticed") {
+  const SceneFolder scene;
+  SplatCloud replaced = scene.cloud;
+  for (std::uint64_t i = 0; i < 50; ++i) replaced.mean[3 * i + 2] -= 12;
+  const std::string ply = write_ply(scene.file("replaced.ply"), replaced), spz = scene.file("replaced.spz");
+  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", ply, spz}).exit_code == 0);
+  for (const std::string& asset : {ply, spz}) {
+    const json found = audited({scene.ply, asset, "--no-render"})["gaussians"];
+    CHECK(found["added"] == 50);
+    CHECK(found["dropped"] == 50);
+  }
+}
+
+TEST_CASE("the nearest point that is left is the one a search of all finds") {
+  SplitMix random(11);
+  std::vector<audit::Point> points(500);
+  for (auto& p : points)
+    for (float& x : p) x = std::round(random.dyadic(-4, 4) * 4) / 4;  // many coincide
+  audit::NearestPoints nearest(points);
+  std::vector<std::uint8_t> taken(points.size());
+  const auto squared = [&](const audit::Point& a, const audit::Point& b) {
+    return (a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]);
+  };
+  std::size_t n = 0;
+  for (int i = 0; i < 2000; ++i) {
+    const audit::Point p{random.dyadic(-4, 4), random.dyadic(-4, 4), random.dyadic(-4, 4)};
+    const float radius = i % 5 == 0 ? 0.25F : 3;
+    float least = radius * radius;
+    bool any = false;
+    for (std::size_t k = 0; k < points.size(); ++k)
+      if (taken[k] == 0 && squared(points[k], p) <= least) least = squared(points[k], p), any = true;
+    const auto found = nearest.take(p, radius);
+    REQUIRE(found.has_value() == any);
+    if (!found) continue;
+    CHECK(taken[*found] == 0);
+    CHECK(squared(points[*found], p) == least);
+    taken[*found] = 1;
+    ++n;
+  }
+  CHECK(n > 300);
+  CHECK_FALSE(audit::NearestPoints({}).take({0, 0, 0}, 1));
 }

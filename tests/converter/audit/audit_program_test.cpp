@@ -85,7 +85,7 @@ TEST_CASE("an audit measures sizes, attributes and pictures, and its JSON keeps 
         doctest::Approx(static_cast<double>(fs::file_size(scene.ply)) / static_cast<double>(fs::file_size(scene.rgs))));
   CHECK(j["size"]["sections"].size() >= 6);
   CHECK(j["size"]["gpu_bytes"].get<std::uint64_t>() >= 700 * 76);
-  CHECK(j["attributes"]["n_paired"] == 700);
+  CHECK(j["gaussians"]["paired"] == 700);
   CHECK(j["attributes"]["errors"].size() == 16);
   CHECK(j["attributes"]["sh_codes"].size() == 4);
   REQUIRE(j["rendered"]["views"].size() == 3);
@@ -275,7 +275,7 @@ TEST_CASE("Gaussians that the conversion dropped appear in numbers, attribution 
       run_audit({scene.ply, rgs, "--cameras", scene.cameras, "--json", "-", "--fail-below", "dropped=10", "--quiet"});
   CHECK(run.exit_code == 5);
   const json j = json::parse(run.out);
-  CHECK(j["attributes"]["n_source_only"] == 40);
+  CHECK(j["gaussians"]["dropped"] == 40);
   CHECK(j["asset"]["made_from_source"].is_null());
   CHECK(j["rendered"]["attribution"][0]["key"] == "left_out");
   CHECK(j["rendered"]["attribution"][0]["share"].get<double>() > 0.9);
@@ -479,8 +479,8 @@ TEST_CASE("an archive's Gaussians are paired despite their moved means") {
   const ProgramResult run = run_audit({scene.ply, archive, "--cameras", scene.cameras, "--json", "-", "--quiet"});
   REQUIRE(run.exit_code == 0);
   const json j = json::parse(run.out);
-  CHECK(j["attributes"]["n_paired"] == scene.cloud.size());
-  CHECK(j["attributes"]["paired_by"] == "means");
+  CHECK(j["gaussians"]["paired"] == scene.cloud.size());
+  CHECK(j["gaussians"]["paired_by"] == "means");
   CHECK(j["rendered"]["psnr"].get<double>() > 30);
 }
 
@@ -653,7 +653,7 @@ TEST_CASE("infinite logits and scales of 0 have finite errors, and nothing is om
     REQUIRE(run.exit_code == 0);
     CHECK(run.out.find("nan") == std::string::npos);
     const json j = json::parse(run.out);
-    CHECK(j["attributes"]["n_paired"] == 700);
+    CHECK(j["gaussians"]["paired"] == 700);
     for (const auto& error : j["attributes"]["errors"].items()) {
       CAPTURE(error.key());
       CAPTURE(error.value().dump());

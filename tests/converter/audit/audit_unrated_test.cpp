@@ -60,7 +60,8 @@ TEST_CASE("cameras that see nothing rate nothing: the verdict says so, and a gat
     const json& rendered = seen.result["rendered"];
     CHECK(rendered["n_rated"] == 0);
     CHECK(rendered["drawn"] == 0);
-    CHECK(rendered["gaussians_seen"] == 0);
+    CHECK(rendered["source_unseen"] == 700);
+    CHECK(rendered["asset_unseen"] == 700);
     // Nothing was measured, so nothing can pass for the null of identical pictures.
     for (const char* field : {"psnr", "worst_psnr", "ssim", "worst_ssim", "mse", "largest"})
       CHECK_FALSE_MESSAGE(rendered.contains(field), field);
@@ -192,7 +193,7 @@ TEST_CASE("views full of a few Gaussians of a scene elsewhere cause a warning") 
   const Seen seen(scene, write_rgs(scene.file("elsewhere.rgs"), cloud), {kNear});
   CHECK(seen.result["rendered"]["n_rated"] == 1);
   CHECK(seen.result["rendered"]["drawn"].get<double>() > 0.5);
-  CHECK(seen.result["rendered"]["gaussians_seen"].get<double>() == doctest::Approx(0.02));
+  CHECK(seen.result["rendered"]["source_unseen"] == 980);
   CHECK(is_warned_of(seen.result, "2.0 % of the source's Gaussians"));
   CHECK(seen.result["verdict"]["hardly_seen"] == true);
 }
