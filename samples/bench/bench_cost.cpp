@@ -301,7 +301,7 @@ Cost& Cost::operator+=(const Cost& other) {
 
 StageCosts stage_costs(const FrameWork& work) {
   const Counts n(work);
-  if (work.options.pipeline == Pipeline::turbo && work.stats.gaussians < cuda::kMaxTurboGaussians) {
+  if (work.options.pipeline == Pipeline::turbo) {
     return {turbo_project_cost(work, n), turbo_bin_cost(work), turbo_order_cost(work, n), turbo_blend_cost(work, n)};
   }
   return {project_cost(work, n), bin_cost(work, n), sort_cost(work, n), blend_cost(work, n)};

@@ -53,7 +53,7 @@ static_assert(sizeof(TurboCell) == 16);
 /// A Gaussian whose bounding box has many tiles, set aside for a kernel in which tiles search theirs.
 struct alignas(16) TurboLargeGaussian {
   math::Ellipse<float> ellipse;
-  std::uint32_t depth;  ///< bits
+  std::uint32_t depth;  ///< turbo_depth()
   std::uint32_t index;
   std::uint32_t listed;  ///< 1 once it has an entry
   std::uint32_t unused[4];
@@ -71,7 +71,7 @@ struct alignas(16) TurboLongList {
   std::uint32_t in_class;               ///< index of the tile within its class
   std::uint32_t scratch;                ///< offset of its n_entries in TurboArrays::scratch
   std::uint32_t first_slice, n_slices;  ///< each slice has the next ceil(n_runs / n_slices) of its runs
-  std::uint32_t nearest, farthest;      ///< bits of depth: range of a sample of the entries
+  std::uint32_t nearest, farthest;      ///< depth_of(): range of a sample of the entries
   std::uint32_t counted;                ///< slices counted so far
   std::uint32_t n_entries;
   std::uint32_t first_unit;               ///< units are numbered in order of depth
@@ -175,7 +175,8 @@ struct TurboState {
   std::uint32_t n_long_cells, n_segments;
   std::uint32_t n_segments_taken;    ///< segments taken by a block
   std::uint32_t n_long_cells_taken;  ///< of the long lists' cells, likewise
-  std::uint32_t unused[2];
+  int dropped;                       ///< bits of entries' depths
+  std::uint32_t unused;
   std::uint32_t wave_size[kTurboWaves];
   std::uint32_t class_size[kTurboClasses];
 
@@ -260,7 +261,7 @@ struct TurboLongListSizes {
   }
 };
 
-/// Projects n < kMaxTurboGaussians Gaussians, writes splats [n] at the indices of the visible ones, entries and runs,
+/// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs,
 /// and adds to the state's counters.instances, .visible and .runs. Skips chunks of compact attributes outside the view
 /// before reading attributes. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are
 /// not visible and have no entries. v.grid has tiles of kTurboTile. Of PagedAttributes, projects the rows of `drawn`,

@@ -64,7 +64,7 @@ static_assert(kLargeTiles < 256 && kThreads * kLargeTiles < 1 << 15);
 struct Shared {
   math::Ellipse<float> ellipse[kThreads];
   Box box[kThreads];
-  std::uint32_t depth[kThreads];              // bits
+  std::uint32_t depth[kThreads];              // turbo_depth()
   std::uint16_t row_end[kThreads];            // inclusive sums of the Gaussians' rows after the first
   std::uint8_t listed[kThreads];              // the Gaussian has an entry
   alignas(16) std::uint32_t counts[kWindow];  // entries of each tile of the window; then the place of the next one
@@ -148,6 +148,8 @@ __global__ void __launch_bounds__(kThreads)
     if (first >= n) return;
     row = drawn_row(a.drawn, attributes.chunk_size, math::min(i, n - 1));
   }
+  const int dropped = turbo_dropped_bits(n);
+  if (i == 0) a.arrays.state->dropped = dropped;
   const auto clear_counts = [&s] {
     static_assert(kWindow == 4 * kThreads);
     reinterpret_cast<uint4*>(s.counts)[threadIdx.x] = {};
@@ -173,7 +175,7 @@ __global__ void __launch_bounds__(kThreads)
         n_columns = static_cast<std::uint32_t>(rect.x1 - rect.x0);
         n_rows = static_cast<std::uint32_t>(rect.y1 - rect.y0);
         s.ellipse[threadIdx.x] = ellipse;
-        s.depth[threadIdx.x] = math::depth_bits(p.z);
+        s.depth[threadIdx.x] = turbo_depth(p.z, v.view.near_plane);
         a.splats[i] = screen_splat(p, cutoff, color_of(attributes, row, v.view, mean, v.sh_degree));
       }
     }
@@ -231,7 +233,7 @@ __global__ void __launch_bounds__(kThreads)
       s.listed[owner] = 1;
       const std::uint32_t at = atomicAdd(s.counts + tile, 1u);
       if (at < a.arrays.entry_capacity)
-        a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells_in(candidate));
+        a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells_in(candidate), dropped);
     }
     window += kWindow;
     if (window >= n_tiles) break;

@@ -18,6 +18,7 @@
 #include <type_traits>
 
 #include "rgs/hd.hpp"
+#include "rgs/math/blend.hpp"
 #include "rgs/math/coverage.hpp"
 
 #ifndef RGS_TURBO_TILE
@@ -42,29 +43,52 @@ static_assert(std::has_single_bit(unsigned{kTurboTile}) && std::has_single_bit(u
               "quotients by them are shifts, and products with their inverses exact");
 static_assert(kTurboCellWidth <= kTurboTile && kTurboCellHeight <= kTurboTile, "cells fill a tile");
 
-/// A Gaussian in a list: bits of its depth (positive: 31), its index, and a bit for each cell of the tile that it
-/// touches. Entries order by depth, then by index.
+/// A Gaussian in a list: its depth (turbo_depth()), its index, and a bit for each cell of the tile that it touches.
+/// Entries order by depth, then by index. Indices of more Gaussians than kTurboIndexBits number take the last bits of
+/// depths, `dropped` (turbo_dropped_bits()).
 using TurboEntry = std::uint64_t;
-inline constexpr int kTurboDepthBits = 31, kTurboIndexBits = 25, kTurboCellBits = 8;
-inline constexpr std::uint64_t kMaxTurboGaussians = std::uint64_t{1} << kTurboIndexBits;
+inline constexpr int kTurboDepthBits = 29, kTurboIndexBits = 27, kTurboCellBits = 8;
 static_assert(kTurboDepthBits + kTurboIndexBits + kTurboCellBits == 64,
               "an entry is one word, loaded and ordered as one");
 static_assert(kTurboCells <= kTurboCellBits, "an entry has a bit for each cell: larger cells or smaller tiles");
 
-RGS_HD constexpr TurboEntry make_entry(std::uint32_t depth, std::uint32_t index, std::uint32_t cells) {
-  return TurboEntry{depth} << (kTurboIndexBits + kTurboCellBits) | TurboEntry{index} << kTurboCellBits | cells;
+/// Of 0 < n <= 2^31 Gaussians; at most 4.
+RGS_HD constexpr int turbo_dropped_bits(std::uint32_t n) {
+  int bits = 0;
+  while ((n - 1) >> (kTurboIndexBits + bits) != 0) ++bits;
+  return bits;
 }
-RGS_HD constexpr std::uint32_t depth_of(TurboEntry entry) {
-  return static_cast<std::uint32_t>(entry >> (kTurboIndexBits + kTurboCellBits));
+
+/// Steps of FP32 from the near plane, or from 2^-24 if that is farther, to depth z: exact up to 2^64 times that depth
+/// and equal beyond.
+RGS_HD inline std::uint32_t turbo_depth(float z, float near_plane) {
+  constexpr float kNearest = 0x1p-24F;
+  const std::uint32_t steps =
+      math::depth_bits(math::max(z, kNearest)) - math::depth_bits(math::max(near_plane, kNearest));
+  return math::min(steps, (1u << kTurboDepthBits) - 1);
 }
-RGS_HD constexpr std::uint32_t index_of(TurboEntry entry) {
-  return static_cast<std::uint32_t>(entry >> kTurboCellBits) & static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
+
+// The upper word has all of the depth and the index's first bits.
+inline constexpr int kTurboIndexAbove = kTurboIndexBits + kTurboCellBits - 32;
+static_assert(kTurboIndexAbove > 0);
+RGS_HD constexpr TurboEntry make_entry(std::uint32_t depth, std::uint32_t index, std::uint32_t cells, int dropped = 0) {
+  return TurboEntry{depth >> dropped << (kTurboIndexAbove + dropped)} << 32 | TurboEntry{index} << kTurboCellBits |
+         cells;
+}
+/// Without the dropped bits.
+RGS_HD constexpr std::uint32_t depth_of(TurboEntry entry, int dropped = 0) {
+  return static_cast<std::uint32_t>(entry >> 32) >> (kTurboIndexAbove + dropped);
+}
+RGS_HD constexpr std::uint32_t index_of(TurboEntry entry, int dropped = 0) {
+  return static_cast<std::uint32_t>(entry >> kTurboCellBits) & ((1u << (kTurboIndexBits + dropped)) - 1);
 }
 RGS_HD constexpr bool touches(TurboEntry entry, std::uint32_t cell) {
   return (static_cast<std::uint32_t>(entry) >> cell & 1) != 0;
 }
-static_assert(depth_of(make_entry(0x7F7FFFFF, 5, 7)) == 0x7F7FFFFF &&
-              index_of(make_entry(1, 0x1FFFFFF, 255)) == 0x1FFFFFF);
+static_assert(depth_of(make_entry(0x1FFFFFFF, 5, 7)) == 0x1FFFFFFF &&
+              index_of(make_entry(1, 0x7FFFFFF, 255)) == 0x7FFFFFF);
+static_assert(depth_of(make_entry(0x1FFFFFFF, 5, 7, 4), 4) == 0x1FFFFFF &&
+              index_of(make_entry(31, 0x7FFFFFFE, 255, 4), 4) == 0x7FFFFFFE);
 
 /// A strip: neighbouring tiles of a row whose cells fill one word, a byte for each row of cells. Bit c of byte r is the
 /// c-th cell of row r from the strip's first tile.

@@ -90,7 +90,7 @@ __device__ std::uint32_t place(Shared<Strips>& s, const TurboArrays& a, Region<S
     const std::uint32_t at = s.found[begin + k];
     const TurboBox box = a.large_boxes[at];
     const TurboLargeGaussian& large = a.large_gaussians[at];
-    if (row == 0) s.entry[k] = make_entry(large.depth, large.index, 0);
+    if (row == 0) s.entry[k] = make_entry(large.depth, large.index, 0, a.state->dropped);
     const int y = region.y + static_cast<int>(row);
     const bool inside = y >= box.y0 && y < box.y1;
     const auto rows = cell_rows(large.ellipse, y);

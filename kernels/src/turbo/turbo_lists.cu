@@ -47,10 +47,11 @@ __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std:
 }
 
 // Extends a list's depth range by a run's first and every 64th entry.
-__device__ void add_sample(const TurboEntry* entries, TurboRun run, TurboLongList& list) {
+__device__ void add_sample(const TurboArrays& a, TurboRun run, TurboLongList& list) {
+  const int dropped = a.state->dropped;
   std::uint32_t nearest = ~0u, farthest = 0;
   for (std::uint32_t k = 0; k < run.n; k += 64) {
-    const std::uint32_t depth = depth_of(entries[run.begin + k]);
+    const std::uint32_t depth = depth_of(a.entries[run.begin + k], dropped);
     nearest = math::min(nearest, depth), farthest = math::max(farthest, depth);
   }
   // Mostly in range already: avoids atomics on one word, which serialise.
@@ -110,7 +111,7 @@ __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a, math::Ti
     const TurboTileRun run = a.runs[k];
     const TurboList list = a.lists[run.tile];
     a.tile_runs[list.begin + run.in_tile] = run.run;
-    if (list.n_entries >= kTurboRound) add_sample(a.entries, run.run, a.long_lists[list.number]);
+    if (list.n_entries >= kTurboRound) add_sample(a, run.run, a.long_lists[list.number]);
   }
   auto* const bins = reinterpret_cast<uint4*>(a.bins);
   for (std::uint64_t k = first; k < state.n_long_lists * std::uint64_t{kTurboBins / 4}; k += step)

@@ -44,14 +44,16 @@ class DepthBins {
  public:
   // All threads of the block call it; all blocks compute the same.
   __device__ DepthBins(const TurboArrays& a, const TurboLongList& list, Stretches& stretches)
-      : nearest_(list.nearest), stretches_(list.n_entries >= kTurboSampledList ? &stretches : nullptr) {
+      : nearest_(list.nearest),
+        dropped_(a.state->dropped),
+        stretches_(list.n_entries >= kTurboSampledList ? &stretches : nullptr) {
     constexpr int kBits = 10;
     static_assert(kTurboBins == 1 << kBits);
     shift_ = math::max(0, 32 - __clz(static_cast<int>(list.farthest - list.nearest)) - kBits);
-    if (stretches_ != nullptr) find(a, list, stretches);
+    if (stretches_ != nullptr) find(a, list, stretches, dropped_);
   }
   __device__ std::uint32_t of(TurboEntry entry) const {
-    const std::uint32_t depth = depth_of(entry);
+    const std::uint32_t depth = depth_of(entry, dropped_);
     if (stretches_ == nullptr) return depth > nearest_ ? math::min((depth - nearest_) >> shift_, kTurboBins - 1) : 0;
     std::uint32_t k = 0;
 #pragma unroll
@@ -65,14 +67,14 @@ class DepthBins {
   }
 
  private:
-  __device__ static void find(const TurboArrays& a, const TurboLongList& list, Stretches& s) {
+  __device__ static void find(const TurboArrays& a, const TurboLongList& list, Stretches& s, int dropped) {
     constexpr std::uint32_t kSample = Stretches::kSample;
     const std::uint32_t own = threadIdx.x;
     __syncthreads();  // all have read the list before
     if (own < kSample) {
       const TurboList all = a.lists[list.tile];
       const TurboRun run = a.tile_runs[all.begin + std::uint64_t{own} * all.n_runs / kSample];
-      s.sample[own] = depth_of(a.entries[run.begin + own * 7919 % run.n]);
+      s.sample[own] = depth_of(a.entries[run.begin + own * 7919 % run.n], dropped);
     }
     __syncthreads();
     if (own < kSample) {
@@ -98,7 +100,7 @@ class DepthBins {
   }
 
   std::uint32_t nearest_;
-  int shift_;
+  int dropped_, shift_;
   const Stretches* stretches_;
 };
 

@@ -194,15 +194,16 @@ __device__ __noinline__ void sort_whole(Shared& s) {
 // relative to the list's range; the remaining bits hold the first bits of the index, since far away many depths are
 // equal. Neighbours whose keys do not decide are then corrected by their entries; if that takes too long, the entries
 // themselves are ordered. `range` holds the depths that the thread has seen.
-__device__ inline void order_entries(Shared& s, DepthRange range) {
+__device__ inline void order_entries(Shared& s, DepthRange range, int dropped) {
   constexpr std::uint32_t kMostTurns = 24;
   range.combine(s);
   // Padding, all ones, comes last: no entry of its depth has a position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
   const std::uint32_t positions = (1u << position_bits) - 1;
   s.positions = positions;  // all threads write the same
-  const std::uint64_t low = std::uint64_t{range.low} << kTurboIndexBits;
-  const int bits = 32 - __clz(static_cast<int>(range.high - range.low + 1)) + kTurboIndexBits;
+  const int index_bits = kTurboIndexBits + dropped;
+  const std::uint64_t low = std::uint64_t{range.low} << index_bits;
+  const int bits = 32 - __clz(static_cast<int>(range.high - range.low + 1)) + index_bits;
   const int shift = math::max(0, bits - (32 - position_bits));
   // Short lists use more warps, since all wait for the last.
   std::uint32_t* const order =
@@ -265,11 +266,11 @@ __device__ inline void count_groups(Shared& s) {
 }
 
 // Writes the round's ordered entries to the cells from s.cell_begin on.
-__device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
+__device__ inline void deal_out(const Shared& s, const TurboArrays& a, int dropped) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
   for (std::uint32_t group = threadIdx.x / 32; 32 * group < s.n; group += kWarps) {
     const TurboEntry entry = ordered_entry(s, 32 * group);
-    const std::uint32_t own = lane % kTurboCells;
+    const std::uint32_t index = index_of(entry, dropped), own = lane % kTurboCells;
     const std::uint32_t begin = s.cell_begin[own] + s.groups[own][group];  // of cell `own`
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
@@ -277,7 +278,7 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
       const std::uint32_t lanes = __ballot_sync(kFullWarp, own_entry);
       const std::uint32_t at = __shfl_sync(kFullWarp, begin, static_cast<int>(c));
       if (!own_entry) continue;
-      a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = index_of(entry);
+      a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = index;
     }
   }
 }
@@ -285,14 +286,15 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
 // Orders a non-empty list that fits shared memory.
 __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                       const TurboRankedList& list) {
+  const int dropped = a.state->dropped;
   if (threadIdx.x == 0) s.n = list.n_entries;
   const TurboRuns runs{a.tile_runs + list.begin, a.entries, list.n_runs};
   DepthRange range;
   runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
     s.entries[k] = entry;
-    range.add(depth_of(entry));
+    range.add(depth_of(entry, dropped));
   });
-  order_entries(s, range);
+  order_entries(s, range, dropped);
   count_groups(s);
   if (threadIdx.x < kTurboCells) {
     const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
@@ -300,7 +302,7 @@ __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::Til
     if (threadIdx.x == 0) s.fits = place.fits;
   }
   __syncthreads();
-  if (s.fits) deal_out(s, a);
+  if (s.fits) deal_out(s, a, dropped);
 }
 
 // A part of scratch memory, of which a unit orders the entries from <= entry < to.
@@ -312,15 +314,15 @@ struct Part {
 
 // Cuts a part into equal shares by a sample; all blocks compute the same. Entries are unique, so equal depths are cut
 // too.
-__device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::uint32_t n_shares) {
+__device__ inline Part share_of(Shared& s, Part part, int dropped, std::uint32_t share, std::uint32_t n_shares) {
   DepthRange range;
   for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kThreads) {
     s.entries[k] = part.entries[std::uint64_t{k} * part.n / kTurboRound];
-    range.add(depth_of(s.entries[k]));
+    range.add(depth_of(s.entries[k], dropped));
   }
   if (threadIdx.x == 0) s.n = kTurboRound;
   __syncthreads();
-  order_entries(s, range);
+  order_entries(s, range, dropped);
   const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares] & s.positions]; };
   if (share > 0) part.from = cut(share);
   if (share + 1 < n_shares) part.to = cut(share + 1);
@@ -330,7 +332,7 @@ __device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::
 
 // Loads the unit's entries into s.entries as far as they fit, their number into s.n, and counts by cell into s.cell_n;
 // returns the range of their depths.
-__device__ inline DepthRange load(Shared& s, const Part& part) {
+__device__ inline DepthRange load(Shared& s, const Part& part, int dropped) {
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
   if (threadIdx.x == 0) s.n = part.n <= kTurboRound ? part.n : 0;
   __syncthreads();
@@ -341,7 +343,7 @@ __device__ inline DepthRange load(Shared& s, const Part& part) {
     if (entry < part.from || entry >= part.to) continue;
     const std::uint32_t at = part.n <= kTurboRound ? k : atomicAdd(&s.n, 1u);
     if (at < kTurboRound) s.entries[at] = entry;
-    range.add(depth_of(entry));
+    range.add(depth_of(entry, dropped));
     cells.add(entry);
   }
   cells.flush();
@@ -416,8 +418,9 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   Part part{a.scratch + own.begin, own.end - own.begin};
   const TurboLongList& list = a.long_lists[own.long_list];
   const std::uint32_t n_shares = turbo_shares(part.n);
-  if (n_shares > 1) part = share_of(s, part, own.share, n_shares);
-  DepthRange range = load(s, part);
+  const int dropped = a.state->dropped;
+  if (n_shares > 1) part = share_of(s, part, dropped, own.share, n_shares);
+  DepthRange range = load(s, part, dropped);
   tell(s, a, unit);
   place_in_cells(s, a, unit, list);
   std::uint32_t left = s.n;
@@ -427,13 +430,13 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
     if (!at_once) {
       Part round = part;
       if (left > kTurboRound) round.to = round_end(s, part);
-      range = load(s, round);
+      range = load(s, round, dropped);
       part.from = round.to;
     }
     left -= s.n;
-    order_entries(s, range);
+    order_entries(s, range, dropped);
     count_groups(s);
-    deal_out(s, a);
+    deal_out(s, a, dropped);
     __syncthreads();
     if (threadIdx.x < kTurboCells) s.cell_begin[threadIdx.x] += s.cell_n[threadIdx.x];
   }

@@ -34,8 +34,9 @@ enum class Pipeline : std::uint8_t {
   baseline,  ///< the original 3DGS rasteriser: all its settings, and its kernels on CUDA
   paper,     ///< the paper's, as changed by PaperSteps
   /// Lists per tile of 32x32 pixels, each ordered exactly on its own, instead of a sort over the frame; always
-  /// deterministic. Scenes of 2^25 Gaussians or more use the paper's kernels with turbo's arithmetic. FrameStats counts
-  /// lists as bin_ms, their order as sort_ms. The CPU uses its arithmetic: ellipses, exact order, folded exponents.
+  /// deterministic. Where 2^27 Gaussians or more are in view, depths that differ in the last four bits at most may count
+  /// as equal. FrameStats counts lists as bin_ms, their order as sort_ms. The CPU uses its arithmetic: ellipses, exact
+  /// order, folded exponents.
   turbo,
 };
 
@@ -64,7 +65,7 @@ struct PaperSteps {
   bool deterministic = true;
 };
 
-/// For Pipeline::turbo on CUDA, unless the paper's kernels draw the scene.
+/// For Pipeline::turbo on CUDA.
 struct TurboOptions {
   /// Blends by matrix products in FP16; in FP32 if depth or counts are wanted or the low-pass is below 0.1. These
   /// products stop a pixel at a transmittance of 2^-11 instead of 1e-4, which loses up to an eighth of an 8-bit step of

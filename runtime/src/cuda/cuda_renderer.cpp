@@ -14,6 +14,7 @@
 #include "cuda/turbo_pipeline.hpp"
 #include "render_options.hpp"
 #include "rgs/guard_memory.hpp"
+#include "turbo/turbo_geometry.hpp"
 
 namespace rgs {
 namespace {
@@ -27,11 +28,6 @@ using detail::FrameSettings;
 constexpr std::uint64_t kMaxRows = kMaxImageSide / math::kTileSize, kMaxTurboRows = kMaxImageSide / cuda::kTurboTile;
 static_assert(kMaxRows <= 65535 && kMaxTurboRows * kMaxTurboRows * cuda::kTurboCells < std::uint64_t{1} << 31);
 static_assert(kMaxTurboRows <= std::uint64_t{1} << 15);
-
-// With levels, how much is drawn is not known before.
-bool draws_turbo(const FrameSettings& settings, const detail::SceneStorage* scene) {
-  return settings.cuda.turbo && (scene == nullptr || scene->pages || detail::TurboPipeline::takes(scene->n));
-}
 
 cuda::CutEye cut_eye(const lod::Eye& eye, float detail_px) {
   const auto& at = eye.position;
@@ -78,8 +74,8 @@ struct CudaRenderer::Impl {
   auto with_pipeline(const Frame& f, const Use& use) {
     return f.is_turbo ? use(turbo) : use(sorted);
   }
-  Result<std::uint64_t> settle(Frame& frame);
-  Result<FrameStats> outcome(Frame& frame);
+  Result<std::uint64_t> settle(const Frame& frame);
+  Result<FrameStats> outcome(const Frame& frame);
   std::uint64_t bytes() const { return state.splats.bytes() + state.cut.bytes() + sorted.bytes() + turbo.bytes(); }
 
   std::string name;
@@ -151,16 +147,9 @@ const char* CudaRenderer::name() const {
   return impl_->name.c_str();
 }
 
-// Number of pairs of a queued frame; moves the frame to the sorted pipeline if turbo cannot index what it draws. After
-// an error nothing of the frame is running: the caller may free its scene.
-Result<std::uint64_t> CudaRenderer::Impl::settle(Frame& frame) {
-  auto pairs = with_pipeline(frame, [&](auto& pipeline) { return pipeline.settle(frame); });
-  if (pairs && *pairs == detail::kTooManyDrawn) {
-    frame.is_turbo = false;
-    frame.view = *frame.sorted_view;
-    const Status queued = sorted.queue(frame);
-    pairs = queued ? sorted.settle(frame) : Result<std::uint64_t>(tl::unexpected(queued.error()));
-  }
+// Number of pairs of a queued frame. After an error nothing of the frame is running: the caller may free its scene.
+Result<std::uint64_t> CudaRenderer::Impl::settle(const Frame& frame) {
+  const auto pairs = with_pipeline(frame, [&](auto& pipeline) { return pipeline.settle(frame); });
   Status ok;
   if (!pairs) ok = tl::unexpected(pairs.error());
   if (ok) ok = check_pairs(*pairs);
@@ -170,7 +159,7 @@ Result<std::uint64_t> CudaRenderer::Impl::settle(Frame& frame) {
 }
 
 // What a settled frame cost, including all that its settings measure.
-Result<FrameStats> CudaRenderer::Impl::outcome(Frame& f) {
+Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
   const auto pairs = settle(f);
   if (!pairs) return tl::unexpected(pairs.error());
   const auto& how = f.settings.cuda;
@@ -223,7 +212,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   return detail::guard_memory([&]() -> Result<FrameStats> {
     Impl& w = *impl_;
     if (w.open) {
-      Frame before = *std::exchange(w.open, std::nullopt);
+      const Frame before = *std::exchange(w.open, std::nullopt);
       if (const auto pairs = w.settle(before); !pairs) return tl::unexpected(pairs.error());
     }
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
@@ -237,24 +226,19 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
     if (ok) ok = detail::validate_surface(target, camera);
     if (!ok) return tl::unexpected(ok.error());
 
-    const auto view = [&](bool for_turbo) {
-      return view_of(camera, scene.origin(), settings, scene.sh_degree(), for_turbo);
-    };
-    const bool is_turbo = draws_turbo(settings, scene.storage_.get());
+    const bool is_turbo = settings.cuda.turbo;
     Frame frame{.scene = scene.storage_,
                 .width = camera.width,
                 .height = camera.height,
                 .target = detail::arrays_of(target, camera),
-                .view = view(is_turbo),
+                .view = view_of(camera, scene.origin(), settings, scene.sh_degree(), is_turbo),
                 .settings = settings,
                 .stream = stream,
                 .depth_resolution = 0,
                 .is_turbo = is_turbo,
-                .cut = std::nullopt,
-                .sorted_view = std::nullopt};
+                .cut = std::nullopt};
     if (scene.has_levels()) {
       frame.cut = cut_eye(detail::eye_of(camera, scene.origin(), scene.declarations()->z_near), *detail_px);
-      if (is_turbo) frame.sorted_view = view(false);
     }
     if (frame.view.key.quantized) {
       frame.depth_resolution =
@@ -281,7 +265,7 @@ Result<FrameStats> CudaRenderer::finish() {
   return detail::guard_memory([&]() -> Result<FrameStats> {
     Impl& w = *impl_;
     if (w.open) {
-      Frame frame = *std::exchange(w.open, std::nullopt);
+      const Frame frame = *std::exchange(w.open, std::nullopt);
       if (const auto stats = w.outcome(frame); !stats) return stats;
     }
     if (const auto ok = w.state.finished->wait(); !ok) return tl::unexpected(ok.error());

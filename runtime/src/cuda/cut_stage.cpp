@@ -26,10 +26,10 @@ std::uint64_t CutStage::bytes() const {
   return sum;
 }
 
-Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks,
-                         DeviceBuffer& splats, const Reserve& reserve) {
+Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats,
+                         const Reserve& reserve) {
   const ScenePages& pages = *scene.pages;
-  const std::uint64_t word = sizeof(std::uint32_t), limit = std::min(max_chunks, pages.n_chunks);
+  const std::uint64_t word = sizeof(std::uint32_t), limit = pages.n_chunks;
   const std::uint32_t n_blocks = pages.chosen ? 0 : cuda::cut_blocks(pages.n_pages);
   Status ok = reserve(counts_, (std::uint64_t{2} + n_blocks) * sizeof(cuda::CutCounts));
   if (ok) ok = reserve(chosen_, pages.n_chunks * word);

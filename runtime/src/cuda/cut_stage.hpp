@@ -21,10 +21,9 @@ class CutStage {
 
   /// Errors: device_failed.
   Status create() { return seen_.create(); }
-  /// Makes room for at least `n_chunks`, or for a first guess if that is 0 and there is none, but at most `max_chunks`;
-  /// `splats` gets room for as many. Call before every launch. Errors: those of `reserve`.
-  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, DeviceBuffer& splats,
-                 const Reserve& reserve);
+  /// Makes room for at least `n_chunks`, or for a first guess if that is 0 and there is none; `splats` gets
+  /// room for as many. Call before every launch. Errors: those of `reserve`.
+  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats, const Reserve& reserve);
   struct Choice {
     cuda::CutEye eye;
     cuda::ViewParameters view;

@@ -15,7 +15,6 @@
 #include "cuda/device_scene.hpp"
 #include "render_options.hpp"
 #include "sorted/front_end.hpp"
-#include "turbo/turbo_geometry.hpp"
 
 namespace rgs::detail {
 
@@ -23,9 +22,6 @@ namespace rgs::detail {
 inline constexpr std::uint64_t kMaxPairs = std::numeric_limits<std::int32_t>::max();
 /// Pairs that the workspace holds before a frame has shown how many there are.
 inline constexpr std::uint64_t kFirstPairs = std::uint64_t{1} << 20;
-
-/// Returned in place of a frame's pairs if the pipeline cannot index what the cut draws. Nothing was drawn.
-inline constexpr std::uint64_t kTooManyDrawn = std::numeric_limits<std::uint64_t>::max();
 
 /// Ends of the stages, as FrameStats names them.
 enum Mark { kStart, kProjected, kDuplicated, kSorted, kRanged, kBlended, kMarks };
@@ -41,13 +37,7 @@ struct Frame {
   double depth_resolution;  ///< for FrameStats
   bool is_turbo;
   std::optional<cuda::CutEye> cut;  ///< of a scene with levels of detail
-  /// With a cut and turbo: for the sorted pipeline, which draws the frame if turbo cannot index the cut.
-  std::optional<cuda::ViewParameters> sorted_view;
 
-  /// Chunks that its pipeline can index.
-  std::uint64_t max_chunks() const {
-    return (is_turbo ? cuda::kMaxTurboGaussians - 1 : kMaxPairs) / scene->pages->chunk_size;
-  }
   std::uint64_t n() const { return scene ? scene->n : 0; }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
   std::uint32_t n_tiles() const { return static_cast<std::uint32_t>(view.grid.columns * view.grid.rows); }
@@ -105,7 +95,7 @@ struct FrameState {
   /// Errors: those of the other reserve().
   Status reserve_cut(const Frame& f, std::uint64_t n_chunks = 0) {
     if (!f.cut) return {};
-    return cut.reserve(*f.scene, n_chunks, f.max_chunks(), splats,
+    return cut.reserve(*f.scene, n_chunks, splats,
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
   }
   Status launch_cut(const Frame& f) const {

@@ -41,10 +41,6 @@ Status SortedPipeline::choose(const Frame& f) {
     const std::uint64_t n_chunks = state_.cut.seen().chunks;
     n_ = n_chunks * f.scene->pages->chunk_size;
     if (state_.cut.fits()) return {};
-    if (n_chunks > f.max_chunks()) {
-      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index", kMaxPairs,
-                        n_);
-    }
     ok = state_.reserve_cut(f, n_chunks);
   }
 }

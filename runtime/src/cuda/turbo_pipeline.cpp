@@ -204,7 +204,6 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
     if (ok) ok = counted_long_.wait();
     if (!ok) return tl::unexpected(ok.error());
     if (f.cut && !state_.cut.fits()) {
-      if (state_.cut.seen().chunks > f.max_chunks()) return kTooManyDrawn;
       if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());
       ok = state_.reserve_cut(f, state_.cut.seen().chunks);
       if (ok) ok = queue(f);

@@ -16,9 +16,6 @@ class TurboPipeline {
   explicit TurboPipeline(FrameState& state) : state_(state) {}
   Status create();
 
-  /// Whether it can index the scene's Gaussians.
-  static bool takes(std::uint64_t n_gaussians) { return n_gaussians < cuda::kMaxTurboGaussians; }
-
   /// Enqueues a frame. Waits only to grow the workspace.
   Status queue(const Frame& frame);
   /// Entries of the frame queued last. If they did not fit, which the host learns while the frame runs, lists or cells

@@ -275,7 +275,7 @@ void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>&
       const std::uint32_t touched = cuda::cells_of_tile(cells, column);
       if (touched == 0) continue;
       f(static_cast<std::size_t>(row * grid.columns + column),
-        cuda::make_entry(math::depth_bits(p.z), static_cast<std::uint32_t>(i), touched));
+        cuda::make_entry(cuda::turbo_depth(p.z, math::kNearPlane), static_cast<std::uint32_t>(i), touched));
     }
   }
 }
@@ -636,7 +636,7 @@ TEST_CASE("a list with more entries of one depth than a sample distinguishes is 
 namespace {
 
 /// Whether units of so many shares deal a part's entries out in the order of the entries.
-void check_units(const std::vector<TurboEntry>& part, std::uint32_t n_shares) {
+void check_units(const std::vector<TurboEntry>& part, std::uint32_t n_shares, int dropped = 0) {
   const auto n = static_cast<std::uint32_t>(part.size());
   std::vector<TurboEntry> in_order = part;
   std::sort(in_order.begin(), in_order.end());
@@ -645,13 +645,13 @@ void check_units(const std::vector<TurboEntry>& part, std::uint32_t n_shares) {
   for (std::uint32_t c = 0; c < cuda::kTurboCells; ++c) {
     list.cell_begin[c] = static_cast<std::uint32_t>(expected.size());
     for (const TurboEntry entry : in_order) {
-      if (cuda::touches(entry, c)) expected.push_back(cuda::index_of(entry));
+      if (cuda::touches(entry, c)) expected.push_back(cuda::index_of(entry, dropped));
     }
   }
   std::vector<cuda::TurboUnit> units;
   for (std::uint32_t share = 0; share < n_shares; ++share) units.push_back({0, n, 0, share});
   TurboState begun{};
-  begun.n_units = n_shares;
+  begun.n_units = n_shares, begun.dropped = dropped;
 
   const DeviceArray<TurboState> state{std::span<const TurboState>(&begun, 1)};
   const DeviceArray<TurboEntry> scratch{std::span<const TurboEntry>(part)};
@@ -672,6 +672,32 @@ void check_units(const std::vector<TurboEntry>& part, std::uint32_t n_shares) {
 
 }  // namespace
 
+TEST_CASE("entries hold depths in their order and all indices, whatever the near plane") {
+  for (const float near_plane : {0.0F, 1e-6F, 0.2F, 100.0F}) {
+    CAPTURE(near_plane);
+    std::uint32_t before = 0;
+    for (float z = std::max(near_plane, 1e-6F); z < 1e11F * std::max(near_plane, 1.0F); z *= 1.07F) {
+      for (const float next : {std::nextafter(z, INFINITY), std::nextafter(std::nextafter(z, INFINITY), INFINITY)}) {
+        const std::uint32_t depth = cuda::turbo_depth(next, near_plane);
+        REQUIRE(depth > before);
+        before = depth;
+      }
+    }
+    CHECK(cuda::turbo_depth(INFINITY, near_plane) == (1u << cuda::kTurboDepthBits) - 1);
+  }
+  for (const std::uint32_t n : {1u, 1u << 27, (1u << 27) + 1, 1u << 28, 100u << 24, ~0u >> 1}) {
+    CAPTURE(n);
+    const int dropped = cuda::turbo_dropped_bits(n);
+    CHECK(dropped <= 4);
+    CHECK(n <= std::uint64_t{1} << (cuda::kTurboIndexBits + dropped));
+    CHECK((dropped == 0 || n > std::uint64_t{1} << (cuda::kTurboIndexBits + dropped - 1)));
+    const TurboEntry last = cuda::make_entry(12345u << dropped, n - 1, 0xFF, dropped);
+    CHECK(cuda::index_of(last, dropped) == n - 1);
+    CHECK(cuda::depth_of(last, dropped) == 12345);
+    CHECK(last < cuda::make_entry(12346u << dropped, 0, 0, dropped));
+  }
+}
+
 TEST_CASE("a share that the sample makes too large is ordered in rounds") {
   if (!device_answers()) return;
   // The sample takes every second entry of this part. These are its first half in order, so that the last of four
@@ -685,7 +711,7 @@ TEST_CASE("a share that the sample makes too large is ordered in rounds") {
     for (std::uint32_t k = 0; k < kEntries; ++k) {
       const std::uint32_t index = k / 2 * 7919 % kRound + (k % 2 == 0 ? 0 : kRound);
       const auto cells = static_cast<std::uint32_t>(random.below(1u << cuda::kTurboCells));
-      part.push_back(cuda::make_entry(math::depth_bits(4.0F) + (one_depth ? 0 : index), index, cells));
+      part.push_back(cuda::make_entry(cuda::turbo_depth(4, 0.2F) + (one_depth ? 0 : index), index, cells));
     }
     check_units(part, kUnits);
   }
@@ -697,6 +723,8 @@ TEST_CASE("units order equal depths by index, in a round and in more") {
     // Depths of one, of a few, of a thousand Gaussians, and one depth of all; near each other, and far apart.
     for (const std::uint32_t each : {1u, 5u, 1000u, n}) {
       for (const std::uint32_t apart : {1u, 1u << 16}) {
+        // Indices of more bits than 27 take bits of the depth.
+        const int dropped = apart == 1 ? 0 : 4;
         CAPTURE(n);
         CAPTURE(each);
         CAPTURE(apart);
@@ -704,10 +732,11 @@ TEST_CASE("units order equal depths by index, in a round and in more") {
         std::vector<TurboEntry> part;
         for (std::uint32_t k = 0; k < n; ++k) {
           const auto cells = static_cast<std::uint32_t>(random.below(1u << cuda::kTurboCells));
-          part.push_back(cuda::make_entry(math::depth_bits(4.0F) + k / each * apart, 4099 * k % (1u << 25), cells));
+          const std::uint32_t index = (k + 1) * 340007 & ((1u << (cuda::kTurboIndexBits + dropped)) - 1);
+          part.push_back(cuda::make_entry(cuda::turbo_depth(4, 0.2F) + k / each * apart, index, cells, dropped));
         }
         std::shuffle(part.begin(), part.end(), std::mt19937(814));
-        check_units(part, cuda::turbo_shares(n));
+        check_units(part, cuda::turbo_shares(n), dropped);
       }
     }
   }
