@@ -251,8 +251,9 @@ class StreamPool:
     host_memory : int
         Bytes of host memory for all of its scenes.
     device_memory : int
-        Bytes of GPU memory for their pages, one allocation while there are scenes; then only "cuda" draws them, and
-        they share SH degree, chunk size and page size. 0: pages are in host memory, and only "cpu" draws them.
+        Bytes of GPU memory for all of its scenes: half for pages, one allocation while there are scenes, half for the
+        workspace of frames; what does not fit is drawn coarser. Then only "cuda" draws them, and they share SH degree,
+        chunk size and page size. 0: pages are in host memory, and only "cpu" draws them.
 
     >>> pool = StreamPool(host_memory=1 << 28)
     >>> with StreamedScene(examples / "levels.rgs", pool=pool) as one, StreamedScene(examples / "levels.rgs", pool=pool):
@@ -280,7 +281,7 @@ class StreamPool:
 
     @property
     def device_bytes(self) -> int:
-        """Held now on the GPU."""
+        """Held now on the GPU, the workspace included."""
         return self._native.device_bytes
 
     def __repr__(self) -> str:

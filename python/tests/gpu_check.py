@@ -257,7 +257,7 @@ def streamed_scenes_in_the_devices_memory(s):
         path = Path(folder) / "levels.rgs"
         s.scene.save(path, lod=True)
         whole = roofgs.load(path)
-        pool = roofgs.StreamPool(device_memory=1 << 26)
+        pool = roofgs.StreamPool(device_memory=1 << 28)
         with roofgs.StreamedScene(path, pool=pool) as scene:
             assert pool.device_bytes > 0
             assert s.renderer.refine(scene, s.views[0], 60)

@@ -268,20 +268,31 @@ Result<FrameStats> Renderer::render(const StreamedScene& scene, const Camera& ca
                       "contributions are not counted for streamed scenes: open the file as a Scene");
   }
   return detail::guard_memory([&]() -> Result<FrameStats> {
-    const auto frame = detail::StreamFrame::begin(scene.state_, impl_->identity, camera, *rule);
-    if (!frame) return tl::unexpected(frame.error());
-    if (frame->cut().gaussians >= kMaxDrawn) {
-      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index", kMaxDrawn - 1,
-                        frame->cut().gaussians);
+    for (;;) {
+      const auto frame = detail::StreamFrame::begin(scene.state_, impl_->identity, camera, *rule);
+      if (!frame) return tl::unexpected(frame.error());
+      if (frame->cut().gaussians >= kMaxDrawn) {
+        return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index",
+                          kMaxDrawn - 1, frame->cut().gaussians);
+      }
+      auto stats = impl_->cuda ? impl_->render(*frame, scene, camera, target, options)
+                               : impl_->reference->render({scene.sh_degree(), scene.origin(), frame->parts()}, camera,
+                                                          target, rule->settings);
+      if (impl_->cuda && (stats || stats.error().code == Errc::device_out_of_memory)) frame->drawn(stats.has_value());
+      if (!stats && stats.error().code == Errc::device_out_of_memory) {
+        if (frame->n_pages() > 1) continue;  // coarser
+        return make_error(Errc::device_out_of_memory, Error::kNone,
+                          "the device memory of the scene's pool has no room for a frame of this size: raise it, or "
+                          "use fewer renderers",
+                          stats.error().expected);
+      }
+      if (!stats) return stats;
+      stats->pages = frame->n_pages();
+      stats->stream = frame->stats();
+      stats->depth_resolution =
+          detail::depth_resolution(rule->settings, stats->depth_bits, camera, scene.declarations());
+      return stats;
     }
-    auto stats = impl_->cuda ? impl_->render(*frame, scene, camera, target, options)
-                             : impl_->reference->render({scene.sh_degree(), scene.origin(), frame->parts()}, camera,
-                                                        target, rule->settings);
-    if (!stats) return stats;
-    stats->pages = frame->n_pages();
-    stats->stream = frame->stats();
-    stats->depth_resolution = detail::depth_resolution(rule->settings, stats->depth_bits, camera, scene.declarations());
-    return stats;
   });
 }
 

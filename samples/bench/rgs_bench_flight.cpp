@@ -615,7 +615,7 @@ int main(int argc, char** argv) {
     app.add_option("--host-memory", o.host_memory, "host memory budget [2GiB]")
         ->transform(CLI::AsSizeValue(false))
         ->option_text("BYTES");
-    app.add_option("--device-memory", o.device_memory, "draw on the GPU with this budget for pages [draw on the CPU]")
+    app.add_option("--device-memory", o.device_memory, "draw on the GPU with this budget [draw on the CPU]")
         ->transform(CLI::AsSizeValue(false))
         ->option_text("BYTES");
     app.add_option("--compare", o.compare, "also compare every Nth frame with the complete picture")

@@ -655,7 +655,7 @@ void add_options(CLI::App& app, Options& o) {
       ->option_text("BYTES")
       ->group(stream);
   app.add_option("--device-memory", o.device_memory,
-                 "the same on the GPU: budget of pages, without renderers' workspaces")
+                 "the same on the GPU, half for pages, half for the frames' workspace; what does not fit is coarser")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->group(stream);

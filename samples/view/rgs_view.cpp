@@ -342,7 +342,8 @@ void add_options(CLI::App& app, Options& o) {
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->group(frames);
-  app.add_option("--device-memory", o.device_memory, "the same on the GPU; workspaces of the renderer are not included")
+  app.add_option("--device-memory", o.device_memory,
+                 "the same on the GPU, half for pages, half for the frames' workspace")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->group(frames);

@@ -26,8 +26,11 @@ Renderer device_renderer() {
   return *std::move(renderer);
 }
 
-StreamPool device_pool(std::uint64_t device_memory) {
-  auto pool = StreamPool::create({.host_memory = std::uint64_t{64} << 20, .device_memory = device_memory});
+/// `page_memory`: of the device, beside a workspace with room for all frames here.
+StreamPool device_pool(std::uint64_t page_memory, std::uint64_t host_memory = std::uint64_t{64} << 20,
+                       std::uint64_t workspace = std::uint64_t{1} << 30) {
+  auto pool = StreamPool::create(
+      {.host_memory = host_memory, .device_memory = page_memory + workspace, .device_workspace = workspace});
   require_ok(pool);
   return *std::move(pool);
 }
@@ -154,11 +157,10 @@ TEST_CASE("pages that many threads send at once, in rings of any size, equal the
       CAPTURE(reads_at_once);
       CAPTURE(host_memory);
       for (int turn = 0; turn < sized(10, 2, 1); ++turn) {
-        const auto pool = StreamPool::create({.host_memory = host_memory, .device_memory = std::uint64_t{32} << 20});
-        require_ok(pool);
+        const StreamPool pool = device_pool(std::uint64_t{32} << 20, host_memory);
         const StreamedScene scene = streamed(
             bytes, std::make_shared<Script>(),
-            {.pool = *pool, .traits = {.reads_at_once = reads_at_once, .most_bytes = 256 << 10, .gap_bytes = 4096}});
+            {.pool = pool, .traits = {.reads_at_once = reads_at_once, .most_bytes = 256 << 10, .gap_bytes = 4096}});
         Renderer renderer = device_renderer();
         // Frames of resident pages, while more arrive.
         Frame frame = Frame::of(camera);
@@ -242,27 +244,72 @@ TEST_CASE("a small pool: coarser pictures, evicted pages, and never more device 
   const Scene all = whole(bytes);
   Renderer renderer = device_renderer(), reference = device_renderer();
   const auto views = cameras(9, sized(80, 20, 4));
-  for (const std::uint64_t device_memory : {std::uint64_t{64} << 20, std::uint64_t{400} << 10}) {
-    CAPTURE(device_memory);
-    const StreamPool pool = device_pool(device_memory);
+  for (const std::uint64_t page_memory : {std::uint64_t{64} << 20, std::uint64_t{400} << 10}) {
+    CAPTURE(page_memory);
+    const StreamPool pool = device_pool(page_memory);
     {
       const StreamedScene scene = streamed_in(pool, bytes);
-      CHECK(pool.device_bytes() <= device_memory);
+      CHECK(pool.device_bytes() <= page_memory);
       double coarsest = 0;
       for (std::size_t i = 0; i < views.size(); ++i) {
         if (i % 4 == 0) require_ok(renderer.refine(scene, views[i], kLong, at_detail(0.05F)));
         const Frame frame = draw(renderer, scene, views[i], at_detail(0.05F));
         coarsest = std::max(coarsest, frame.stats.stream.detail_reached_px);
+        CHECK(pool.device_bytes() <= pool.device_memory());
         if (frame.stats.stream.pages_missing == 0) {
           CHECK(is_same_picture(frame, draw(reference, all, views[i], at_detail(0.05F))));
         }
       }
       CHECK(scene.status());
-      if (device_memory < std::uint64_t{1} << 20) CHECK(coarsest > 0.05);
-      if (device_memory < std::uint64_t{1} << 20 && !race_sizes()) CHECK(scene.stats().bytes_evicted > 0);
+      if (page_memory < std::uint64_t{1} << 20) CHECK(coarsest > 0.05);
+      if (page_memory < std::uint64_t{1} << 20 && !race_sizes()) CHECK(scene.stats().bytes_evicted > 0);
     }
     CHECK(pool.device_bytes() == 0);
   }
+}
+
+TEST_CASE("what does not fit the workspace of a pool is drawn coarser, within the budget") {
+  if (!device_answers() || race_sizes()) return;
+  const Bytes bytes = town({.n = sized(400000, 60000, 3000), .sh_degree = 0});
+  const Camera camera = resized(camera_at({0, 30, 40}, {0, 0, 0}), sized(1280, 320, 64), sized(720, 200, 48));
+  const RenderOptions leaves = at_detail(0);
+  std::uint64_t needed = 0, n_all = 0;
+  {
+    const StreamPool pool = device_pool(std::uint64_t{64} << 20);
+    const StreamedScene scene = streamed_in(pool, bytes);
+    Renderer renderer = device_renderer();
+    const std::uint64_t of_pages = pool.device_bytes();
+    REQUIRE(renderer.refine(scene, camera, kLong, leaves) == true);
+    n_all = draw(renderer, scene, camera, leaves).stats.gaussians;
+    needed = pool.device_bytes() - of_pages;
+  }
+  // Down to less than any frame takes.
+  bool is_too_small = false;
+  std::uint64_t n_before = n_all;
+  int n_coarser = 0;
+  for (std::uint64_t workspace = needed; !is_too_small; workspace = workspace / 10 * 9) {
+    CAPTURE(workspace);
+    const StreamPool pool = device_pool(std::uint64_t{64} << 20, std::uint64_t{64} << 20, workspace);
+    const StreamedScene scene = streamed_in(pool, bytes);
+    Renderer renderer = device_renderer();
+    require_ok(renderer.refine(scene, camera, kLong, leaves));
+    Frame frame = Frame::of(camera);
+    for (int i = 0; i < 5; ++i) {
+      const auto stats = renderer.render(scene, camera, frame.target(), leaves);
+      CHECK(pool.device_bytes() <= pool.device_memory());
+      if (!stats) {
+        CHECK((stats.error().code == Errc::device_out_of_memory));
+        is_too_small = true;
+        break;
+      }
+      CHECK((stats->gaussians < n_all) == (stats->stream.pages_missing > 0));
+      CHECK((stats->gaussians < n_all) == (stats->stream.detail_reached_px > 0));
+      n_coarser += stats->gaussians < n_all;
+      n_before = stats->gaussians;
+    }
+  }
+  if (!small_sizes()) CHECK(n_coarser > 0);
+  MESSAGE("a workspace of ", needed, " bytes draws all ", n_all, " Gaussians; the least one drew ", n_before);
 }
 
 TEST_CASE("two scenes in one pool, each with its own renderers, at once") {

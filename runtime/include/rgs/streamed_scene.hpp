@@ -26,10 +26,14 @@ struct StreamPoolOptions {
   /// CPU renderer resident pages (236 bytes a Gaussian at SH degree 3). What a ByteSource holds comes on top: for
   /// open_url_source() 64 KiB, as much for each of UrlOptions::reads_at_once, and connections.
   std::uint64_t host_memory = std::uint64_t{2} << 30;
-  /// For drawing on CUDA: memory of the current device for the scenes' pages, 77 bytes a Gaussian at SH degree 3 of
-  /// full pages. Allocated as a whole when the first scene is opened, freed with the last. The renderers' workspaces
-  /// come on top. 0: pages are in the host's memory, and the CPU draws them.
+  /// For drawing on CUDA: most memory of the current device that its scenes and the renderers that draw them hold,
+  /// bytes. What device_workspace leaves is for pages, 77 bytes a Gaussian at SH degree 3 of full pages, allocated as a
+  /// whole when the first scene is opened and freed with the last. CUDA itself takes some hundred megabytes beside it.
+  /// 0: pages are in the host's memory, and the CPU draws them.
   std::uint64_t device_memory = 0;
+  /// Of it, for the workspaces and pictures of all its renderers. A view whose frame does not fit is drawn coarser, as
+  /// if its finer pages were missing. 0: half.
+  std::uint64_t device_workspace = 0;
 };
 
 /// A memory budget that streamed scenes share: the pages that reduce the largest error in pixels get memory first,
@@ -37,11 +41,11 @@ struct StreamPoolOptions {
 /// Copies are the same pool.
 class StreamPool {
  public:
-  /// Errors: bad_argument (a budget of 0).
+  /// Errors: bad_argument (a budget of 0, or a workspace that leaves nothing for pages).
   static Result<StreamPool> create(const StreamPoolOptions& options = {});
   std::uint64_t host_bytes() const;     ///< held now
   std::uint64_t host_memory() const;    ///< the budget
-  std::uint64_t device_bytes() const;   ///< held now on the device
+  std::uint64_t device_bytes() const;   ///< held now on the device, workspaces included
   std::uint64_t device_memory() const;  ///< its budget
 
  private:
@@ -60,7 +64,8 @@ struct StreamOptions {
 /// What a streamed scene has done since it was opened, and what is resident.
 struct StreamStats {
   std::uint64_t pages_resident = 0;
-  /// Pages that the view wants and that are not drawn since they are absent; damaged ones too.
+  /// Pages that the view wants and that are not drawn since they are absent or the workspace has no room; damaged ones
+  /// too.
   std::uint64_t pages_missing = 0;
   std::uint64_t bytes_read = 0;      ///< from disk or network, tables included
   std::uint64_t bytes_decoded = 0;   ///< of pages, in the GPU's layout

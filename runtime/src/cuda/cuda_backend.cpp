@@ -3,6 +3,8 @@
 #include "cuda/cuda_backend.hpp"
 
 #include <cstdint>
+#include <memory>
+#include <mutex>
 #include <span>
 #include <utility>
 
@@ -33,17 +35,59 @@ Result<DeviceScene> upload(const Scene& scene) {
 
 }  // namespace
 
-struct CudaBackend::Impl {
+/// A renderer and its pictures on the device.
+struct FrameMaker {
+  /// Errors: those of CudaRenderer::create().
+  static Result<std::unique_ptr<FrameMaker>> create(const DeviceAllocator& allocator);
   Result<FrameStats> draw(const DeviceScene& of, const Camera& camera, const RenderTarget& target,
                           const RenderOptions& options);
 
   CudaRenderer renderer;
   std::shared_ptr<const DeviceMemory> memory;
-  DeviceScene scene = {};
-  std::uint64_t scene_identity = 0;
   DeviceBuffer rgb = {}, alpha = {}, depth = {}, evaluated = {}, blended = {};
   OwnedStream to_host = {};
-  PictureBatch batch{renderer, memory};
+};
+
+Result<std::unique_ptr<FrameMaker>> FrameMaker::create(const DeviceAllocator& allocator) {
+  auto renderer = CudaRenderer::create({.allocator = allocator});
+  if (!renderer) return tl::unexpected(renderer.error());
+  auto memory = DeviceMemory::create(allocator);
+  if (!memory) return tl::unexpected(memory.error());
+  std::unique_ptr<FrameMaker> made(new FrameMaker{std::move(*renderer), std::move(*memory)});
+  if (Status ok = made->to_host.create(); !ok) return tl::unexpected(ok.error());
+  return made;
+}
+
+/// The content of a FrameWorkspace.
+struct StreamedFrames {
+  FrameWorkspace& workspace;
+  std::shared_ptr<const DeviceMemory> memory;
+  std::unique_ptr<FrameMaker> maker = {};
+
+  /// Memory of the workspace.
+  DeviceAllocator allocator() {
+    return {[](void* user, std::uint64_t bytes, CudaStream stream) -> void* {
+              const auto& self = *static_cast<const StreamedFrames*>(user);
+              if (!self.workspace.fits(bytes)) return nullptr;
+              const auto made = self.memory->allocate(bytes, stream);
+              if (!made) return nullptr;
+              self.workspace.take(bytes);
+              return *made;
+            },
+            [](void* user, void* block, std::uint64_t bytes) {
+              const auto& self = *static_cast<const StreamedFrames*>(user);
+              self.memory->free(block, bytes);
+              self.workspace.release(bytes);
+            },
+            this};
+  }
+};
+
+struct CudaBackend::Impl {
+  std::unique_ptr<FrameMaker> maker;
+  DeviceScene scene = {};
+  std::uint64_t scene_identity = 0;
+  PictureBatch batch{maker->renderer, maker->memory};
 };
 
 CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -52,17 +96,13 @@ CudaBackend& CudaBackend::operator=(CudaBackend&&) noexcept = default;
 CudaBackend::~CudaBackend() = default;
 
 Result<CudaBackend> CudaBackend::create() {
-  auto renderer = CudaRenderer::create();
-  if (!renderer) return tl::unexpected(renderer.error());
-  auto memory = DeviceMemory::create({});
-  if (!memory) return tl::unexpected(memory.error());
-  std::unique_ptr<Impl> impl(new Impl{std::move(*renderer), std::move(*memory)});
-  if (Status ok = impl->to_host.create(); !ok) return tl::unexpected(ok.error());
-  return CudaBackend(std::move(impl));
+  auto maker = FrameMaker::create({});
+  if (!maker) return tl::unexpected(maker.error());
+  return CudaBackend(std::unique_ptr<Impl>(new Impl{std::move(*maker)}));
 }
 
 const char* CudaBackend::name() const {
-  return impl_->renderer.name();
+  return impl_->maker->renderer.name();
 }
 
 Status CudaBackend::prepare(const Scene& scene) {
@@ -79,7 +119,7 @@ Status CudaBackend::prepare(const Scene& scene) {
 Result<FrameStats> CudaBackend::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                        const RenderOptions& options) {
   if (const auto ok = prepare(scene); !ok) return tl::unexpected(ok.error());
-  return impl_->draw(impl_->scene, camera, target, options);
+  return impl_->maker->draw(impl_->scene, camera, target, options);
 }
 
 Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene& scene, std::span<const Camera> cameras,
@@ -129,11 +169,26 @@ Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camer
   pages.chunk_size = plan.shape.chunk_size;
   pages.n_chunks = std::uint64_t{plan.n_slots} * plan.shape.page_chunks;
   pages.chosen = {draw.chunks, {draw.gaussians, draw.pages, static_cast<std::uint32_t>(draw.chunks.size())}};
-  return impl_->draw(DeviceScene(std::move(storage)), camera, target, options);
+  FrameWorkspace& workspace = draw.slots.workspace();
+  const std::scoped_lock lock(workspace.drawing);
+  if (workspace.content == nullptr) {
+    auto memory = DeviceMemory::create({});
+    if (!memory) return tl::unexpected(memory.error());
+    const auto made = std::make_shared<StreamedFrames>(StreamedFrames{workspace, *std::move(memory)});
+    auto maker = FrameMaker::create(made->allocator());
+    if (!maker) return tl::unexpected(maker.error());
+    made->maker = *std::move(maker);
+    workspace.content = made;
+  }
+  FrameMaker& maker = *static_cast<StreamedFrames*>(workspace.content.get())->maker;
+  auto stats = maker.draw(DeviceScene(std::move(storage)), camera, target, options);
+  // Buffers of the size of a larger frame would leave no room for the others of a smaller one.
+  if (!stats && stats.error().code == Errc::device_out_of_memory) workspace.content.reset();
+  return stats;
 }
 
-Result<FrameStats> CudaBackend::Impl::draw(const DeviceScene& of, const Camera& camera, const RenderTarget& target,
-                                           const RenderOptions& options) {
+Result<FrameStats> FrameMaker::draw(const DeviceScene& of, const Camera& camera, const RenderTarget& target,
+                                    const RenderOptions& options) {
   DeviceTarget device;
   Status ok;
   const auto wanted = [this, &ok](DeviceBuffer& buffer, const auto& span, auto*& pointer) {

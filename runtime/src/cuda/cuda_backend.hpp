@@ -36,8 +36,9 @@ class CudaBackend {
   /// The caller has checked camera, options and target. Errors: those of CudaRenderer::render().
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
-  /// The same of resident pages; the frame is complete after any return. Errors: also bad_argument (another device is
-  /// current).
+  /// The same of resident pages; the frame is complete after any return. Waits for frames of other renderers that draw
+  /// from the same slots, and shares their workspace, which holds all that a frame takes. Errors: also bad_argument
+  /// (another device is current), device_out_of_memory (the frame does not fit the workspace, which is then released).
   Result<FrameStats> render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
   /// Takes valid cameras of one size and valid options. Errors: those of PictureBatch::render().

@@ -55,11 +55,13 @@ class OnDevice {
 
 }  // namespace
 
-Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape& shape, std::uint64_t device_memory) {
+Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape& shape, std::uint64_t device_memory,
+                                                         std::uint64_t workspace_memory) {
   const auto plan = plan_slots(shape, device_memory);
   if (!plan) return tl::unexpected(plan.error());
   const std::shared_ptr<DeviceSlots> slots(new DeviceSlots);
   slots->plan_ = *plan;
+  slots->workspace_ = std::make_unique<FrameWorkspace>(workspace_memory);
   int n_devices = 0;
   if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0 ||
       cudaGetDevice(&slots->device_) != cudaSuccess) {
@@ -84,6 +86,7 @@ Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape& shape,
 DeviceSlots::~DeviceSlots() {
   if (memory_ == nullptr) return;
   const OnDevice here(device_);
+  workspace_.reset();
   if (here.status()) cudaFree(memory_);
 }
 

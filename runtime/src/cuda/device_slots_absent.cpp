@@ -13,7 +13,7 @@ tl::unexpected<Error> not_built() {
 
 }  // namespace
 
-Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape&, std::uint64_t) {
+Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape&, std::uint64_t, std::uint64_t) {
   return not_built();
 }
 DeviceSlots::~DeviceSlots() = default;

@@ -2,9 +2,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <atomic>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <vector>
 
 #include "rgs/paged_file.hpp"
@@ -13,13 +15,35 @@
 
 namespace rgs::detail {
 
+/// What the renderers of a pool share to draw, one frame at a time.
+class FrameWorkspace {
+ public:
+  explicit FrameWorkspace(std::uint64_t bytes) : bytes_(bytes) {}
+  std::uint64_t bytes() const { return bytes_; }  ///< most device memory
+  std::uint64_t held() const { return held_; }
+  bool fits(std::uint64_t n) const { return n <= bytes_ - held_; }
+
+  // While drawing is locked.
+  std::mutex drawing;
+  void take(std::uint64_t n) { held_ += n; }  ///< fits(n)
+  void release(std::uint64_t n) { held_ -= n; }
+
+ private:
+  const std::uint64_t bytes_;
+  std::atomic<std::uint64_t> held_{0};
+
+ public:
+  std::shared_ptr<void> content;  ///< the CUDA backend's; releases what it holds
+};
+
 /// Slots on the device that was current at create(), allocated once. The pool's lock guards the list of free slots; a
 /// taken slot's content belongs to its taker. All functions here and of SlotWriter, but stay_on_device(), leave the
 /// caller's current device as it is.
 class DeviceSlots {
  public:
-  /// Errors: those of plan_slots(); unavailable (not built, no device answers, or no code for it), device_out_of_memory, device_failed.
-  static Result<std::shared_ptr<DeviceSlots>> create(const SlotShape& shape, std::uint64_t device_memory);
+  /// `workspace_memory`: see workspace(); allocated by frames. Errors: those of plan_slots(); unavailable (not built, no device answers, or no code for it), device_out_of_memory, device_failed.
+  static Result<std::shared_ptr<DeviceSlots>> create(const SlotShape& shape, std::uint64_t device_memory,
+                                                     std::uint64_t workspace_memory = 0);
   DeviceSlots(const DeviceSlots&) = delete;
   DeviceSlots& operator=(const DeviceSlots&) = delete;
   ~DeviceSlots();
@@ -36,6 +60,7 @@ class DeviceSlots {
   /// Host memory of the list of free slots.
   static std::uint64_t host_bytes(const SlotPlan& plan) { return plan.n_slots * sizeof(std::uint32_t); }
 
+  FrameWorkspace& workspace() const { return *workspace_; }
   int device() const { return device_; }
   /// Makes this device the calling thread's, for good. For threads that only upload pages.
   void stay_on_device() const;
@@ -48,6 +73,7 @@ class DeviceSlots {
   int device_ = 0;
   std::byte* memory_ = nullptr;
   std::vector<std::uint32_t> free_;
+  std::unique_ptr<FrameWorkspace> workspace_;
 };
 
 /// What one thread needs to write pages to slots: page-locked memory and a stream of its own.

@@ -94,8 +94,12 @@ Result<std::shared_ptr<DeviceSlots>> StreamPoolState::slots_of(const SlotShape& 
         Errc::bad_argument, Error::kNone,
         "the pool's scenes have another SH degree, chunk size or page size: open this scene in a pool of its own");
   }
-  auto made = DeviceSlots::create(shape, device_memory);
-  if (!made) return made;
+  auto made = DeviceSlots::create(shape, device_memory - workspace_memory, workspace_memory);
+  if (!made) {
+    Error error = made.error();
+    if (error.code == Errc::limit_exceeded) error.expected += workspace_memory, error.found = device_memory;
+    return tl::unexpected(error);
+  }
   slots = *made;
   slots_budget = (*made)->plan().n_slots * (*made)->plan().slot_bytes();
   slots_held = 0;

@@ -25,11 +25,12 @@ struct StreamView;
 /// All memory of streamed scenes is taken from here before it is allocated. One lock guards the pool and the residency
 /// of all its scenes, since a page of one may evict pages of another.
 struct StreamPoolState {
-  explicit StreamPoolState(std::uint64_t bytes, std::uint64_t device_bytes = 0)
-      : budget(bytes), device_memory(device_bytes) {}
+  explicit StreamPoolState(std::uint64_t bytes, std::uint64_t device_bytes = 0, std::uint64_t workspace_bytes = 0)
+      : budget(bytes), device_memory(device_bytes), workspace_memory(workspace_bytes) {}
 
   const std::uint64_t budget;         // of the host
-  const std::uint64_t device_memory;  // 0: pages are on the host
+  const std::uint64_t device_memory;  // with the workspace's; 0: pages are on the host
+  const std::uint64_t workspace_memory;
   /// Constant once a scene is open; tests stop it.
   std::function<StreamClock::time_point()> now = [] { return StreamClock::now(); };
   std::mutex mutex;              // of all below, and of scenes' state where noted

@@ -231,7 +231,13 @@ Result<StreamPool> StreamPool::create(const StreamPoolOptions& options) {
     if (options.host_memory == 0) {
       return make_error(Errc::bad_argument, Error::kNone, "a memory budget of 0 bytes holds no scene");
     }
-    return StreamPool(std::make_shared<StreamPoolState>(options.host_memory, options.device_memory));
+    const std::uint64_t on_device = options.device_memory;
+    const std::uint64_t workspace = options.device_workspace != 0 ? options.device_workspace : on_device / 2;
+    if (workspace > 0 && workspace >= on_device) {
+      return make_error(Errc::bad_argument, Error::kNone, "the renderers' workspace leaves no device memory for pages",
+                        on_device, workspace);
+    }
+    return StreamPool(std::make_shared<StreamPoolState>(options.host_memory, on_device, workspace));
   });
 }
 
@@ -245,7 +251,7 @@ std::uint64_t StreamPool::host_memory() const {
 std::uint64_t StreamPool::device_bytes() const {
   const std::scoped_lock lock(state_->mutex);
   const auto slots = state_->slots.lock();
-  return slots ? slots->plan().bytes : 0;
+  return slots ? slots->plan().bytes + slots->workspace().held() : 0;
 }
 std::uint64_t StreamPool::device_memory() const {
   return state_->device_memory;

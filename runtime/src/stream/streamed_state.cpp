@@ -23,6 +23,8 @@ constexpr double kMostTurn = 1;         // radians ahead
 /// Prefetch runs every sixth frame, because it costs as much as choosing the pages.
 constexpr int kPrefetchFrames = 6;
 constexpr std::size_t kFirstDrawn = 256;  // pages
+/// A step of the detail where a view does not fit; a fifth fewer to a third fewer Gaussians.
+constexpr float kCoarser = 1.2F, kFirstCoarser = 0.25F;
 /// An allocator adds some bytes to each block.
 constexpr std::uint64_t kAllocationBytes = 32;
 
@@ -32,7 +34,7 @@ bool is_more(const WantList::Want& a, const WantList::Want& b) {
 
 bool is_same(const StreamEye& a, const StreamEye& b) {
   return a.eye.position == b.eye.position && a.eye.focal_px == b.eye.focal_px && a.eye.z_near == b.eye.z_near &&
-         a.detail_px == b.detail_px && a.volume == b.volume;
+         a.volume == b.volume;
 }
 
 std::uint64_t view_bytes() {
@@ -285,7 +287,7 @@ void StreamedState::remove_old_views() {
 }
 
 Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& camera, const StreamRule& rule) {
-  const StreamEye eye = rule.eye(camera);
+  StreamEye eye = rule.eye(camera);
   const auto now = pool->now();
   update_live_views(now);
   const auto found = std::ranges::find(views, renderer, [](const auto& view) { return view->renderer; });
@@ -309,7 +311,7 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
     given.pool = nullptr;
     view->bytes = view_bytes();
     view->renderer = renderer;
-  } else if (!is_same(*view->now, eye)) {
+  } else if (!is_same(*view->now, eye) || view->asked_px != eye.detail_px) {
     const double seconds = std::chrono::duration<double>(now - view->came).count();
     view->ahead.reset();
     if (prefetches && seconds > 0 && seconds < kMotionSeconds) {
@@ -323,6 +325,10 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
   if (!view->is_refined) view->came = now;
   view->is_refined = false;
   view->camera = camera;
+  view->asked_px = eye.detail_px;
+  // Near what fitted last.
+  if (view->now && view->most_gaussians != std::numeric_limits<std::uint64_t>::max())
+    eye.detail_px = std::max(eye.detail_px, view->now->detail_px / kCoarser);
   view->now = eye;
   view->seen = now;
   if (!had_ahead || !view->ahead || ++view->frames_since_prefetch >= kPrefetchFrames)
@@ -361,31 +367,37 @@ void StreamedState::free(DrawLists& lists) {
 }
 
 Residency::Cut StreamedState::cut(StreamView& view, DrawLists* lists) {
-  StreamEye eye = *view.now;
+  StreamEye& eye = *view.now;
   for (;;) {
     ++pool->tick;
     view.wants.clear();
     if (lists != nullptr) lists->pages.clear();
+    std::uint64_t n = 0;
+    bool is_full = false;
     const auto draw = [&](std::uint32_t page) {
+      const bool is_first = n == 0;
+      n += file->pages()[page].count;
+      if (!is_first && n > view.most_gaussians) return false;
       if (lists == nullptr) return true;
-      if (lists->pages.size() == lists->pages.capacity()) return false;
-      lists->pages.push_back(page);
-      return true;
+      is_full = lists->pages.size() == lists->pages.capacity();
+      if (!is_full) lists->pages.push_back(page);
+      return !is_full;
     };
     const Residency::Cut cut = residency->cut(
         eye, pool->tick, draw, [&](std::uint32_t group, float px) { view.wants.add(group, rank(group, px)); },
-        view.now->detail_px);
+        view.asked_px);
     if (cut.fits) {
       view.wants.order();
       view.n_in_flight = cut.in_flight;
+      if (view.ahead) view.ahead->detail_px = eye.detail_px;
       return cut;
     }
-    if (grow(*lists)) continue;
+    if (is_full && grow(*lists)) continue;
     // If not even the list of pages fits, the picture is coarser. One page fits, or there is no list at all.
-    if (lists->pages.capacity() == 0) {
+    if (is_full && lists->pages.capacity() == 0) {
       lists = nullptr;
     } else {
-      eye.detail_px = std::max(2 * eye.detail_px, 1.0F);
+      eye.detail_px = std::max(kCoarser * eye.detail_px, kFirstCoarser);
     }
   }
 }
@@ -439,6 +451,17 @@ StreamFrame::~StreamFrame() {
   if (std::exchange(state_->pool->waits_for_pins, false)) state_->pool->changed();
 }
 
+void StreamFrame::drawn(bool fits) const {
+  const std::scoped_lock lock(state_->pool->mutex);
+  std::uint64_t& most = view_->most_gaussians;
+  const FrameWorkspace& workspace = slots()->workspace();
+  if (!fits) {
+    most = cut_.gaussians - cut_.gaussians / 4;
+  } else if (view_->now->detail_px > view_->asked_px && workspace.held() < workspace.bytes() - workspace.bytes() / 4) {
+    most += std::min(most / 8, std::numeric_limits<std::uint64_t>::max() - most);
+  }
+}
+
 Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera& camera, const StreamRule& rule,
                          double seconds) {
   constexpr double kLongest = 1e7;
@@ -454,6 +477,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     if (s.pool->now() >= deadline) return false;
   }
   StreamView& view = **posted;
+  view.now->detail_px = view.asked_px;
   view.is_refined = true;
   ++view.n_busy, ++s.n_waiting;
   s.pool->changed();  // pauses are shorter now

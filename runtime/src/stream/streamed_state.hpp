@@ -8,6 +8,7 @@
 #include <condition_variable>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <span>
@@ -111,11 +112,14 @@ struct Failures {
 struct StreamView {
   std::uint64_t renderer = 0;
   Camera camera;
-  StreamClock::time_point came;  ///< when that camera last came; a refine() and the frame after it count once
-  StreamClock::time_point seen;  ///< its last frame or wait
-  bool is_refined = false;       ///< refine() had that camera, and no frame since
-  std::optional<StreamEye> now;
+  StreamClock::time_point came;    ///< when that camera last came; a refine() and the frame after it count once
+  StreamClock::time_point seen;    ///< its last frame or wait
+  bool is_refined = false;         ///< refine() had that camera, and no frame since
+  std::optional<StreamEye> now;    ///< its detail is coarser than asked for if that does not fit
   std::optional<StreamEye> ahead;  ///< where the camera is about to be
+  float asked_px = 0;              ///< detail
+  /// That a frame may draw, because more did not fit the workspace.
+  std::uint64_t most_gaussians = std::numeric_limits<std::uint64_t>::max();
   WantList wants, prefetch_wants;
   std::uint64_t n_in_flight = 0;     ///< groups that it wants
   bool prefetch_is_current = false;  ///< prefetch_wants fit `ahead`, or that of a few frames ago
@@ -278,6 +282,9 @@ class StreamFrame {
   const DeviceSlots* slots() const { return state_->store->slots().get(); }
   const Residency::Cut& cut() const { return cut_; }
   const StreamStats& stats() const { return stats_; }
+  /// Call once it is drawn or did not fit the workspace: the view's next frame has fewer Gaussians, or more if there
+  /// is room.
+  void drawn(bool fits) const;
 
  private:
   StreamFrame() = default;

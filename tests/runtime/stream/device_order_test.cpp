@@ -35,8 +35,9 @@ Renderer device_renderer() {
   return *std::move(renderer);
 }
 
-StreamPool device_pool(std::uint64_t device_memory, std::uint64_t host_memory = std::uint64_t{64} << 20) {
-  auto pool = StreamPool::create({.host_memory = host_memory, .device_memory = device_memory});
+/// `page_memory`: of the device; one byte more is the workspace's.
+StreamPool device_pool(std::uint64_t page_memory, std::uint64_t host_memory = std::uint64_t{64} << 20) {
+  auto pool = StreamPool::create({.host_memory = host_memory, .device_memory = page_memory + 1, .device_workspace = 1});
   REQUIRE(pool);
   return *std::move(pool);
 }
@@ -131,6 +132,58 @@ TEST_CASE("frames of resident pages while others come and go: no page in flight 
       CHECK(cuda.device_bytes == 0);
     }
   }
+}
+
+TEST_CASE("pages and workspaces together stay within a device's budget, and what does not fit is drawn coarser") {
+  const Bytes bytes = town({.n = 30000});
+  const std::vector<Camera> cameras = town_cameras(12, 40);
+  // Enough for all; half of it for the workspace.
+  for (const std::uint64_t device_memory : {std::uint64_t{64} << 20, std::uint64_t{6} << 20, std::uint64_t{3} << 20}) {
+    CAPTURE(device_memory);
+    const bool is_enough = device_memory == std::uint64_t{64} << 20;
+    FakeCuda cuda(FakeCuda::Pace::late);
+    cuda.workspace_bytes = 250;
+    {
+      const auto pool = StreamPool::create({.device_memory = device_memory});
+      REQUIRE(pool);
+      const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = *pool, .traits = kTraits});
+      Renderer one = device_renderer(), two = device_renderer();
+      int n_coarser = 0, n_in_a_row = 0;
+      std::uint64_t most = 0;
+      for (const Camera& camera : cameras) {
+        for (const float detail : {0.05F, 0.0F}) {
+          const auto complete = one.refine(scene, camera, kLong, at_detail(detail));
+          REQUIRE(complete);
+          const Frame frame = draw(one, scene, camera, at_detail(detail));
+          const StreamStats& stats = frame.stats.stream;
+          CHECK((stats.pages_missing > 0) == (stats.detail_reached_px > static_cast<double>(detail)));
+          n_coarser += stats.pages_missing > 0;
+          CHECK(250 * frame.stats.gaussians <= device_memory / 2);
+          most = std::max(most, frame.stats.gaussians);
+          CHECK(pool->device_bytes() == cuda.device_bytes);
+          // The next frames of the view fit at once.
+          const int n_unfit = cuda.n_unfit;
+          for (int i = 0; i < 3; ++i) draw(one, scene, camera, at_detail(detail));
+          n_in_a_row += cuda.n_unfit - n_unfit;
+        }
+      }
+      CHECK((n_coarser == 0) == is_enough);
+      CHECK((cuda.n_unfit == 0) == is_enough);
+      CHECK(n_in_a_row == 0);
+      // Most of the workspace is used.
+      if (!is_enough) CHECK(250 * most > device_memory / 2 * 6 / 10);
+      // Another renderer has as much.
+      const Frame frame = draw(one, scene, cameras[0], at_detail(0)), same = draw(two, scene, cameras[0], at_detail(0));
+      CHECK(same.stats.gaussians > frame.stats.gaussians / 2);
+      CHECK(pool->device_bytes() == cuda.device_bytes);
+    }
+    CHECK(cuda.most_device_bytes <= device_memory);
+    CHECK(cuda.device_bytes == 0);
+    CHECK(cuda.n_faults == 0);
+  }
+  for (const std::uint64_t workspace : {std::uint64_t{1} << 20, std::uint64_t{1} << 21})
+    CHECK(StreamPool::create({.device_memory = 1 << 20, .device_workspace = workspace}).error().code ==
+          Errc::bad_argument);
 }
 
 TEST_CASE("a pool smaller than a view gives a coarser picture, and the same one again") {
@@ -703,11 +756,11 @@ TEST_CASE("a device's lack of memory is reported with the bytes required, and no
   FakeCuda cuda(FakeCuda::Pace::late, 1 << 20);
   {
     const StreamPool pool = device_pool(100);
-    CHECK(pool.device_memory() == 100);
+    CHECK(pool.device_memory() == 101);
     const auto scene = try_streaming(bytes, std::make_shared<Script>(), {.pool = pool});
     REQUIRE(!scene);
     CHECK(scene.error().code == Errc::limit_exceeded);
-    CHECK(scene.error().found == 100);
+    CHECK(scene.error().found == 101);
     const StreamPool enough = device_pool(scene.error().expected);
     const StreamedScene least = streamed(bytes, std::make_shared<Script>(), {.pool = enough});
     Renderer renderer = device_renderer();

@@ -1,5 +1,7 @@
 // fake_backend.cpp - a CUDA backend on the fake device: reads slots like the kernels, and draws with the CPU renderer.
 // SPDX-License-Identifier: Apache-2.0
+#include <cuda_runtime_api.h>
+
 #include <array>
 #include <cmath>
 #include <cstring>
@@ -57,6 +59,35 @@ void add_row(const SlotDraw& draw, std::uint64_t row, Drawn& out) {
 
 }  // namespace
 
+namespace {
+
+/// The content of a workspace: it grows, and a frame that does not fit releases it.
+struct FakeContent {
+  FrameWorkspace& workspace;
+  std::uint64_t held;
+  void* memory = nullptr;
+
+  FakeContent(FrameWorkspace& of, std::uint64_t bytes) : workspace(of), held(bytes) {
+    workspace.take(held);
+    cudaMalloc(&memory, held);
+  }
+  FakeContent(const FakeContent&) = delete;
+  FakeContent& operator=(const FakeContent&) = delete;
+  ~FakeContent() {
+    workspace.release(held);
+    cudaFree(memory);
+  }
+};
+
+bool reserve(FrameWorkspace& workspace, std::uint64_t bytes) {
+  if (workspace.held() >= bytes) return true;
+  workspace.content.reset();
+  if (workspace.fits(bytes)) workspace.content = std::make_shared<FakeContent>(workspace, bytes);
+  return workspace.content != nullptr;
+}
+
+}  // namespace
+
 struct CudaBackend::Impl {
   ReferenceRenderer renderer{1, true};
 };
@@ -82,6 +113,12 @@ Result<FrameStats> CudaBackend::render(const Scene&, const Camera&, const Render
 Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
                                        const RenderOptions& options) {
   test::FakeCuda& cuda = *test::FakeCuda::current();
+  const std::scoped_lock lock(draw.slots.workspace().drawing);
+  if (cuda.workspace_bytes > 0 && !reserve(draw.slots.workspace(), cuda.workspace_bytes * draw.gaussians)) {
+    ++cuda.n_unfit;
+    return make_error(Errc::device_out_of_memory, Error::kNone, "the test's workspace is too small",
+                      cuda.workspace_bytes * draw.gaussians);
+  }
   const SlotShape& shape = draw.slots.plan().shape;
   Drawn drawn;
   for (const std::uint32_t chunk : draw.chunks) {

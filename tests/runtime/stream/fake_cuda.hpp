@@ -48,6 +48,8 @@ class FakeCuda {
   std::atomic<int> n_batches{0};                       ///< launches that copy pages
   std::atomic<int> n_seen_done{0}, n_seen_at_work{0};  ///< results of event queries
   std::atomic<int> n_set_device{0};                    ///< calls of cudaSetDevice()
+  std::atomic<std::uint64_t> workspace_bytes{0};       ///< a Gaussian that the backend draws
+  std::atomic<int> n_unfit{0};                         ///< frames that did not fit the workspace
   std::atomic<int> n_on_second{0};                     ///< allocations on the second device, in all
 
   struct Impl;
