@@ -88,6 +88,10 @@ int partition(const PartsCommand& command, const PartsRun& run, const Selection&
           "no plan yet: once all inputs are scanned, run --lod-input none to plan, then this command to place these\n");
     return tool::kSuccess;
   }
+  const std::size_t n_stretches = stretches_of(run, *job, **plan).size() - 1;
+  if (!selection.is_part && n_stretches < job->n_ranges)
+    steps.say(fmt::format("{} of {} ranges are empty: the scene has {} stretch{}\n", job->n_ranges - n_stretches,
+                          job->n_ranges, n_stretches, n_stretches == 1 ? "" : "es"));
   steps.each(n, "placed", "inputs", [&](std::size_t i) { return place_input(run, *job, **plan, i); });
   return steps.code();
 }

@@ -13,6 +13,7 @@
 #include <chrono>
 #include <climits>
 #include <csignal>
+#include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -65,15 +66,50 @@ constexpr int kEndingSignals[] = {SIGINT, SIGTERM, SIGHUP, SIGPIPE};
 // Set by the first thread to read beyond a shrunken input; others then wait for its exit.
 std::atomic_flag g_input_shrank;
 
-extern "C" void remove_temporaries_and_die(int signal_number) {
+// Writes to standard error, in a signal handler: what a terminal might obey as question marks.
+void say(const char* text) {
+  char buffer[256];
+  std::size_t n = 0;
+  for (; *text != '\0' && *text != '\n'; ++text) {
+    buffer[n++] = *text >= ' ' && *text < 0x7f ? *text : '?';
+    if (n < sizeof buffer && text[1] != '\0' && text[1] != '\n') continue;
+    if (::write(STDERR_FILENO, buffer, n) < 0) return;
+    n = 0;
+  }
+}
+
+// Writes the path of the file that is mapped at `address`, by the system's list: "BEGIN-END RIGHTS OFFSET DEVICE INODE PATH".
+void say_mapped_path(std::uintptr_t address) {
+  static char line[PATH_MAX + 128];  // one thread comes here
+  const int maps = ::open("/proc/self/maps", O_RDONLY | O_CLOEXEC);
+  std::size_t n = 0;
+  for (char c = 0; maps >= 0 && ::read(maps, &c, 1) == 1;) {
+    if (n + 1 < sizeof line) line[n++] = c;
+    if (c != '\n') continue;
+    line[n - 1] = '\0';
+    n = 0;
+    char* end = nullptr;
+    const std::uintptr_t first = std::strtoull(line, &end, 16), last = std::strtoull(end + 1, nullptr, 16);
+    if (address < first || address >= last) continue;
+    const char* const path = std::strchr(line, '/');
+    say(path != nullptr ? path : "an input");
+    return;
+  }
+  say("an input");
+}
+
+extern "C" void remove_temporaries_and_die(int signal_number, siginfo_t* info, void*) {
   while (signal_number == SIGBUS && g_input_shrank.test_and_set()) ::pause();
   for (Slot& slot : g_slots) {
     if (slot.state.load(std::memory_order_acquire) == 2) ::unlink(slot.path);
   }
   if (signal_number == SIGBUS) {
     // A mapped page has disappeared. Only MappedFile maps files, so an input (or its disk) shrank.
-    static constexpr char kText[] = "an input file shrank or became unreadable while it was being read\n";
-    if (::write(STDERR_FILENO, kText, sizeof kText - 1) >= 0) ::_exit(exit_code(Errc::read_failed));
+    say(program_invocation_short_name);
+    say(": ");
+    say_mapped_path(reinterpret_cast<std::uintptr_t>(info->si_addr));
+    say(": shrank or became unreadable while it was being read [read_failed]");
+    (void)!::write(STDERR_FILENO, "\n", 1);
     ::_exit(exit_code(Errc::read_failed));
   }
   // SA_RESETHAND has restored the default action: the process dies of the signal, as its parent expects.
@@ -462,15 +498,16 @@ Result<double> AtomicFile::finish() {
 
 void remove_temporaries_on_signal() {
   struct sigaction action {};
-  action.sa_handler = remove_temporaries_and_die;
-  action.sa_flags = static_cast<int>(SA_RESETHAND | SA_NODEFER);
+  action.sa_sigaction = remove_temporaries_and_die;
+  action.sa_flags = static_cast<int>(SA_RESETHAND | SA_NODEFER | SA_SIGINFO);
   sigemptyset(&action.sa_mask);
   for (const int s : kEndingSignals) {
     struct sigaction inherited {};
     // Keeps signals ignored that nohup or a shell's background job ignores.
     if (::sigaction(s, nullptr, &inherited) == 0 && inherited.sa_handler != SIG_IGN) ::sigaction(s, &action, nullptr);
   }
-  action.sa_flags = 0;  // SA_RESETHAND would let a second thread's SIGBUS end the process before the first one's exit
+  action.sa_flags =
+      SA_SIGINFO;  // SA_RESETHAND would let a second thread's SIGBUS end the process before the first one's exit
   ::sigaction(SIGBUS, &action, nullptr);
   ::signal(SIGXFSZ, SIG_IGN);  // a write beyond the size limit (ulimit -f) then fails with EFBIG
 }
