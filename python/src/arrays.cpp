@@ -28,10 +28,13 @@ py::object readonly_array(py::object owner, const float* data, Shape shape, Shap
 }
 
 void bind_arrays(py::module_& module) {
-  py::class_<Memory>(module, "_Memory", py::buffer_protocol(), py::module_local()).def_buffer([](const Memory& m) {
+  py::class_<Memory> memory(module, "_Memory", py::buffer_protocol(), py::module_local());
+  memory.def_buffer([](const Memory& m) {
     return py::buffer_info(const_cast<float*>(m.data), sizeof(float), "f", static_cast<py::ssize_t>(m.shape.size()),
                            m.shape, m.strides, true);
   });
+  // Nothing catches an exception of the buffer's function, so that Python makes none.
+  reinterpret_cast<PyTypeObject*>(memory.ptr())->tp_new = nullptr;
 }
 
 }  // namespace rgs::python

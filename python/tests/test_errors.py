@@ -198,3 +198,20 @@ def test_a_process_ends_while_daemon_threads_are_at_work(examples, tmp_path):
         out = subprocess.run([sys.executable, "-c", DAEMONS, examples / "scene.rgs", folder], capture_output=True, text=True,
                              env=os.environ)
         assert (out.returncode, out.stderr) == (0, "")
+
+
+NATIVE = [member for member in vars(roofgs._roofgs).values()
+          if isinstance(member, type) and not issubclass(member, BaseException)]
+
+
+# pybind11 would hand out unwritten memory, or end the interpreter.
+@pytest.mark.parametrize("cls", NATIVE, ids=lambda cls: cls.__name__)
+def test_an_object_without_init_is_refused(cls):
+    try:
+        made = cls.__new__(cls)
+    except TypeError:
+        return
+    uses = [name for name, member in vars(cls).items() if name != "__init__" and (callable(member) or isinstance(member, property))]
+    for name in uses:
+        with pytest.raises(TypeError):
+            getattr(made, name)()
