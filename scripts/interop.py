@@ -3,7 +3,7 @@
 #
 # Each tool must load what the other writes, with attributes equal within half a step of the format (to float rounding
 # where both read the same file). Default scene: a generated one. The other tool runs through npx or as
-# $RGS_SPLAT_TRANSFORM; without either the script does nothing.
+# $RGS_SPLAT_TRANSFORM; without either the script does nothing. Tests of web/ run it with the version that they lock.
 # SPDX-License-Identifier: Apache-2.0
 import argparse
 import os
@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-PEER = "@playcanvas/splat-transform@2.7.1"
+PEER = "@playcanvas/splat-transform@3.7.0"
 failures = 0
 
 

@@ -30,9 +30,9 @@ WRITTEN = [("rgs packed", "packed.rgs", []), ("rgs direct", "direct.rgs", ["--pr
            ("rgs archive:small", "small.rgs", ["--profile", "archive:small"]),
            ("compressed.ply", "scene.compressed.ply", []), ("spz", "scene.spz", ["--spz-version", "4"]), ("splat", "scene.splat", []),
            ("glb", "scene.glb", [])]
-TRANSFORM, SPLATS3D = "@playcanvas/splat-transform@2.7.1", "@mkkellogg/gaussian-splats-3d@0.4.7"
+TRANSFORM, SPLATS3D = "@playcanvas/splat-transform@3.7.0", "@mkkellogg/gaussian-splats-3d@0.4.7"
 # format, writer, name of the file, command
-PEERS = [(kind, "splat-transform 2.7.1", f"peer.{kind}",
+PEERS = [(kind, "splat-transform 3.7.0", f"peer.{kind}",
           ["npx", "--yes", TRANSFORM, "-q", "-w", "-g", "cpu", "{input}", "{output}"])
          for kind in ("compressed.ply", "spz", "sog")]
 PEERS += [(f"ksplat, level {level}", "GaussianSplats3D 0.4.7", f"peer{level}.ksplat",

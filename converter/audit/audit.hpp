@@ -13,6 +13,7 @@
 #include "console.hpp"
 #include "rgs/camera.hpp"
 #include "rgs/image.hpp"
+#include "rgs/interchange.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/result.hpp"
@@ -45,7 +46,7 @@ struct Options {
   bool distances = true;        ///< of a file with levels of detail: quality from afar
   Backend backend = Backend::automatic;
   int threads = 0;
-  DecodeLimits limits;  ///< of the asset and the `also` files
+  ReadOptions read;  ///< limits, and the axes of SPZ
 };
 
 // ---- size

@@ -118,7 +118,7 @@ class DistanceAudit {
                            box_filtered(large->picture.white, kSupersampling * row.far)});
       }
     }
-    const auto scene = Scene::load(options_.asset, options_.limits);
+    const auto scene = Scene::load(options_.asset, options_.read.limits);
     if (!scene) return make_error(options_.asset, scene.error());
     // By content, not by view: the renderer caches the last pages.
     for (std::size_t i = first; i < end; ++i) {

@@ -51,8 +51,8 @@ struct Candidates {
 };
 
 // A mesh or point cloud among the scenes needs no partner.
-bool holds_no_splats(const std::string& path, const DecodeLimits& limits) {
-  const auto source = Source::open(path, limits, {});
+bool holds_no_splats(const std::string& path, const ReadOptions& options) {
+  const auto source = Source::open(path, options, {});
   return !source && source.error().code == Errc::not_gaussian_splats;
 }
 
@@ -434,7 +434,7 @@ Outcome<std::map<std::string, Pair>> pairs_of(const Options& options) {
     const bool alone = !pair.error.empty() && c.rgs_assets.empty();
     if (pair.source.empty() && pair.asset.empty() && c.sources.empty() && c.rgs_assets.empty() && c.rgs_sources.empty())
       continue;  // files of other formats among the assets
-    if (alone && c.sources.size() == 1 && holds_no_splats(c.sources.front(), options.limits)) continue;
+    if (alone && c.sources.size() == 1 && holds_no_splats(c.sources.front(), options.read)) continue;
     pairs.emplace(stem, pair);
   }
   if (pairs.empty())

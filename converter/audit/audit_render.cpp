@@ -183,7 +183,7 @@ class PictureAudit {
       if (!scene) return make_error(options_.asset, scene.error());
       scene_ = std::move(*scene);
     } else {
-      auto file = load_scene_file(options_.asset, options_.limits, inputs_.source->declarations().axes);
+      auto file = load_scene_file(options_.asset, options_.read, inputs_.source->declarations().axes);
       if (!file) return make_error(options_.asset, file.error());
       scene_ = std::move(file->scene);
     }
@@ -235,7 +235,7 @@ class PictureAudit {
 
   Done also(AlsoReport& other, std::size_t first, std::size_t end, const RenderOptions& exact) {
     if (!other.note.empty()) return {};
-    auto file = load_scene_file(other.path, options_.limits, inputs_.source->declarations().axes);
+    auto file = load_scene_file(other.path, options_.read, inputs_.source->declarations().axes);
     if (!file) {
       other.note = file.error().code == Errc::bad_magic ? "no reader for this format" : file.error().what;
       return {};

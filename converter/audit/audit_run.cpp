@@ -200,7 +200,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.asset_name = file_name(options.asset);
   report.view_command = view_command(options);
   const bool rgs_asset = is_rgs(file->bytes());
-  Result<RgsAsset> asset = rgs_asset ? open_rgs(file->bytes(), options.limits) : Result<RgsAsset>();
+  Result<RgsAsset> asset = rgs_asset ? open_rgs(file->bytes(), options.read.limits) : Result<RgsAsset>();
   // The file that an asset may name as its source; of a SOG folder meta.json alone.
   const auto original = MappedFile::open(options.source);
   if (!original) return make_error(options.source, original.error());
@@ -211,7 +211,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     axes = is_ply ? kUndeclaredAxes : axes_of(*asset);
     other_axes = is_ply ? axes_of(*asset) : kUndeclaredAxes;
   }
-  auto source = Source::open(options.source, options.limits, axes);
+  auto source = Source::open(options.source, options.read, axes);
   if (!source) return make_error(options.source, source.error());
   if (!asset) return make_error(options.asset, asset.error());
   progress.begin("reading", source->bytes() + file->bytes().size(), "B");
@@ -258,7 +258,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     pairing = std::move(*paired);
     if (2 * pairing.n_paired < size.n_asset) {
       // The conversion may have been given other axes than the source states.
-      auto other = Source::open(options.source, options.limits, other_axes);
+      auto other = Source::open(options.source, options.read, other_axes);
       if (!other) return make_error(options.source, other.error());
       auto again = pair_gaussians(*other, view);
       if (!again) return make_error(options.asset, again.error());
@@ -275,7 +275,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     report.attributes = compare_attributes(*source, view, pairing, progress);
     report.attributes->seconds = since(began);
   } else {
-    auto opened = Source::open(options.asset, options.limits, source->declarations().axes);
+    auto opened = Source::open(options.asset, options.read, source->declarations().axes);
     if (!opened) return make_error(options.asset, opened.error());
     splats = *std::move(opened);
     report.asset_format = format_name(splats.format());

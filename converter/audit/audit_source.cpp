@@ -11,7 +11,7 @@
 
 namespace rgs::audit {
 
-Result<Source> Source::open(const std::string& path, const DecodeLimits& limits, const std::optional<Axes>& axes) {
+Result<Source> Source::open(const std::string& path, ReadOptions options, const std::optional<Axes>& axes) {
   const auto mapped = MappedFile::open(path);
   if (!mapped) return tl::unexpected(mapped.error());
   const auto turns = [](const Axes& from, const Axes& to) {
@@ -28,7 +28,8 @@ Result<Source> Source::open(const std::string& path, const DecodeLimits& limits,
       return source;
     }
   }
-  auto file = read_splats(path, {.limits = limits, .keep_axes = true});
+  options.keep_axes = true;
+  auto file = read_splats(path, options);
   if (!file) return tl::unexpected(file.error());
   if (const Axes to = axes.value_or(kAxes3dgs); turns(file->axes, to)) {
     convert_axes(file->cloud, file->axes, to);

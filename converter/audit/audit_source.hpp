@@ -22,8 +22,8 @@ class Source {
   Source() = default;
   Source(const PlyFile& ply) : ply_(&ply) {}  // NOLINT: a PLY file is a source; it must outlive this one
   /// The file's Gaussians in `axes`, or unchanged if either is undeclared. Without `axes`: a PLY in its own, others in
-  /// those of 3DGS. Errors: those of MappedFile::open(), PlyFile::open() and read_splats().
-  static Result<Source> open(const std::string& path, const DecodeLimits& limits, const std::optional<Axes>& axes);
+  /// those of 3DGS. Of `options` limits and SPZ's axes count. Errors: those of MappedFile::open(), PlyFile::open() and read_splats().
+  static Result<Source> open(const std::string& path, ReadOptions options, const std::optional<Axes>& axes);
 
   std::uint64_t size() const { return ply_ != nullptr ? ply_->size() : file_->cloud.size(); }
   int sh_degree() const { return ply_ != nullptr ? ply_->sh_degree() : file_->cloud.sh_degree; }

@@ -25,6 +25,7 @@
 #include "max_expansion.hpp"
 #include "rgs/file.hpp"
 #include "rgs/version.hpp"
+#include "spz_axes.hpp"
 
 namespace {
 
@@ -316,7 +317,8 @@ void add_options(CLI::App& app, Arguments& a) {
       ->check(CLI::Range(0, 1024))
       ->capture_default_str()
       ->group(machine);
-  tool::add_max_expansion(app, o.limits)->group(machine);
+  tool::add_max_expansion(app, o.read.limits)->group(machine);
+  tool::add_spz_axes(app, o.read.spz_axes);
   app.add_flag("--quiet,-q", a.quiet, "No progress, no summary")->group(machine);
   app.set_version_flag("--version", "rgs-audit " RGS_VERSION);
   app.footer(

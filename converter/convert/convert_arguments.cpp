@@ -41,24 +41,9 @@ tl::unexpected<Error> refuse(const char* what) {
 
 Result<Axes> parse_axes(const std::string& text) {
   static const std::map<std::string, Axes> kFrames = {
-      {"3dgs", kAxes3dgs},
-      {"opengl", kAxesOpenGl},
-      {"gltf", kAxesGltf},
-      {"undeclared", {Axis::undeclared, Axis::undeclared, Axis::undeclared}}};
-  static const std::map<std::string_view, Axis> kDirections = {
-      {"right", Axis::right}, {"left", Axis::left},       {"up", Axis::up},
-      {"down", Axis::down},   {"forward", Axis::forward}, {"backward", Axis::backward}};
+      {"3dgs", kAxes3dgs}, {"opengl", kAxesOpenGl}, {"gltf", kAxesGltf}};
   if (const auto frame = kFrames.find(text); frame != kFrames.end()) return frame->second;
-  const auto parts = split(text);
-  Axes axes{};
-  unsigned spanned = 0;
-  for (std::size_t i = 0; i < 3 && parts.size() == 3; ++i) {
-    const auto direction = kDirections.find(parts[i]);
-    if (direction == kDirections.end()) break;
-    axes[i] = direction->second;
-    spanned |= 1u << ((static_cast<unsigned>(axes[i]) - 1) / 2);
-  }
-  if (spanned == 7) return axes;
+  if (const auto axes = axes_of_text(text)) return *axes;
   return refuse("axes are 3dgs, opengl, gltf, undeclared or three directions that span space, e.g. right,down,forward");
 }
 

@@ -35,6 +35,7 @@
 #include "scene_input.hpp"
 #include "scratch_file.hpp"
 #include "sibling_program.hpp"
+#include "spz_axes.hpp"
 #include "stage_clock.hpp"
 #include "tile_stream.hpp"
 
@@ -60,6 +61,7 @@ struct Arguments {
   bool keep_going = true, stop = false, overwrite_damaged = false;
   std::string given;  // text of all options that affect an output, and the cameras' contents
   std::string cameras, axes = "3dgs", to_axes, crop, max_count;
+  rgs::Axes spz_axes = rgs::kAxes3dgs;
   std::optional<std::uint32_t> level_of_detail;
   std::optional<rgs::lod::Quality> lod_quality;
   bool lod = false;
@@ -135,7 +137,8 @@ Failure explained(Failure failure, const std::deque<Input>& inputs) {
 rgs::Axes target_axes(const Arguments& arguments, const rgs::Axes& axes, SplatFormat from, SplatFormat to) {
   const bool undeclared = axes[0] == rgs::Axis::undeclared && arguments.n_inputs() == 1;
   if (undeclared && !arguments.to_axes_given) return axes;  // nothing to convert
-  if (to == SplatFormat::spz || to == SplatFormat::glb) return rgs::format_axes(to);
+  if (to == SplatFormat::spz) return arguments.spz_axes;
+  if (to == SplatFormat::glb) return rgs::format_axes(to);
   if (arguments.to_axes_given) return rgs::parse_axes(arguments.to_axes).value();
   const bool prescribed = from == SplatFormat::spz || from == SplatFormat::glb;
   return to == SplatFormat::rgs && (!prescribed || arguments.axes_given) ? axes : rgs::kAxes3dgs;
@@ -162,6 +165,7 @@ rgs::ReadOptions read_options(const Arguments& arguments) {
   options.limits = arguments.limits;
   options.format = arguments.from;
   options.skip_unknown_extensions = arguments.skip_unknown_extensions;
+  options.spz_axes = arguments.spz_axes;
   options.level_of_detail = arguments.level_of_detail;
   if (arguments.n_inputs() == 1 && !arguments.max_count.empty() && !arguments.level_of_detail)
     options.max_count = arguments.filter.max_n;
@@ -196,6 +200,14 @@ rgs::Result<rgs::ReadOptions> read_options(const Arguments& arguments, const Inp
   return options;
 }
 
+// The axes of an SPZ, and why: the format leaves them open.
+void note_spz_axes(const Arguments& arguments, const Input& input, const rgs::SplatFile& file,
+                   std::vector<std::string>& notes) {
+  if (file.format != SplatFormat::spz || arguments.axes_given) return;
+  notes.push_back("the axes of " + tool::printable(input.name()) + " are " + rgs::axes_text(file.axes) +
+                  (file.axes_assumed ? ", assumed because it declares none (--spz-axes)" : ", as it declares"));
+}
+
 // Reads, places, merges and filters all inputs. Sets declarations of files that options do not override.
 Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& inputs, SplatFormat to,
                                      rgs::DeclaredLoss& loss) {
@@ -209,6 +221,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     if (!options) return failed(inputs[i].path(), options.error());
     auto file = inputs[i].read(std::move(*options));
     if (!file) return failed(inputs[i].path(), file.error());
+    note_spz_axes(arguments, inputs[i], *file, loss.notes);
     if (arguments.axes_given) file->axes = rgs::parse_axes(arguments.axes).value();
     if (i == 0) encode.axes = target_axes(arguments, file->axes, file->format, to);
     scene.format = i == 0 ? rgs::format_name(file->format) : "merged";
@@ -237,6 +250,9 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     loss.notes.push_back("positions refer to " + inputs.front().name() +
                          ", which does not hold positions in its own source (--keep-permutation)");
   }
+  if (to == SplatFormat::spz)
+    loss.notes.push_back("the output's axes are " + rgs::axes_text(encode.axes) +
+                         ", which the SPZ does not state (--spz-axes)");
   if (to == SplatFormat::rgs && !only.source_index.empty() && !encode.keep_permutation)
     loss.lost.emplace_back("positions in the source (--keep-permutation keeps them)");
   return scene;
@@ -267,7 +283,8 @@ struct InputTile {
   std::vector<std::string> unused;
 };
 
-Outcome<InputTile> open_tile(const Arguments& arguments, const Input& input, std::size_t i) {
+Outcome<InputTile> open_tile(const Arguments& arguments, const Input& input, std::size_t i,
+                             std::vector<std::string>& notes) {
   InputTile out;
   out.format = format_of_input(arguments, input);
   auto tile = input.tile(out.format, read_options(arguments));
@@ -287,6 +304,7 @@ Outcome<InputTile> open_tile(const Arguments& arguments, const Input& input, std
     out.format = file->format;
     out.bytes = file->bytes;
     out.unused = file->unused;
+    note_spz_axes(arguments, input, *file, notes);
     out.declared = rgs::declared_by(*file, input.name(), out.tile.placed.scale);
   }
   if (arguments.axes_given) out.tile.axes = rgs::parse_axes(arguments.axes).value();
@@ -303,7 +321,7 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
   std::uint64_t bytes = 0;
   SplatFormat first_format = SplatFormat::unknown;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    auto opened = open_tile(arguments, inputs[i], i);
+    auto opened = open_tile(arguments, inputs[i], i, loss.notes);
     if (!opened) return tl::unexpected(opened.error());
     if (i == 0) first_format = opened->format;
     if (i == 0) encode.axes = target_axes(arguments, opened->tile.axes, opened->format, SplatFormat::rgs);
@@ -459,6 +477,7 @@ int run_audit(const Arguments& arguments, const std::string& program) {
   std::vector<std::string> options{arguments.files.front(), arguments.output(), "--report",
                                    report_path(arguments.output())};
   if (!arguments.cameras.empty()) options.insert(options.end(), {"--cameras", arguments.cameras});
+  if (arguments.spz_axes == rgs::kAxesOpenGl) options.insert(options.end(), {"--spz-axes", "opengl"});
   if (arguments.convert.output.overwrite) options.emplace_back("--overwrite");
   if (arguments.threads > 0) options.insert(options.end(), {"--threads", std::to_string(arguments.threads)});
   if (arguments.quiet || arguments.json) options.emplace_back("--quiet");
@@ -536,8 +555,8 @@ std::optional<std::string> check_format(const Arguments& arguments, SplatFormat 
   if (to != SplatFormat::rgs && arguments.rgs_option != nullptr)
     return std::string(arguments.rgs_option) + " is for .rgs outputs";
   if (to != SplatFormat::spz && arguments.spz_version_given) return "--spz-version is for .spz outputs";
-  if ((to == SplatFormat::spz || to == SplatFormat::glb) && arguments.to_axes_given)
-    return std::string("the axes of ") + rgs::format_name(to) + " are prescribed by the format";
+  if (to == SplatFormat::glb && arguments.to_axes_given) return "the axes of glb are prescribed by the format";
+  if (to == SplatFormat::spz && arguments.to_axes_given) return "--spz-axes chooses the axes of .spz outputs";
   return std::nullopt;
 }
 
@@ -615,7 +634,7 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
     rgs::PartsInput& part = job.inputs.emplace_back();
     Input input;
     if (const rgs::Status s = input.open(arguments.files[i]); !s) return failed(arguments.files[i], s.error());
-    auto opened = open_tile(arguments, input, i);
+    auto opened = open_tile(arguments, input, i, job.notes);
     if (!opened) return tl::unexpected(opened.error());
     if (i == 0) encode.axes = target_axes(arguments, opened->tile.axes, opened->format, SplatFormat::rgs);
     const auto facts = rgs::tile_facts(opened->tile, encode.axes);
@@ -1016,6 +1035,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->each([&a](const std::string&) { a.spz_version_given = true; });
   app.add_flag("--skip-unknown-extensions", a.skip_unknown_extensions,
                "Skip an SPZ's extensions of unknown type, though they may change what its Gaussians mean");
+  tool::add_spz_axes(app, a.spz_axes);
   app.add_flag("--merge", a.merge, "Merge several inputs into one output");
   e.profile = rgs::Profile::packed;
   app.add_option_function<std::string>(

@@ -162,7 +162,7 @@ Result<SplatFile> decode_format(std::span<const std::byte> bytes, SplatFormat fo
     case SplatFormat::rgs: return levels ? decode_levels(bytes, options) : decode_rgs(bytes, limits);
     case SplatFormat::ply: return decode_ply(bytes, limits);
     case SplatFormat::compressed_ply: return detail::decode_compressed_ply(bytes, limits);
-    case SplatFormat::spz: return detail::decode_spz(bytes, limits, options.skip_unknown_extensions);
+    case SplatFormat::spz: return detail::decode_spz(bytes, options);
     case SplatFormat::splat: return detail::decode_splat_records(bytes, limits);
     case SplatFormat::ksplat: return detail::decode_ksplat(bytes, limits);
     case SplatFormat::sog: return detail::decode_sog(bytes, limits);
@@ -254,7 +254,7 @@ SplatFormat format_of_name(const std::string& path) {
 }
 
 Axes format_axes(SplatFormat format) {
-  return format == SplatFormat::spz ? kAxesOpenGl : format == SplatFormat::glb ? kAxesGltf : kAxes3dgs;
+  return format == SplatFormat::glb ? kAxesGltf : kAxes3dgs;
 }
 
 EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file) {

@@ -93,14 +93,13 @@ Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLim
 constexpr std::uint32_t kSafeOrbitCamera = 0xADBE0002, kCoordinateSystem = 0xADBE0003, kGeoreference = 0x4E530001;
 constexpr std::uint64_t kSafeOrbitBytes = 12, kMaxExtensionBytes = std::uint64_t{16} << 20;
 
-// By the value of Adobe's extension. 0 is "unspecified", which the reference library reads as the format's own.
+// By the value of Adobe's extension, from 1. 0 is "unspecified", which the reference library reads as no extension.
 using enum Axis;
 constexpr Axes kCoordinateSystems[] = {
-    kAxesOpenGl,           {left, down, backward}, {right, down, backward}, {left, up, backward},
-    {right, up, backward}, {left, down, forward},  {right, down, forward},  {left, up, forward},
-    {right, up, forward},  {left, forward, down},  {right, forward, down},  {left, forward, up},
-    {right, forward, up},  {left, backward, down}, {right, backward, down}, {left, backward, up},
-    {right, backward, up}};
+    {left, down, backward}, {right, down, backward}, {left, up, backward}, {right, up, backward},
+    {left, down, forward},  {right, down, forward},  {left, up, forward},  {right, up, forward},
+    {left, forward, down},  {right, forward, down},  {left, forward, up},  {right, forward, up},
+    {left, backward, down}, {right, backward, down}, {left, backward, up}, {right, backward, up}};
 
 struct Extensions {
   std::optional<Axes> axes;
@@ -145,12 +144,12 @@ Result<Extensions> parse_extensions(const SpzContent& content, bool skip_unknown
         return make_error(Errc::bad_header, offset + 4, "the coordinate system extension is not 4 bytes", 4, bytes);
       }
       const auto value = load<std::uint32_t>(block, at + 8);
-      if (value >= std::size(kCoordinateSystems)) {
-        return make_error(Errc::bad_value, offset + 8, "no such coordinate system", std::size(kCoordinateSystems) - 1,
+      if (value > std::size(kCoordinateSystems)) {
+        return make_error(Errc::bad_value, offset + 8, "no such coordinate system", std::size(kCoordinateSystems),
                           value);
       }
       if (out.axes) return make_error(Errc::bad_header, offset, "a second coordinate system");
-      out.axes = kCoordinateSystems[value];
+      if (value != 0) out.axes = kCoordinateSystems[value - 1];
     } else if (type == kSafeOrbitCamera && bytes != kSafeOrbitBytes) {
       return make_error(Errc::bad_header, offset + 4, "the safe orbit extension is not 12 bytes", kSafeOrbitBytes,
                         bytes);
@@ -664,11 +663,10 @@ bool is_spz(std::span<const std::byte> bytes) {
   return inflater && inflater->read(magic) && load<std::uint32_t>(magic, 0) == kMagicSpz;
 }
 
-Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimits& limits,
-                             bool skip_unknown_extensions) {
-  const auto content = is_gzip(bytes) ? unpack_gzip(bytes, limits) : unpack_zstd(bytes, limits);
+Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions& options) {
+  const auto content = is_gzip(bytes) ? unpack_gzip(bytes, options.limits) : unpack_zstd(bytes, options.limits);
   if (!content) return tl::unexpected(content.error());
-  auto extensions = parse_extensions(*content, skip_unknown_extensions);
+  auto extensions = parse_extensions(*content, options.skip_unknown_extensions);
   if (!extensions) return tl::unexpected(extensions.error());
   const SpzHeader& header = content->header;
   Streams streams;
@@ -678,7 +676,8 @@ Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimit
   SplatFile file;
   file.format = SplatFormat::spz;
   file.bytes = bytes.size();
-  file.axes = extensions->axes.value_or(kAxesOpenGl);
+  file.axes = extensions->axes.value_or(options.spz_axes);
+  file.axes_assumed = !extensions->axes;
   file.aa_mode = (header.flags & kFlagAntialiased) != 0 ? AaMode::mip_splatting : AaMode::classic;
   file.unused = std::move(extensions->unused);
   file.cloud = decode_streams(header, streams);

@@ -22,10 +22,10 @@ Result<int> choose_fractional_bits(const SplatView& splats);
 /// Whether the bytes begin as an SPZ does; decompresses the start of a gzip stream.
 bool is_spz(std::span<const std::byte> bytes);
 
-/// Versions 2 and 3 (one gzip stream) and 4 (a zstd stream per attribute). Gaussians stay in kAxesOpenGl, or in the
-/// axes that an extension declares. unsupported_feature for extensions of unknown type, unless they are to be skipped.
-Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimits& limits,
-                             bool skip_unknown_extensions);
+/// Versions 2 and 3 (one gzip stream) and 4 (a zstd stream per attribute). Gaussians stay in the axes that an extension
+/// declares, or else in options.spz_axes. unsupported_feature for extensions of unknown type, unless they are to be
+/// skipped.
+Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions& options);
 
 /// `version` 2, 3 or 4, with 12 fractional bits, fewer if a mean needs it; SH of degree 1 in 5 bits, above in 4, as the
 /// reference encoder's default. Versions differ in compression, and 2 in rotations. One thread per attribute, same

@@ -12,11 +12,9 @@
 
 #include "json_member.hpp"
 
-namespace rgs::detail {
+namespace rgs {
 namespace {
 
-constexpr std::string_view kRenderMode = "splatrendermode", kPostshot = "antialiased ", kOurs = "rgs_";
-constexpr const char* kExtras = "rgs";
 constexpr std::array<std::pair<std::string_view, Axis>, 6> kDirections{{{"right", Axis::right},
                                                                         {"left", Axis::left},
                                                                         {"up", Axis::up},
@@ -24,6 +22,40 @@ constexpr std::array<std::pair<std::string_view, Axis>, 6> kDirections{{{"right"
                                                                         {"forward", Axis::forward},
                                                                         {"backward", Axis::backward}}};
 constexpr Axes kUndeclaredAxes{Axis::undeclared, Axis::undeclared, Axis::undeclared};
+
+}  // namespace
+
+std::optional<Axes> axes_of_text(std::string_view text) {
+  if (text == "undeclared") return kUndeclaredAxes;
+  Axes axes{};
+  unsigned spanned = 0;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const std::size_t comma = i < 2 ? text.find(',') : text.size();
+    const std::string_view name = text.substr(0, comma);
+    const auto* const found = std::ranges::find(kDirections, name, [](const auto& d) { return d.first; });
+    if (comma == text.npos || found == kDirections.end()) return std::nullopt;
+    axes[i] = found->second;
+    spanned |= 1U << ((static_cast<unsigned>(axes[i]) - 1) / 2);
+    text.remove_prefix(std::min(comma + 1, text.size()));
+  }
+  return spanned == 7 ? std::optional(axes) : std::nullopt;
+}
+
+std::string axes_text(const Axes& axes) {
+  std::string text;
+  for (const Axis axis : axes) {
+    const auto* const found = std::ranges::find(kDirections, axis, [](const auto& d) { return d.second; });
+    if (found == kDirections.end()) return "undeclared";
+    text += (text.empty() ? "" : ",") + std::string(found->first);
+  }
+  return text;
+}
+
+namespace detail {
+namespace {
+
+constexpr std::string_view kRenderMode = "splatrendermode", kPostshot = "antialiased ", kOurs = "rgs_";
+constexpr const char* kExtras = "rgs";
 
 std::string_view trimmed(std::string_view text) {
   constexpr std::string_view kBlank = " \t\r\v\f";
@@ -59,32 +91,6 @@ double decimal_of(float value) {
   return decimal;
 }
 
-std::optional<Axes> axes_named(std::string_view text) {
-  if (text == "undeclared") return kUndeclaredAxes;
-  Axes axes{};
-  unsigned spanned = 0;
-  for (std::size_t i = 0; i < 3; ++i) {
-    const std::size_t comma = i < 2 ? text.find(',') : text.size();
-    const std::string_view name = text.substr(0, comma);
-    const auto* const found = std::ranges::find(kDirections, name, [](const auto& d) { return d.first; });
-    if (comma == text.npos || found == kDirections.end()) return std::nullopt;
-    axes[i] = found->second;
-    spanned |= 1U << ((static_cast<unsigned>(axes[i]) - 1) / 2);
-    text.remove_prefix(std::min(comma + 1, text.size()));
-  }
-  return spanned == 7 ? std::optional(axes) : std::nullopt;
-}
-
-std::string text_of(const Axes& axes) {
-  std::string text;
-  for (const Axis axis : axes) {
-    const auto* const found = std::ranges::find(kDirections, axis, [](const auto& d) { return d.second; });
-    if (found == kDirections.end()) return "undeclared";
-    text += (text.empty() ? "" : ",") + std::string(found->first);
-  }
-  return text;
-}
-
 bool read_value(std::string_view key, std::string_view value, StatedScene& scene) {
   if (key == "low_pass_px2") {
     scene.low_pass_px2 = number(value);
@@ -96,7 +102,7 @@ bool read_value(std::string_view key, std::string_view value, StatedScene& scene
     return metres.has_value();
   }
   if (key == "axes") {
-    const auto axes = axes_named(value);
+    const auto axes = axes_of_text(value);
     scene.axes = axes.value_or(scene.axes);
     return axes.has_value();
   }
@@ -179,7 +185,7 @@ std::string comment_lines(const StatedScene& s) {
   if (s.colour_space == ColourSpace::linear_display) ours("colour_space", "linear");
   if (s.colour_space == ColourSpace::undeclared) ours("colour_space", "undeclared");
   if (s.metres_per_unit != 0) ours("metres_per_unit", text_of(s.metres_per_unit));
-  if (s.axes != kAxes3dgs) ours("axes", text_of(s.axes));
+  if (s.axes != kAxes3dgs) ours("axes", axes_text(s.axes));
   return lines;
 }
 
@@ -210,4 +216,5 @@ nlohmann::ordered_json extras_of(const StatedScene& s) {
   return {{kExtras, std::move(ours)}};
 }
 
-}  // namespace rgs::detail
+}  // namespace detail
+}  // namespace rgs

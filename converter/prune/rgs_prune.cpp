@@ -27,6 +27,7 @@
 #include "rgs/splat_edit.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
+#include "spz_axes.hpp"
 
 namespace {
 
@@ -37,7 +38,7 @@ using rgs::Contribution;
 using rgs::SplatFormat;
 
 struct Options {
-  rgs::DecodeLimits limits;
+  rgs::ReadOptions read;
   std::string input, output, cameras, split, view = "all", size, keep_text, scores;
   rgs::prune::Score score = rgs::prune::Score::sum;
   rgs::prune::Keep keep;
@@ -92,9 +93,8 @@ Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
   if (!bytes) return failed(o.input, bytes.error());
   tool::failpoint("read");
   hash = rgs::xxh3(bytes->bytes());
-  rgs::ReadOptions as_stored;
+  rgs::ReadOptions as_stored = o.read;
   as_stored.keep_axes = true;
-  as_stored.limits = o.limits;
   auto file = rgs::read_splats(o.input, as_stored);
   if (!file) return failed(o.input, file.error());
   if (file->format != SplatFormat::rgs) {
@@ -302,7 +302,8 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option("--threads", o.threads, "CPU threads, 0 for all cores; the output does not depend on it")
       ->check(CLI::Range(0, 1024))
       ->capture_default_str();
-  tool::add_max_expansion(app, o.limits);
+  tool::add_max_expansion(app, o.read.limits);
+  tool::add_spz_axes(app, o.read.spz_axes);
   app.add_flag("--overwrite", o.overwrite, "replace existing outputs");
   app.add_flag("--no-sync", o.no_sync, "do not wait until files are on disk");
   app.add_flag("--json", o.json, "summary as JSON on standard output");

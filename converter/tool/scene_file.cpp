@@ -23,8 +23,8 @@ Result<SceneFile> load_rgs(MappedFile file, const DecodeLimits& limits, bool onl
   return out;
 }
 
-Result<SceneFile> load_other(const std::string& path, const DecodeLimits& limits, const Axes& axes) {
-  auto file = read_splats(path, {.limits = limits});  // in the axes of 3DGS, or undeclared ones
+Result<SceneFile> load_other(const std::string& path, const ReadOptions& options, const Axes& axes) {
+  auto file = read_splats(path, options);  // in the axes of 3DGS, or undeclared ones
   if (!file) return tl::unexpected(file.error());
   if (axes[0] != Axis::undeclared && file->axes[0] != Axis::undeclared) {
     convert_axes(file->cloud, file->axes, axes);
@@ -45,12 +45,12 @@ Result<SceneFile> load_other(const std::string& path, const DecodeLimits& limits
   return out;
 }
 
-Result<SceneFile> read_scene_file(const std::string& path, const DecodeLimits& limits, const Axes& axes,
+Result<SceneFile> read_scene_file(const std::string& path, const ReadOptions& options, const Axes& axes,
                                   bool only_open) {
   auto file = MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
-  if (detect_format(file->bytes()) != SplatFormat::rgs) return load_other(path, limits, axes);
-  return load_rgs(*std::move(file), limits, only_open);
+  if (detect_format(file->bytes()) != SplatFormat::rgs) return load_other(path, options, axes);
+  return load_rgs(*std::move(file), options.limits, only_open);
 }
 
 }  // namespace
@@ -66,12 +66,12 @@ Declarations declarations_of(const SplatFile& file) {
   return d;
 }
 
-Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits, const Axes& axes) {
-  return read_scene_file(path, limits, axes, false);
+Result<SceneFile> load_scene_file(const std::string& path, const ReadOptions& options, const Axes& axes) {
+  return read_scene_file(path, options, axes, false);
 }
 
-Result<SceneFile> open_scene_file(const std::string& path, const DecodeLimits& limits) {
-  return read_scene_file(path, limits, kAxes3dgs, true);
+Result<SceneFile> open_scene_file(const std::string& path, const ReadOptions& options) {
+  return read_scene_file(path, options, kAxes3dgs, true);
 }
 
 }  // namespace rgs

@@ -23,12 +23,12 @@ struct SceneFile {
 /// The file's declarations, for Scene::load(); those of the original 3DGS code where it states none.
 Declarations declarations_of(const SplatFile& file);
 
-/// Reads `path`; the content decides the format. Scenes of formats other than .rgs are converted to `axes`, or to those
-/// of 3DGS if undeclared. Errors: those of read_splats() and Scene::load(); for a bad_value of the latter, Error::found
+/// Reads `path`; the content decides the format. Of `options` limits and SPZ's axes count. Scenes of formats other than
+/// .rgs are converted to `axes`, or to those of 3DGS if undeclared. Errors: those of read_splats() and Scene::load(); for a bad_value of the latter, Error::found
 /// is the Gaussian's index.
-Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits = {},
+Result<SceneFile> load_scene_file(const std::string& path, const ReadOptions& options = {},
                                   const Axes& axes = kAxes3dgs);
 /// The same, but opens an .rgs file by Scene::open(): drawing validates it.
-Result<SceneFile> open_scene_file(const std::string& path, const DecodeLimits& limits = {});
+Result<SceneFile> open_scene_file(const std::string& path, const ReadOptions& options = {});
 
 }  // namespace rgs

@@ -197,7 +197,7 @@ class Scene:
     # ---- saving
 
     def save(self, path: Path, *, profile: str = "packed", lod: Union[bool, str] = False, overwrite: bool = False,
-             sync: bool = True, strict: bool = False, progress: Progress = None) -> int:
+             sync: bool = True, strict: bool = False, spz_axes: str = "ply", progress: Progress = None) -> int:
         """Writes a file, whole or not at all, and returns its bytes. The ending names the format: .rgs, .ply, .compressed.ply,
         .spz, .splat or .glb.
 
@@ -213,6 +213,8 @@ class Scene:
             Wait until it is on the disk.
         strict : bool
             Refuse values that the format cannot hold, instead of clamping them.
+        spz_axes : "ply" or "opengl"
+            For .spz, which does not state them: right, down, forward, or right, up, backward.
         progress : True or a function
             A bar, or ``function(stage, done, total, unit)``.
 
@@ -226,7 +228,8 @@ class Scene:
             raise argument_error(f"lod is True, False, 'fast' or 'best', not {lod!r}")
         quality = lod if isinstance(lod, str) else "fast" if lod else ""
         with Reporting(progress) as callback:
-            return self._native.save(local_name(path), profile, quality, overwrite, sync, strict, callback)
+            return self._native.save(local_name(path), profile, quality, overwrite, sync, strict,
+                                     _spz_axes(spz_axes), callback)
 
     # ---- shown
 
@@ -395,8 +398,14 @@ class StreamedScene:
         return html.escape(repr(self)) if self.closed else _html(self, repr(self)[1:-1])
 
 
+def _spz_axes(name: str) -> str:
+    if name not in ("ply", "opengl"):
+        raise argument_error(f"spz_axes is 'ply' or 'opengl', not {name!r}")
+    return name
+
+
 def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Optional[int] = None,
-         max_expansion: Optional[int] = None, progress: Progress = None) -> Scene:
+         max_expansion: Optional[int] = None, spz_axes: str = "ply", progress: Progress = None) -> Scene:
     """Reads a scene of any format: .rgs, PLY, compressed PLY, SPZ, .splat, .ksplat, SOG or glTF. The content decides.
 
     Parameters
@@ -409,6 +418,8 @@ def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Option
         For files with levels: the finest cut of at most so many Gaussians.
     max_expansion : int, optional
         Limit of the decompressed size, as a multiple of the file's [1032].
+    spz_axes : "ply" or "opengl"
+        Axes of an SPZ that declares none: right, down, forward, or right, up, backward.
     progress : True or a function
         A bar, or ``function(stage, done, total, unit)``; for addresses alone.
 
@@ -419,7 +430,7 @@ def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Option
     with Reporting(progress) as callback:
         return Scene._of(_roofgs.load(
             encoded(path), _count_or_none(level_of_detail, "level_of_detail"), _count_or_none(max_count, "max_count"),
-            _count_or_none(max_expansion, "max_expansion"), callback))
+            _count_or_none(max_expansion, "max_expansion"), _spz_axes(spz_axes), callback))
 
 
 def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,

@@ -35,6 +35,10 @@ using namespace py::literals;
 namespace rgs::python {
 namespace {
 
+Axes spz_axes_named(const std::string& name) {
+  return name == "opengl" ? kAxesOpenGl : kAxes3dgs;
+}
+
 struct LoadOptions {
   ReadOptions read;
   bool has_choice() const { return read.level_of_detail || read.max_count; }
@@ -59,7 +63,7 @@ Result<SceneFile> scene_of(Result<SplatFile> file) {
 }
 
 Result<SceneFile> load_path(const std::string& path, const LoadOptions& options) {
-  if (!options.has_choice()) return load_scene_file(path, options.read.limits);
+  if (!options.has_choice()) return load_scene_file(path, options.read);
   return scene_of(read_splats(path, options.read));
 }
 
@@ -89,8 +93,10 @@ Result<SceneFile> load_url(ByteSource& source, const LoadOptions& options, Progr
 }
 
 PyScene load(const std::string& name, std::optional<std::uint32_t> level_of_detail,
-             std::optional<std::uint64_t> max_count, std::optional<std::uint64_t> max_expansion, py::object callback) {
+             std::optional<std::uint64_t> max_count, std::optional<std::uint64_t> max_expansion,
+             const std::string& spz_axes, py::object callback) {
   LoadOptions options;
+  options.read.spz_axes = spz_axes_named(spz_axes);
   options.read.level_of_detail = level_of_detail;
   options.read.max_count = max_count;
   if (max_expansion) options.read.limits.max_expansion = *max_expansion;
@@ -199,6 +205,7 @@ Result<SplatCloud> cloud_of(const Scene& scene) {
 
 struct SaveOptions {
   SplatFormat format = SplatFormat::rgs;
+  Axes spz_axes = kAxes3dgs;
   ConvertOptions convert;
 };
 
@@ -219,9 +226,8 @@ Result<ConvertSummary> save_scene(const Scene& scene, const std::string& path, S
     encode.n_source = 0;
     encode.n_repaired = 0;
     Origin origin = scene.origin();
-    const bool prescribed = options.format == SplatFormat::spz || options.format == SplatFormat::glb;
     if (options.format != SplatFormat::rgs && encode.axes[0] != Axis::undeclared) {
-      const Axes axes = prescribed ? format_axes(options.format) : kAxes3dgs;
+      const Axes axes = options.format == SplatFormat::spz ? options.spz_axes : format_axes(options.format);
       convert_axes(*cloud, encode.axes, axes);
       convert_axes(origin, encode.axes, axes);
       encode.axes = axes;
@@ -237,9 +243,10 @@ Result<ConvertSummary> save_scene(const Scene& scene, const std::string& path, S
 
 // Returns the bytes written.
 std::uint64_t save(const PyScene& scene, const std::string& path, const std::string& profile, const std::string& lod,
-                   bool overwrite, bool sync, bool strict, py::object callback) {
+                   bool overwrite, bool sync, bool strict, const std::string& spz_axes, py::object callback) {
   SaveOptions options;
   options.format = format_of_name(path);
+  options.spz_axes = spz_axes_named(spz_axes);
   if (options.format == SplatFormat::unknown)
     refuse(Errc::bad_argument, "the ending names the format: .rgs, .ply, .compressed.ply, .spz, .splat or .glb", path);
   if (options.format != SplatFormat::rgs && !is_writable(options.format))
@@ -343,8 +350,10 @@ void bind_scene(py::module_& module) {
       .def_property_readonly("sh", [](const PyScene& s) { return sh_of(s, 0, 16); })
       .def_property_readonly("sh0", [](const PyScene& s) { return sh_of(s, 0, 1); })
       .def_property_readonly("shN", [](const PyScene& s) { return sh_of(s, 1, 16); })
-      .def("save", &save, "path"_a, "profile"_a, "lod"_a, "overwrite"_a, "sync"_a, "strict"_a, "progress"_a);
-  module.def("load", &load, "name"_a, "level_of_detail"_a, "max_count"_a, "max_expansion"_a, "progress"_a);
+      .def("save", &save, "path"_a, "profile"_a, "lod"_a, "overwrite"_a, "sync"_a, "strict"_a, "spz_axes"_a,
+           "progress"_a);
+  module.def("load", &load, "name"_a, "level_of_detail"_a, "max_count"_a, "max_expansion"_a, "spz_axes"_a,
+             "progress"_a);
   module.def("info", &info, "path"_a, "verify"_a, "statistics"_a, "max_expansion"_a);
 }
 

@@ -184,6 +184,18 @@ def test_saved_scenes_come_back(name, tmp_path, examples):
         np.testing.assert_allclose(again.opacities, scene.opacities, rtol=1e-6)
 
 
+def test_the_axes_of_spz_files_are_those_of_ply_unless_told_otherwise(tmp_path, examples):
+    scene = roofgs.load(examples / "scene.ply")
+    path = tmp_path / "a.spz"
+    for written, read, sign in (("ply", "ply", 1), ("opengl", "opengl", 1), ("ply", "opengl", -1), ("opengl", "ply", -1)):
+        scene.save(path, spz_axes=written, overwrite=True)
+        again = roofgs.load(path, spz_axes=read)
+        np.testing.assert_allclose(again.means, scene.means * [1, sign, sign], atol=1 / 4096)
+    for wrong in (lambda: roofgs.load(path, spz_axes="3dgs"), lambda: scene.save(path, spz_axes="gltf", overwrite=True)):
+        with pytest.raises(roofgs.ArgumentError, match="spz_axes is 'ply' or 'opengl'"):
+            wrong()
+
+
 @pytest.mark.parametrize("source", ["degree3.rgs", "packed_degree3.rgs", "origin.rgs", "edges.rgs"])
 def test_a_file_that_is_saved_holds_the_same_gaussians(source, tmp_path):
     scene = roofgs.load(GOLDEN / source)

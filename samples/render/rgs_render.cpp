@@ -29,6 +29,7 @@
 #include "rgs/streamed_scene.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
+#include "spz_axes.hpp"
 
 namespace {
 
@@ -37,7 +38,7 @@ namespace tool = rgs::tool;
 using Clock = std::chrono::steady_clock;
 
 struct Options {
-  rgs::DecodeLimits limits;
+  rgs::ReadOptions read;
   std::string scene, cameras, view, split, size, out, depth, path;
   std::string format = "png";
   int orbit = 0, frames = 120;
@@ -458,7 +459,7 @@ int render(const Options& options) {
   auto renderer = rgs::Renderer::create(options.renderer);
   if (!renderer) return tool::report("", renderer.error());
   const auto opened = Clock::now();
-  const auto scene = rgs::open_scene_file(options.scene, options.limits);
+  const auto scene = rgs::open_scene_file(options.scene, options.read);
   rgs::Status prepared;
   // The CPU expands only the pages that it draws.
   const bool is_whole = scene && (scene->scene.levels() == nullptr || renderer->backend() == rgs::Backend::cuda);
@@ -555,7 +556,7 @@ int render_streamed(const Options& options) {
   const std::uint64_t file_bytes = (*source)->size();
   way.open_seconds -= seconds_since(opened);
   const auto scene =
-      rgs::StreamedScene::open(*std::move(source), {.pool = *pool, .limits = options.limits, .url = way});
+      rgs::StreamedScene::open(*std::move(source), {.pool = *pool, .limits = options.read.limits, .url = way});
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scene) return report_not_streamed(options, scene.error());
   const double load_seconds = seconds_since(start);
@@ -750,7 +751,8 @@ void add_options(CLI::App& app, Options& o) {
       ->group(machine);
   app.add_flag("--scalar", o.scalar, "the scalar definition on the CPU, pixel by pixel, instead of vectors")
       ->group(machine);
-  tool::add_max_expansion(app, o.limits)->group(machine);
+  tool::add_max_expansion(app, o.read.limits)->group(machine);
+  tool::add_spz_axes(app, o.read.spz_axes);
   app.add_flag("--json", o.json, "summary as JSON on standard output")->group(machine);
   app.add_flag("--quiet,-q", o.quiet, "print no progress, summary or warnings")->group(machine);
   app.set_version_flag("--version", "rgs-render " RGS_VERSION);

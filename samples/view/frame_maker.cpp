@@ -117,7 +117,7 @@ tl::expected<FrameMaker, SceneError> FrameMaker::create(const std::vector<std::s
       return fail(path, impl->inputs.changed() ? tool::kFileChanged : error);
     };
     if (impl->pool) {
-      auto streamed = StreamedScene::open(path, {.pool = impl->pool, .limits = settings.limits});
+      auto streamed = StreamedScene::open(path, {.pool = impl->pool, .limits = settings.read.limits});
       if (streamed) {
         is_any_streamed = true;
         impl->scenes.emplace_back(*std::move(streamed));
@@ -125,7 +125,7 @@ tl::expected<FrameMaker, SceneError> FrameMaker::create(const std::vector<std::s
       }
       if (!is_not_streamable(streamed.error())) return fail_at(streamed.error());
     }
-    auto opened = open_scene_file(path, settings.limits);
+    auto opened = open_scene_file(path, settings.read);
     if (!opened) return fail_at(opened.error());
     // With levels of detail the CPU decodes only the pages that it draws.
     if (opened->scene.levels() == nullptr || impl->renderer.backend() == Backend::cuda) {

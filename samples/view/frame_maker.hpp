@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "frame_request.hpp"
-#include "rgs/decode.hpp"
+#include "rgs/interchange.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/result.hpp"
 #include "rgs/streamed_scene.hpp"
@@ -22,7 +22,7 @@ struct FrameSettings {
   int threads = 0;                 ///< CPU threads; 0: all
   /// If given, files with levels of detail are streamed within it; other files are loaded whole.
   std::optional<StreamPoolOptions> budget = std::nullopt;
-  DecodeLimits limits = {};
+  ReadOptions read = {};
 };
 
 /// An error, and the path of its scene; empty if it concerns no scene.

@@ -34,6 +34,7 @@
 #include "rgs/interchange.hpp"
 #include "rgs/version.hpp"
 #include "sibling_program.hpp"
+#include "spz_axes.hpp"
 #include "view_documents.hpp"
 #include "view_site.hpp"
 
@@ -50,7 +51,7 @@ struct Options {
   rgs::Backend backend = rgs::Backend::automatic;  // automatic: no frames
   std::optional<std::uint64_t> host_memory, device_memory;
   int threads = 0;
-  rgs::DecodeLimits limits;
+  rgs::ReadOptions read;
   std::string export_to;
   std::uint64_t export_limit = std::uint64_t{256} << 20;
   bool overwrite = false;
@@ -121,6 +122,7 @@ int add_photos(const std::string& folder, Shown& shown) {
 }
 
 int look_at(const Options& options, Shown& shown) {
+  shown.document.spz_opengl = options.read.spz_axes == rgs::kAxesOpenGl;
   for (const std::string* scene : {&options.scene, &options.other}) {
     if (scene->empty()) continue;
     if (const int code = add_scene(*scene, shown); code != tool::kSuccess) return code;
@@ -175,7 +177,7 @@ void end_on_signals() {
 }
 
 view::FrameSettings frame_settings(const Options& options) {
-  view::FrameSettings settings{.backend = options.backend, .threads = options.threads, .limits = options.limits};
+  view::FrameSettings settings{.backend = options.backend, .threads = options.threads, .read = options.read};
   // A scene is drawn where its pages are.
   if (settings.backend == rgs::Backend::automatic)
     settings.backend = options.device_memory ? rgs::Backend::cuda : rgs::Backend::cpu;
@@ -351,7 +353,8 @@ void add_options(CLI::App& app, Options& o) {
       ->check(CLI::Range(0, 1024))
       ->capture_default_str()
       ->group(frames);
-  tool::add_max_expansion(app, o.limits)->group(frames);
+  tool::add_max_expansion(app, o.read.limits)->group(frames);
+  tool::add_spz_axes(app, o.read.spz_axes);
 
   app.add_option("--view", o.view, "camera of the first view, by name or index")->needs(cameras);
 

@@ -77,6 +77,7 @@ std::string view_json(const ViewDocument& document) {
   json["cameras"] = document.cameras.empty() ? Json(nullptr) : Json(document.cameras);
   json["photos"] = std::move(photos);
   json["frames"] = document.backend.empty() ? Json(nullptr) : Json{{"url", "frame"}, {"backend", document.backend}};
+  if (document.spz_opengl) json["settings"] = {{"spz_axes", "opengl"}};
   return dumped(json);
 }
 

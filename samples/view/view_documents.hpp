@@ -36,6 +36,7 @@ struct ViewDocument {
   std::string cameras = {};  ///< address, empty without cameras
   std::vector<Photo> photos = {};
   std::string backend = {};  ///< of frames, "cpu" or "cuda"; empty without frames
+  bool spz_opengl = false;   ///< the axes of SPZ files that declare none: right, up, backward
 };
 
 /// Bytes of names that are not UTF-8 become replacement characters.

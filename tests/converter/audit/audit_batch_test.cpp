@@ -125,7 +125,7 @@ TEST_CASE("an asset is audited against a source of any format as against the sam
 
 TEST_CASE("a source in other axes, far away or unzipped is audited") {
   const SceneFolder scene;
-  // SPZ has its own axes, and --to-axes turns the asset.
+  // --to-axes turns the asset.
   const std::string spz = scene.file("scene.spz"), turned = scene.file("turned.rgs");
   convert({scene.ply, spz});
   convert({spz, turned, "--to-axes", "opengl"});
@@ -137,6 +137,10 @@ TEST_CASE("a source in other axes, far away or unzipped is audited") {
   CHECK(audited({scene.ply, turned})["gaussians"]["paired"] == 700);
   convert({spz, turned, "--axes", "gltf"});
   CHECK(audited({spz, turned})["gaussians"]["paired"] == 700);
+  // An SPZ in the other axes that such files have, which each program is told.
+  convert({scene.ply, scene.file("gl.spz"), "--spz-axes", "opengl"});
+  convert({scene.file("gl.spz"), turned, "--spz-axes", "opengl", "--to-axes", "gltf"});
+  CHECK(audited({scene.file("gl.spz"), turned, "--spz-axes", "opengl"})["gaussians"]["paired"] == 700);
   const Origin place{4.2e6, 1.7e5, 4.8e6};
   const std::string far = write_ply(scene.file("far.ply"), scene.cloud, place), glb = scene.file("far.glb");
   convert({far, glb});

@@ -381,7 +381,7 @@ TEST_CASE("files of other formats are measured, also as the asset") {
     CHECK(also["measured"] == true);
     CHECK(also["bytes"] == fs::file_size(spz));
     CHECK(also["gaussians"] == 700);
-    CHECK(also["psnr"].get<double>() > 25);  // SPZ's axes were turned back
+    CHECK(also["psnr"].get<double>() > 25);
   }
   const ProgramResult run = run_audit({scene.ply, packed_ply, "--cameras", scene.cameras, "--json", "-", "--quiet"});
   REQUIRE(run.exit_code == 0);
@@ -392,9 +392,7 @@ TEST_CASE("files of other formats are measured, also as the asset") {
 
 TEST_CASE("an asset of another format is drawn as it declares, and the source too") {
   const SceneFolder scene;
-  SplatCloud turned = scene.cloud;
-  convert_axes(turned, kAxes3dgs, format_axes(SplatFormat::spz));
-  const auto bytes = encode_splats(turned.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting});
+  const auto bytes = encode_splats(scene.cloud.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting});
   REQUIRE(bytes);
   const std::string spz = write_bytes(scene.file("mip.spz"), *bytes);
   const std::string cameras = write_cameras(scene.file("far.json"), std::array{9.0});
@@ -412,17 +410,16 @@ TEST_CASE("an asset of another format is drawn as it declares, and the source to
 TEST_CASE("a source in axes other than 3DGS's is compared with assets turned to 3DGS's") {
   const SceneFolder scene;
   SplatCloud turned = scene.cloud;
-  convert_axes(turned, kAxes3dgs, format_axes(SplatFormat::spz));
-  const Axes opengl = format_axes(SplatFormat::spz);
+  convert_axes(turned, kAxes3dgs, kAxesOpenGl);
   const std::string source =
-      write_bytes(scene.file("gl.ply"), encode_splats(turned.view(), SplatFormat::ply, {.axes = opengl}).value());
+      write_bytes(scene.file("gl.ply"), encode_splats(turned.view(), SplatFormat::ply, {.axes = kAxesOpenGl}).value());
   const std::string spz = write_bytes(scene.file("gl.spz"), encode_splats(turned.view(), SplatFormat::spz).value());
   EncodeOptions declared;
-  declared.axes = opengl;
+  declared.axes = kAxesOpenGl;
   const std::string rgs = write_rgs(scene.file("gl.rgs"), turned, declared);
   for (const auto& [asset, also] : {std::pair(spz, scene.ply), {scene.ply, spz}, {rgs, scene.ply}}) {
-    const ProgramResult run =
-        run_audit({source, asset, "--also", also, "--cameras", scene.cameras, "--json", "-", "--quiet"});
+    const ProgramResult run = run_audit(
+        {source, asset, "--also", also, "--cameras", scene.cameras, "--spz-axes", "opengl", "--json", "-", "--quiet"});
     REQUIRE_MESSAGE(run.exit_code == 0, run.err);
     const json result = json::parse(run.out);
     const json &psnr = result["rendered"]["psnr"], &of_also = result["also"][0]["psnr"];

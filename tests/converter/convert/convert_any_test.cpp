@@ -120,10 +120,33 @@ TEST_CASE("axes are declared by the file or the user, and turned for formats tha
   SplatCloud up = cloud;
   convert_axes(up, kAxes3dgs, kAxesOpenGl);
 
+  // The tools of SPZ leave coordinates as the PLY has them.
   REQUIRE(rgs_convert({ply, spz}).exit_code == 0);
+  CHECK(mean_error(read(spz).cloud, cloud) <= 1.0 / 4096);
+  ProgramResult run = rgs_convert({"--json", spz, back});
+  REQUIRE(run.exit_code == 0);
+  CHECK(mean_error(read(back).cloud, cloud) <= 1.0 / 4096);
+  CHECK(nlohmann::json::parse(run.out)["notes"] ==
+        nlohmann::json{"the axes of scene.spz are right,down,forward, assumed because it declares none (--spz-axes)"});
+  run = rgs_convert({"--spz-axes", "opengl", spz, back});
+  REQUIRE(run.exit_code == 0);
+  CHECK(mean_error(read(back).cloud, up) <= 1.0 / 4096);
+  CHECK(holds(run.out, "note       the axes of scene.spz are right,up,backward, assumed"));
+  // From tiles the same.
+  run = rgs_convert({"--json", "--lod", "--merge", ply, spz, rgs});
+  REQUIRE(run.exit_code == 0);
+  CHECK(holds(run.out, "the axes of scene.spz are right,down,forward, assumed"));
+  const std::string glb = folder.file("scene.glb");
+  REQUIRE(rgs_convert({spz, glb}).exit_code == 0);
+  CHECK(read(glb).axes == kAxesGltf);
+  CHECK(mean_error(read_splats(glb)->cloud, cloud) <= 1.0 / 4096);
+
+  run = rgs_convert({"--spz-axes", "opengl", ply, spz});
+  REQUIRE(run.exit_code == 0);
   CHECK(mean_error(read(spz).cloud, up) <= 1.0 / 4096);
+  CHECK(holds(run.out, "the output's axes are right,up,backward, which the SPZ does not state (--spz-axes)"));
   // The scene returns to the frame of 3DGS cameras unless the .rgs is to declare another.
-  REQUIRE(rgs_convert({"--keep-order", spz, rgs}).exit_code == 0);
+  REQUIRE(rgs_convert({"--keep-order", "--spz-axes", "opengl", spz, rgs}).exit_code == 0);
   CHECK(read(rgs).axes == kAxes3dgs);
   CHECK(mean_error(read(rgs).cloud, cloud) <= 1.0 / 4096);
   REQUIRE(rgs_convert({"--keep-order", "--to-axes", "opengl", ply, rgs}).exit_code == 0);
@@ -137,6 +160,9 @@ TEST_CASE("axes are declared by the file or the user, and turned for formats tha
   CHECK(read(back).cloud.mean == up.mean);
   REQUIRE(rgs_convert({"--axes", "undeclared", rgs, spz}).exit_code == 0);
   CHECK(mean_error(read(spz).cloud, up) <= 1.0 / 4096);
+  // From one of the two frames of SPZ to the other.
+  REQUIRE(rgs_convert({"--axes", "opengl", spz, folder.file("other.spz")}).exit_code == 0);
+  CHECK(mean_error(read(folder.file("other.spz")).cloud, cloud) <= 1.0 / 4096);
 }
 
 TEST_CASE("SPZ is written in the requested version, else in version 3") {

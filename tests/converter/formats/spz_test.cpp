@@ -129,15 +129,17 @@ constexpr std::uint32_t kOrbit = 0xADBE0002, kAxesType = 0xADBE0003, kGeoreferen
 TEST_CASE("SPZ files of versions 3 and 4 by another tool hold the PLY's Gaussians within the format's steps") {
   if (!has_peer_files()) return;
   const SplatCloud original = read_splats(peer_file("crop.ply")).value().cloud;
-  // The last file has axes other than SPZ's, declared by an extension.
+  // The first two are turned over, as that tool's version 2.7.1 did; the last one declares its axes.
+  ReadOptions turned;
+  turned.spz_axes = kAxesOpenGl;
   for (const std::string name : {"crop.v3.spz", "crop.v4.spz", "crop.adobe.spz"}) {
     CAPTURE(name);
-    const auto file = read_splats(peer_file(name));
+    const auto file = read_splats(peer_file(name), turned);
     REQUIRE(file);
     CHECK(file->format == SplatFormat::spz);
     CHECK(file->axes == kAxes3dgs);
     const bool adobe = name == "crop.adobe.spz";
-    CHECK(read_splats(peer_file(name), kKeepAxes)->axes == (adobe ? kAxes3dgs : kAxesOpenGl));
+    CHECK(file->axes_assumed == !adobe);
     CHECK(file->aa_mode == (adobe ? AaMode::mip_splatting : AaMode::classic));
     // SPZ has no log-scales below -10; compare the others. The other tool rounds SH twice: 4.5 and 8.5 of 128.
     SplatCloud clamped = original;
@@ -164,7 +166,8 @@ TEST_CASE("SPZ round trip within half a step, 0.62 of SH, whatever version and d
         const auto file = read_splats(*bytes, kKeepAxes);
         REQUIRE(file);
         CHECK(file->format == SplatFormat::spz);
-        CHECK(file->axes == kAxesOpenGl);
+        CHECK(file->axes == kAxes3dgs);
+        CHECK(file->axes_assumed);
         CHECK(file->aa_mode == AaMode::mip_splatting);
         CHECK(file->bytes == bytes->size());
         CHECK(file->unused.empty());
@@ -252,8 +255,8 @@ TEST_CASE("SPZ extensions: axes are honoured, harmless ones named, the rest refu
       CHECK(file.error().code == code);
       CHECK(file.error().offset == at + offset);
     };
-    // Axes by the value's name; 0 states nothing, which means the format's own.
-    const std::pair<int, Axes> systems[] = {{0, kAxesOpenGl},
+    // Axes by the value's name; 0 states nothing.
+    const std::pair<int, Axes> systems[] = {{0, kAxes3dgs},
                                             {4, kAxesOpenGl},
                                             {6, kAxes3dgs},
                                             {7, kAxesGltf},
@@ -269,6 +272,10 @@ TEST_CASE("SPZ extensions: axes are honoured, harmless ones named, the rest refu
       const auto kept = read_splats(file, kKeepAxes);
       same_codes(kept);
       CHECK(kept->axes == axes);
+      CHECK(kept->axes_assumed == (value == 0));
+      ReadOptions other = kKeepAxes;
+      other.spz_axes = kAxesOpenGl;
+      CHECK(read_splats(file, other)->axes == (value == 0 ? kAxesOpenGl : axes));
       CHECK(kept->unused.empty());
       SplatCloud turned = coded;
       convert_axes(turned, axes, kAxes3dgs);

@@ -4,6 +4,7 @@ import { type AntiAliasing, antiAliasingOf } from "@roofgs/playcanvas";
 import { Asset, type GSplatResourceBase } from "playcanvas";
 import { antiAliasingOfComments, antiAliasingOfMeta } from "./declared.js";
 import { type Box, Scene } from "./scene.js";
+import type { SpzAxes } from "./spz.js";
 import { readSpz } from "./spz-resource.js";
 import type { Side, Stage } from "./stage.js";
 
@@ -13,6 +14,8 @@ export interface OpenEngineScene {
   name: string;
   kind: EngineKind;
   answer: Response;
+  /** Of an SPZ that declares none. */
+  spzAxes: SpzAxes;
   side: Side;
   onProgress(done: number, total: number): void;
 }
@@ -29,10 +32,10 @@ interface Made {
 /** Counts assets, for their names. */
 let nAssets = 0;
 
-async function makeSpz(stage: Stage, answer: Response): Promise<Made> {
-  const { resource, antialiased } = await readSpz(stage.app.graphicsDevice, await answer.arrayBuffer());
+async function makeSpz({ app }: Stage, { answer, spzAxes }: OpenEngineScene): Promise<Made> {
+  const { resource, antialiased, axes } = await readSpz(app.graphicsDevice, await answer.arrayBuffer());
   const antiAliasing = antiAliasingOf({ aaMode: antialiased ? "mip_splatting" : "classic" });
-  return { resource, end: () => resource.destroy(), isYUp: true, antiAliasing };
+  return { resource, end: () => resource.destroy(), isYUp: (axes ?? spzAxes) === "opengl", antiAliasing };
 }
 
 async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenEngineScene): Promise<Made> {
@@ -110,7 +113,7 @@ export class EngineScene extends Scene {
 
   static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
     const bytes = Number(options.answer.headers.get("content-length") ?? 0);
-    const made = await (options.kind === "spz" ? makeSpz(stage, options.answer) : makeAsset(stage, options));
+    const made = await (options.kind === "spz" ? makeSpz(stage, options) : makeAsset(stage, options));
     if (!((made.resource.numSplats as number) > 0)) {
       made.end();
       throw new Error("it holds no Gaussians");

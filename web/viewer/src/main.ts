@@ -8,7 +8,7 @@ import { Controls, type World } from "./controls.js";
 import { difference } from "./difference.js";
 import { type Frame, type FrameRequest, Frames } from "./frames.js";
 import { type Mode, type PageState, readLink, writeLink } from "./link.js";
-import { type Manifest, readInside, readManifest } from "./manifest.js";
+import { type Manifest, readInside, readManifest, spzAxesOf } from "./manifest.js";
 import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence } from "./messages.js";
 import { element, hideLoading, say, showError, showLoading, showProgress, withdrawError } from "./page.js";
 import { openScene, type Read, readFile } from "./open-scene.js";
@@ -164,7 +164,7 @@ class Page {
     let scene: Scene | undefined;
     try {
       const read = await reading;
-      scene = await openScene(this.stage, { name, read, side, onProgress: showProgress, onError: (error) => this.fail(name, error) });
+      scene = await openScene(this.stage, { name, read, spzAxes: spzAxesOf(location.search, this.manifest), side, onProgress: showProgress, onError: (error) => this.fail(name, error) });
       if (before) before.hidden = true;
       this.show(scene, side);
       if (side === 0) this.referenceScene = referenceScene ?? 0;

@@ -1,6 +1,8 @@
 // manifest.ts - what the page is to show: from view.json beside it or inside it, or from its own address.
 // SPDX-License-Identifier: Apache-2.0
 
+import type { SpzAxes } from "./spz.js";
+
 export interface SceneEntry {
   name: string;
   /** Relative to the page, or `#rgs-file-0`: the id of an element of the page. */
@@ -16,7 +18,7 @@ export interface Manifest {
   photos: { camera: string; url: string }[];
   /** The server that draws reference pictures. */
   frames: { url: string; backend: "cpu" | "cuda" } | null;
-  settings?: { background?: number[]; sh_degree?: number };
+  settings?: { background?: number[]; sh_degree?: number; spz_axes?: SpzAxes };
 }
 
 const kEmpty: Manifest = { version: 1, scenes: [], cameras: null, photos: [], frames: null };
@@ -47,6 +49,11 @@ export function manifestOfAddress(search: string): Manifest | null {
   const urls = [parameters.get("scene"), parameters.get("other")].filter((url) => url !== null);
   if (urls.length === 0) return null;
   return { ...kEmpty, scenes: urls.map((url) => ({ name: nameOf(url), url })), cameras: parameters.get("cameras") };
+}
+
+/** The axes of SPZ files that declare none: `&spz-axes=` of the page's address, or the settings. */
+export function spzAxesOf(search: string, { settings }: Manifest): SpzAxes {
+  return (new URLSearchParams(search).get("spz-axes") ?? settings?.spz_axes) === "opengl" ? "opengl" : "ply";
 }
 
 export async function readManifest(): Promise<Manifest> {

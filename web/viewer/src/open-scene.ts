@@ -7,6 +7,7 @@ import { readInside, type SceneEntry } from "./manifest.js";
 import { worker } from "./reader-worker.js";
 import { beginFile, type OpenedFile, RgsScene } from "./rgs-scene.js";
 import type { Scene } from "./scene.js";
+import type { SpzAxes } from "./spz.js";
 import type { Side, Stage } from "./stage.js";
 
 /** Bytes read; `total` is 0 where it is not known. */
@@ -61,6 +62,7 @@ export async function readFile({ entry, file, onProgress }: { entry: SceneEntry;
 export interface OpenScene {
   name: string;
   read: Read;
+  spzAxes: SpzAxes;
   side: Side;
   onProgress: OnProgress;
   /** For errors in pages that are read later. */
@@ -68,9 +70,9 @@ export interface OpenScene {
 }
 
 /** Resolves with the first part of the scene; complete() reads the rest. */
-export async function openScene(stage: Stage, { name, read, side, onProgress, onError }: OpenScene): Promise<Scene> {
+export async function openScene(stage: Stage, { name, read, spzAxes, side, onProgress, onError }: OpenScene): Promise<Scene> {
   if (read.kind === "cameras") throw new Error("it is a camera file, not a scene");
-  if (read.kind !== "rgs") return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), side, onProgress });
+  if (read.kind !== "rgs") return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), spzAxes, side, onProgress });
   const { opened } = read;
   try {
     const first = await opened.first;

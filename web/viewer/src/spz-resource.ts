@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { type BoundingBox, type GraphicsDevice, type GSplatResourceBase, Vec3 } from "playcanvas";
 import { GSplatSpzResource } from "playcanvas/scripts/esm/parsers/spz-parser.mjs";
-import { type Header, kRest, type Streams, decompressSpz } from "./spz.js";
+import { type Header, kRest, type SpzAxes, type Streams, decompressSpz } from "./spz.js";
 
 /** The data interface that the engine's resource expects. */
 class Data {
@@ -47,8 +47,8 @@ class Data {
   }
 }
 
-export async function readSpz(device: GraphicsDevice, contents: ArrayBuffer): Promise<{ resource: GSplatResourceBase; antialiased: boolean }> {
-  const { header, streams } = await decompressSpz(contents);
+export async function readSpz(device: GraphicsDevice, contents: ArrayBuffer): Promise<{ resource: GSplatResourceBase; antialiased: boolean; axes: SpzAxes | null }> {
+  const { header, streams, axes } = await decompressSpz(contents);
   if (header.n === 0) throw new Error("it holds no Gaussians");
-  return { resource: new GSplatSpzResource(device, new Data(header, streams)), antialiased: header.antialiased };
+  return { resource: new GSplatSpzResource(device, new Data(header, streams)), antialiased: header.antialiased, axes };
 }

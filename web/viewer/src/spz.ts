@@ -9,6 +9,10 @@ const kHeaderBytesV4 = 32;
 const kFlagAntialiased = 1;
 const kFlagExtensions = 2;
 const kFlags = kFlagAntialiased | kFlagExtensions;
+/** Types of extensions that say nothing of the Gaussians: a safe orbit for cameras, a georeference. */
+const kHarmless = [0xadbe0002, 0x4e530001];
+const kCoordinateSystem = 0xadbe0003;
+const kMostExtensionBytes = 2 ** 24;
 /** Largest ratio of decompressed to compressed bytes: the limit of rgs-convert. */
 const kMostExpansion = 1032;
 /** SH coefficients beyond degree 0, per channel. */
@@ -20,7 +24,11 @@ export interface Header {
   shDegree: 0 | 1 | 2 | 3;
   fractionalBits: number;
   antialiased: boolean;
+  hasExtensions: boolean;
 }
+
+/** Right, down, forward as in PLY, or right, up, backward. */
+export type SpzAxes = "ply" | "opengl";
 
 export interface Streams {
   positions: Uint8Array;
@@ -50,12 +58,35 @@ function parseHeader(bytes: Uint8Array, fileBytes: number): Header {
   if (shDegree > 3) throw refuse("unsupported_feature", "the SH degree is not 0 to 3", 12);
   if (fractionalBits > 24) throw refuse("bad_header", "more than 24 fractional bits", 13);
   if ((flags & ~kFlags) !== 0) throw refuse("reserved_bits", "an unknown flag is set", 14);
-  // Some extensions change the meaning of the streams.
-  if ((flags & kFlagExtensions) !== 0) throw refuse("unsupported_feature", "it has extensions, which only rgs-convert reads", 14);
-  const header = { version, n, shDegree: shDegree as Header["shDegree"], fractionalBits, antialiased: (flags & kFlagAntialiased) !== 0 };
+  const [antialiased, hasExtensions] = [(flags & kFlagAntialiased) !== 0, (flags & kFlagExtensions) !== 0];
+  const header = { version, n, shDegree: shDegree as Header["shDegree"], fractionalBits, antialiased, hasExtensions };
   const decoded = sizesOf(header).reduce((sum, size) => sum + size, 0);
   if (decoded > kMostExpansion * fileBytes + 2 ** 20) throw refuse("limit_exceeded", "more Gaussians than so few bytes can hold", 8);
   return header;
+}
+
+/** The axes that the extensions declare, null if they declare none. `begin`: where they are. */
+function declaredAxes(extensions: Uint8Array, begin: number): SpzAxes | null {
+  const view = new DataView(extensions.buffer, extensions.byteOffset, extensions.byteLength);
+  let axes: SpzAxes | null = null;
+  for (let at = 0; at < extensions.length; ) {
+    const rest = extensions.length - at;
+    if (rest < 8) throw refuse("truncated", "the extensions end inside a record", begin + at);
+    const [type, bytes] = [view.getUint32(at, true), view.getUint32(at + 4, true)];
+    // The reference library's first builds wrote this record without its length.
+    if (type === kHarmless[0] && rest === 16) break;
+    if (type !== kCoordinateSystem && !kHarmless.includes(type)) throw refuse("unsupported_feature", "it has an unknown extension, which may change what it means", begin + at);
+    if (bytes > rest - 8) throw refuse("truncated", "an extension is longer than the bytes left for extensions", begin + at + 4);
+    if (type === kCoordinateSystem) {
+      if (bytes !== 4) throw refuse("bad_header", "the coordinate system extension is not 4 bytes", begin + at + 4);
+      const system = view.getUint32(at + 8, true);
+      if (system > 16) throw refuse("bad_value", "no such coordinate system", begin + at + 8);
+      if (system !== 0 && system !== 4 && system !== 6) throw refuse("unsupported_feature", "it has axes that only rgs-convert turns", begin + at + 8);
+      if (system !== 0) axes = system === 4 ? "opengl" : "ply";
+    }
+    at += 8 + bytes;
+  }
+  return axes;
 }
 
 /** Decompresses a gzip stream, up to the number of bytes that `most` returns for its beginning. */
@@ -91,14 +122,18 @@ async function gunzip(bytes: Uint8Array<ArrayBuffer>, most: (begin: Uint8Array) 
 }
 
 /** Versions 2 and 3: header and streams in one gzip stream. */
-async function readGzip(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint8Array[]]> {
+async function readGzip(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint8Array[], SpzAxes | null]> {
   const bytesOf = (header: Header): number => sizesOf(header).reduce((sum, size) => sum + size, kHeaderBytes);
-  const content = await gunzip(bytes, (begin) => bytesOf(parseHeader(begin, bytes.length)));
+  const content = await gunzip(bytes, (begin) => {
+    const header = parseHeader(begin, bytes.length);
+    return bytesOf(header) + (header.hasExtensions ? kMostExtensionBytes : 0);
+  });
   const header = parseHeader(content, bytes.length);
   if (header.version > 3) throw refuse("unsupported_version", "a gzip stream holds versions 2 and 3", 4);
   if (content.length < bytesOf(header)) throw refuse("truncated", "the file ends inside a stream", content.length);
   let at = kHeaderBytes;
-  return [header, sizesOf(header).map((size) => content.subarray(at, (at += size)))];
+  const streams = sizesOf(header).map((size) => content.subarray(at, (at += size)));
+  return [header, streams, declaredAxes(content.subarray(at), at)];
 }
 
 const kZstd = 0xfd2fb528;
@@ -189,7 +224,7 @@ function decompressFrames(bytes: Uint8Array<ArrayBuffer>, size: number): Uint8Ar
 }
 
 /** Version 4: a table of streams of Zstandard frames; empty streams are left out. */
-function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
+function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[], SpzAxes | null] {
   const header = parseHeader(bytes, bytes.length);
   if (header.version !== 4) throw refuse("unsupported_version", "versions 2 and 3 are gzip streams", 4);
   if (bytes.length < kHeaderBytesV4) throw refuse("truncated", "the file ends inside its header", bytes.length);
@@ -199,6 +234,8 @@ function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
   const table = view.getUint32(16, true);
   if (nStreams !== sizes.length - (header.shDegree === 0 ? 1 : 0)) throw refuse("bad_header", "the number of streams is wrong", 15);
   if (table < kHeaderBytesV4 || table + 16 * nStreams > bytes.length) throw refuse("bad_header", "the table of streams is not in the file", 16);
+  if (table !== kHeaderBytesV4 && !header.hasExtensions) throw refuse("section_gap", "there are bytes between the header and the table of streams", kHeaderBytesV4);
+  const axes = declaredAxes(bytes.subarray(kHeaderBytesV4, table), kHeaderBytesV4);
   let at = table + 16 * nStreams;
   const streams = sizes.map((size, i) => {
     if (i >= nStreams) return new Uint8Array(0);
@@ -214,7 +251,7 @@ function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
     return stream;
   });
   if (at !== bytes.length) throw refuse("trailing_bytes", "there are bytes after the last stream", at);
-  return [header, streams];
+  return [header, streams, axes];
 }
 
 /** Converts rotations of version 2 (x, y, z of 8 bits) to smallest three of 9 bits and sign: 4 bytes. */
@@ -239,9 +276,9 @@ export function smallestThree(rotations: Uint8Array): Uint8Array {
 }
 
 /** Errors have `code`, `text` and `offset` like those of @roofgs/reader; offsets in versions 2 and 3 are of the decompressed stream. */
-export async function decompressSpz(contents: ArrayBuffer): Promise<{ header: Header; streams: Streams }> {
+export async function decompressSpz(contents: ArrayBuffer): Promise<{ header: Header; streams: Streams; axes: SpzAxes | null }> {
   const bytes = new Uint8Array(contents);
-  const [header, streams] = bytes[0] === 0x1f ? await readGzip(bytes) : readStreams(bytes);
+  const [header, streams, axes] = bytes[0] === 0x1f ? await readGzip(bytes) : readStreams(bytes);
   const [positions, alphas, colors, scales, rotations, sh] = streams as [Uint8Array, Uint8Array, Uint8Array, Uint8Array, Uint8Array, Uint8Array];
-  return { header, streams: { positions, alphas, colors, scales, rotations: header.version === 2 ? smallestThree(rotations) : rotations, sh } };
+  return { header, axes, streams: { positions, alphas, colors, scales, rotations: header.version === 2 ? smallestThree(rotations) : rotations, sh } };
 }

@@ -349,14 +349,13 @@ inBrowser("what is in a file counts, not its name", { allowed: [k404] }, async (
   assert.match((await errors(page))[0], /^d\.rgs is not a scene that this page can open\..*bad_magic at byte 0/);
 });
 
-for (const version of [2, 3, 4]) {
-  inBrowser(`an SPZ of version ${version} shows what the PLY shows`, { allowed: [k404] }, async ({ t, page }) => {
-    const path = join(folder, `v${version}.spz`);
+for (const [version, axes] of [[2, "ply"], [3, "ply"], [4, "ply"], [3, "opengl"]]) {
+  inBrowser(`an SPZ of version ${version} in the axes ${axes} shows what the PLY shows`, { allowed: [k404], address: `?spz-axes=${axes}` }, async ({ t, page }) => {
+    const path = join(folder, `v${version}${axes}.spz`);
     const ply = join(scenes(), "scene.ply");
-    execFileSync(program("rgs-convert"), ["--quiet", "--spz-version", String(version), ply, path]);
-    // Turned by the conversion as by the page.
-    const same = join(folder, `v${version}.rgs`);
-    execFileSync(program("rgs-convert"), ["--quiet", path, same]);
+    execFileSync(program("rgs-convert"), ["--quiet", "--spz-version", String(version), "--spz-axes", axes, ply, path]);
+    const same = join(folder, `v${version}${axes}.rgs`);
+    execFileSync(program("rgs-convert"), ["--quiet", ply, same]);
     await drop(page, "a.spz", readFileSync(path));
     await page.waitForFunction(() => document.getElementById("title").textContent === "a.spz");
     assert.match(await page.getAttribute("#picture", "aria-label"), /60k Gaussians/);

@@ -317,6 +317,34 @@ test("a rotation of three bytes is the one of four", () => {
   });
 });
 
+test("an SPZ declares its axes by a record, and other records change nothing", async () => {
+  const words = (...values) => Buffer.from(Uint32Array.from(values).buffer);
+  const [orbit, georeference] = [words(0xadbe0002, 12, 0, 0, 0), words(0x4e530001, 4, 7)];
+  const axes = (system) => words(0xadbe0003, 4, system);
+  // The records of both framings: the end of the gzip stream, before the table.
+  const streams = versionFour().subarray(32);
+  const files = (records) => [
+    gzipSync(Buffer.concat([kSpzHeader(3, 1, { flags: 2 }), Buffer.alloc(20), records])),
+    Buffer.concat([kSpzHeader(4, 1, { streams: 5, flags: 2, table: 32 + records.length }), records, streams]),
+  ];
+  const declared = [[axes(6), "ply"], [axes(4), "opengl"], [axes(0), null], [orbit, null], [Buffer.alloc(0), null],
+    [Buffer.concat([georeference, axes(4), orbit]), "opengl"], [Buffer.concat([words(0xadbe0002), words(0, 0, 0)]), null]];
+  for (const [records, expected] of declared) {
+    for (const file of files(records)) assert.equal((await unfold(file)).axes, expected, records.toString("hex"));
+  }
+  const refused = [[axes(5), "unsupported_feature", 8], [axes(17), "bad_value", 8], [words(0x12340001, 0), "unsupported_feature", 0], [words(0xadbe0003, 8, 6, 0), "bad_header", 4],
+    [words(0x4e530001, 5, 0), "truncated", 4], [words(0x4e530001), "truncated", 0]];
+  for (const [records, code, at] of refused) {
+    const begins = [36, 32];
+    for (const [i, file] of files(records).entries()) await assert.rejects(unfold(file), { code, offset: begins[i] + at }, records.toString("hex"));
+  }
+  const { spzAxesOf } = modules.manifest;
+  assert.equal(spzAxesOf("", {}), "ply");
+  assert.equal(spzAxesOf("?spz-axes=opengl", {}), "opengl");
+  assert.equal(spzAxesOf("", { settings: { spz_axes: "opengl" } }), "opengl");
+  assert.equal(spzAxesOf("?spz-axes=ply", { settings: { spz_axes: "opengl" } }), "ply");
+});
+
 test("a damaged SPZ is an error with code and byte, and makes no large allocation", async () => {
   const fails = async (bytes, code, offset) => assert.rejects(unfold(bytes), { code, offset });
   await fails(Buffer.from("NGSP"), "truncated", 4);
@@ -325,7 +353,6 @@ test("a damaged SPZ is an error with code and byte, and makes no large allocatio
   await fails(kSpzHeader(4, 1, { degree: 4 }), "unsupported_feature", 12);
   await fails(kSpzHeader(4, 1, { bits: 25 }), "bad_header", 13);
   await fails(kSpzHeader(4, 1, { flags: 4 }), "reserved_bits", 14);
-  await fails(kSpzHeader(4, 1, { flags: 2 }), "unsupported_feature", 14);
   await fails(kSpzHeader(4, 1, { streams: 6 }), "bad_header", 15);
   await fails(kSpzHeader(4, 1, { streams: 5 }), "bad_header", 16);
   await fails(kSpzHeader(4, 1, { streams: 5, table: 0xfffffff0 }), "bad_header", 16);

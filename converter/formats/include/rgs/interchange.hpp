@@ -8,6 +8,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "rgs/decode.hpp"
@@ -45,13 +46,19 @@ using Axes = std::array<Axis, 3>;
 inline constexpr Axes kAxes3dgs{Axis::right, Axis::down, Axis::forward};
 inline constexpr Axes kAxesOpenGl{Axis::right, Axis::up, Axis::backward};
 inline constexpr Axes kAxesGltf{Axis::left, Axis::up, Axis::forward};
-/// The frame that a format prescribes: OpenGL's for SPZ, glTF's own for glb, that of 3DGS for all others.
+/// The frame that a format prescribes: glTF's own for glb, that of 3DGS for all others. The description of SPZ says
+/// OpenGL's, but its tools leave coordinates as a PLY has them: ReadOptions::spz_axes.
 Axes format_axes(SplatFormat format);
+/// "right,down,forward", or "undeclared".
+std::string axes_text(const Axes& axes);
+/// The inverse; none unless three directions span space.
+std::optional<Axes> axes_of_text(std::string_view text);
 
 struct SplatFile {
   SplatFormat format = SplatFormat::unknown;
-  std::uint64_t bytes = 0;  ///< size of the file; for a SOG folder, of all its files
-  Axes axes = kAxes3dgs;    ///< of `cloud`
+  std::uint64_t bytes = 0;    ///< size of the file; for a SOG folder, of all its files
+  Axes axes = kAxes3dgs;      ///< of `cloud`
+  bool axes_assumed = false;  ///< an SPZ without a coordinate record: ReadOptions::spz_axes
   ColourSpace colour_space = ColourSpace::srgb_display;
   AaMode aa_mode = AaMode::classic;
   std::optional<float> low_pass_px2 = std::nullopt;  ///< absent: default_low_pass_px2(aa_mode)
@@ -83,6 +90,7 @@ struct ReadOptions {
   /// SPZ: skip extensions of unknown type, which otherwise are unsupported_feature. They may change what the Gaussians
   /// mean; SplatFile::unused names them.
   bool skip_unknown_extensions = false;
+  Axes spz_axes = kAxes3dgs;  ///< of an SPZ that declares none by a coordinate record
   /// For an .rgs with levels: read this level (0: the finest), or the finest cut of at most max_count Gaussians
   /// (lod::finest_cut()). Neither: level 0. A level of a file without levels is bad_argument; files without levels are
   /// read whole whatever max_count is.
@@ -145,7 +153,7 @@ bool is_writable(SplatFormat format);
 bool keeps_origin(SplatFormat format);
 
 /// Encodes a file of that format. `splats` must be in format_axes(format) or of undeclared axes, for ply and
-/// compressed_ply in options.axes. Values beyond the format's range are clamped and counted in `report`. Deterministic.
+/// compressed_ply in options.axes, for spz in those that its readers assume. Values beyond the format's range are clamped and counted in `report`. Deterministic.
 /// Errors: bad_argument (not writable, inconsistent view, no such version of SPZ); limit_exceeded (more Gaussians than
 /// the format counts); bad_value with a Gaussian's index as offset (damaged, see find_defects(), in formats other than
 /// ply; or a mean beyond SPZ's range); bad_value without an offset (WriteOptions::strict refuses what `report` counts).
