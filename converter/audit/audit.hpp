@@ -128,6 +128,12 @@ struct PairReport {
   std::uint64_t n_paired = 0, n_source_only = 0, n_asset_only = 0;
 };
 
+/// A declaration of the asset that differs from the source's, in words.
+struct DeclaredDifference {
+  std::string key, name, source, asset;
+  bool changes_picture = false;  ///< and no picture of the audit shows it: a contradiction
+};
+
 struct AttributeReport {
   std::vector<AttributeError> errors;
   AttributeError colour;  ///< all degrees and channels of a Gaussian, over all directions
@@ -291,6 +297,7 @@ struct Report {
   std::optional<Declarations> declarations;  ///< the asset's, whatever its format
   /// The source's, if its anti-aliasing or low-pass is not the default: it is drawn with them.
   std::optional<Declarations> source_stated;
+  std::vector<DeclaredDifference> declared_differences = {};
   SizeReport size;
   PairReport pairs;
   std::optional<AttributeReport> attributes;  ///< of an .rgs asset
@@ -301,6 +308,7 @@ struct Report {
   double seconds = 0;
 
   bool gate_holds() const;
+  std::size_t n_contradictions() const;
   /// Share of the Gaussians in rated views, of the source or, if smaller, of the asset; 0 without pictures.
   double seen_share() const;
 };

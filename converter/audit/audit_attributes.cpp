@@ -174,8 +174,9 @@ class Comparison {
     }
   }
 
-  void add(const Splat& source, const ActivatedSplat& stored, std::uint64_t asset_index, std::uint64_t source_index,
-           BlockSums& sums, Seen& seen) const {
+  /// `logarithms`: of `stored`, if the source was read through these too. Equal ones are equal values.
+  void add(const Splat& source, const ActivatedSplat& stored, const Splat* logarithms, std::uint64_t asset_index,
+           std::uint64_t source_index, BlockSums& sums, Seen& seen) const {
     const auto note = [&](std::size_t series, float error) {
       sums[series].add(error);
       seen.series[series].add(error);
@@ -183,13 +184,16 @@ class Comparison {
     const float colour = add_sh(source.sh, stored.sh, seen, note);
     note(kColour, colour);
 
-    const RotationError rotation = rotation_error(source.rotation, stored.rotation);
+    const bool same_rotation = logarithms != nullptr && std::ranges::equal(source.rotation, logarithms->rotation);
+    const RotationError rotation = same_rotation ? RotationError() : rotation_error(source.rotation, stored.rotation);
     note(kRotation, rotation.component);
     note(kRotationDegrees, rotation.degrees);
 
     float largest_percent = 0, largest_scale = 0;
     for (int i = 0; i < 3; ++i) {
-      const float scale = scale_from_log(source.log_scale[i]), error = std::abs(stored.scale[i] - scale);
+      const bool same = logarithms != nullptr && logarithms->log_scale[i] == source.log_scale[i];
+      const float scale = same ? stored.scale[i] : scale_from_log(source.log_scale[i]);
+      const float error = std::abs(stored.scale[i] - scale);
       const float percent = 100 * error / std::max(scale, kLeastScale);
       note(kScale, error);
       note(kScalePercent, percent);
@@ -199,7 +203,9 @@ class Comparison {
       seen.ranges.scale_subnormal += stored.scale[i] > 0 && stored.scale[i] < smallest_normal_;
     }
 
-    const float opacity = opacity_from_logit(source.opacity_logit), opacity_error = std::abs(stored.opacity - opacity);
+    const bool same_opacity = logarithms != nullptr && logarithms->opacity_logit == source.opacity_logit;
+    const float opacity = same_opacity ? stored.opacity : opacity_from_logit(source.opacity_logit);
+    const float opacity_error = std::abs(stored.opacity - opacity);
     note(kOpacity, opacity_error);
     note(kOpacityPercent, 100 * opacity_error);
     seen.ranges.opacity_zero += stored.opacity == 0 && opacity > 0;
@@ -344,7 +350,8 @@ AttributeReport compare_attributes(const Source& source, const FileView& asset, 
     Seen& seen = threads.local();
     Comparison comparison(asset, source.sh_degree(), source.origin());
     std::uint64_t chunk = ~std::uint64_t{0};
-    std::array<Splat, kAtOnce> wanted;
+    std::array<Splat, kAtOnce> wanted, logarithms;
+    const bool is_rgs = source.format() == SplatFormat::rgs;
     std::array<ActivatedSplat, kAtOnce> stored;
     std::array<std::uint32_t, kAtOnce> rows{};
     const std::uint64_t end = std::min(n, (block + 1) * kBlock);
@@ -356,6 +363,7 @@ AttributeReport compare_attributes(const Source& source, const FileView& asset, 
       }
       if (source.size() != 0) source.gather(std::span(rows).first(count), std::span(wanted).first(count));
       (void)asset.read(first, std::span(stored).first(count));  // the file is valid
+      if (is_rgs) (void)asset.read(first, std::span(logarithms).first(count));
       for (std::size_t i = 0; i < count; ++i) {
         if (pairing.source_of[first + i] == kUnpaired) continue;
         if ((first + i) / chunk_size != chunk) {
@@ -364,7 +372,7 @@ AttributeReport compare_attributes(const Source& source, const FileView& asset, 
         }
         const std::uint32_t defects = find_defects(wanted[i], source.sh_degree());
         if (defects != 0 && !repair(wanted[i], defects)) continue;
-        comparison.add(wanted[i], stored[i], first + i, rows[i], sums[block], seen);
+        comparison.add(wanted[i], stored[i], is_rgs ? &logarithms[i] : nullptr, first + i, rows[i], sums[block], seen);
       }
     }
     progress.advance(end - block * kBlock);

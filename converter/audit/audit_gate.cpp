@@ -14,7 +14,7 @@ namespace rgs::audit {
 namespace {
 
 using Needs = ConditionKind::Needs;
-constexpr std::array<ConditionKind, 23> kKinds{{
+constexpr std::array<ConditionKind, 24> kKinds{{
     {"psnr", "mean PSNR of the views, dB", true, Needs::pictures},
     {"worst-psnr", "PSNR of the worst view, dB", true, Needs::pictures},
     {"ssim", "mean SSIM of the views", true, Needs::pictures},
@@ -28,6 +28,7 @@ constexpr std::array<ConditionKind, 23> kKinds{{
     {"gpu-bytes-per-gaussian", "resident on the GPU", false, Needs::nothing},
     {"dropped", "Gaussians of the source that the asset lacks", false, Needs::nothing},
     {"added", "Gaussians of the asset that the source lacks", false, Needs::nothing},
+    {"contradictions", "declarations that contradict the source's and change the picture", false, Needs::nothing},
     {"unseen", "Gaussians in no rated view, of the source or of the asset, whichever has more", false, Needs::pictures},
     {"levels-psnr-1x", "mean PSNR of levels of detail against the truth, dB", true, Needs::distances},
     {"levels-psnr-2x", "the same from twice as far", true, Needs::distances},
@@ -60,6 +61,7 @@ double found_value(const std::string& name, const Report& report) {
   if (name == "gpu-bytes-per-gaussian")
     return report.size.gpu_bytes == 0 ? kNone : report.size.gpu_bytes_per_gaussian();
   if (name == "dropped") return static_cast<double>(report.pairs.n_source_only);
+  if (name == "contradictions") return static_cast<double>(report.n_contradictions());
   if (name == "added") return static_cast<double>(report.pairs.n_asset_only);
   if (kind_of(name)->needs == Needs::distances)
     return report.distances ? distance_value(name, *report.distances) : kNone;
@@ -87,6 +89,7 @@ Verdict::Grade grade(const Report& report) {
   using Grade = Verdict::Grade;
   const RenderReport& r = *report.render;
   if (r.n_rated == 0) return Grade::unrated;
+  if (report.n_contradictions() != 0) return r.worst_psnr >= 30 ? Grade::visible : Grade::poor;
   const bool same_gaussians = report.pairs.n_source_only + report.pairs.n_asset_only == 0;
   if (r.worst_psnr == std::numeric_limits<double>::infinity() && same_gaussians) return Grade::identical;
   // 8-bit rounding alone leaves 58.9 dB; at 50 dB the RMS error is 0.8 levels, at 40 dB 2.6, at 30 dB 8.
@@ -102,13 +105,6 @@ const AttributionRow* misfit_key(const Report& report) {
   for (const AttributionRow& row : report.render->attribution)
     if (row.key == "key" && row.worst < 35) return &row;
   return nullptr;
-}
-
-std::string anti_aliasing_text(const Declarations& d) {
-  const char* mode = d.aa_mode == AaMode::mip_splatting ? "mip-splatting"
-                     : d.aa_mode == AaMode::classic     ? "classic anti-aliasing"
-                                                        : "no anti-aliasing";
-  return fmt::format("{} with a low-pass of {} px^2", mode, d.low_pass_px2);
 }
 
 const char* words(Verdict::Grade grade) {
@@ -184,6 +180,11 @@ std::vector<Condition> evaluate(std::vector<Condition> conditions, const Measure
   }
   // Conditions with unrated pictures must fail: cameras that see nothing must not pass on sizes alone.
   if (!conditions.empty() && found("rated-views") == 0) conditions.push_back({"rated-views", 1, 0, true, false});
+  // Nor may declarations that pictures do not show.
+  if (const double n = found("contradictions");
+      !conditions.empty() && n > 0 &&
+      std::ranges::find(conditions, "contradictions", &Condition::name) == conditions.end())
+    conditions.push_back({"contradictions", 0, n, false, false});
   return conditions;
 }
 
@@ -257,12 +258,11 @@ Verdict verdict(const Report& report) {
                     "convert with --cameras, or with --near and --far.",
                     report.declarations->z_near, report.declarations->z_far, key->worst));
   }
-  if (report.source_stated && report.declarations &&
-      (report.source_stated->aa_mode != report.declarations->aa_mode ||
-       report.source_stated->low_pass_px2 != report.declarations->low_pass_px2))
-    add(fmt::format("The source states {}, the asset {}: each is drawn as it states.",
-                    anti_aliasing_text(*report.source_stated), anti_aliasing_text(*report.declarations)));
   if (report.made_from_source == false) add("The asset names another file as its source.");
+  for (const DeclaredDifference& d : report.declared_differences) {
+    if (d.changes_picture) out.finding += fmt::format(", but its {} contradicts the source's", d.name);
+    add(fmt::format("The source states the {} as {}; the asset: {}.", d.name, d.source, d.asset));
+  }
   out.headline = headline_of(out.finding, report.gate);
   return out;
 }

@@ -12,7 +12,7 @@
 namespace rgs::audit {
 
 /// A condition by name: psnr, worst-psnr, ssim, worst-ssim, together-psnr, rated-views, ratio and levels-psnr-1x to -8x must reach
-/// their limit; largest (in 8-bit levels), loss (dB), bytes-per-gaussian, gpu-bytes-per-gaussian, dropped, added and unseen (Gaussians),
+/// their limit; largest (in 8-bit levels), loss (dB), bytes-per-gaussian, gpu-bytes-per-gaussian, dropped, added and unseen (Gaussians), contradictions,
 /// levels-loss (dB) and levels-drawn-1x to -8x (a share) must not exceed it.
 struct ConditionKind {
   const char* name;
@@ -31,7 +31,8 @@ std::string unmeasurable(std::span<const Condition> conditions, const Options& o
 using Measured = std::map<std::string, double>;
 Measured measured(const Report& report);
 /// The conditions with their measured values. One on something that does not exist (the attribution of a PLY, the PSNR
-/// of views that do not show the scene) fails. If pictures were made and none is rated, every gate fails.
+/// of views that do not show the scene) fails. If pictures were made and none is rated, every gate fails, and
+/// so does one without "contradictions" if there are any.
 std::vector<Condition> evaluate(std::vector<Condition> conditions, const Measured& measured);
 /// Fills in report.gate.
 void evaluate(std::vector<Condition> conditions, Report& report);

@@ -274,6 +274,11 @@ std::string audit_json(const Report& report) {
                     {"paired", report.pairs.n_paired},
                     {"dropped", report.pairs.n_source_only},
                     {"added", report.pairs.n_asset_only}};
+  Json differences = Json::array();
+  for (const DeclaredDifference& d : report.declared_differences)
+    differences.push_back(
+        {{"key", d.key}, {"source", d.source}, {"asset", d.asset}, {"changes_picture", d.changes_picture}});
+  j["declared_differences"] = std::move(differences);
   if (report.attributes) j["attributes"] = json(*report.attributes);
   if (report.render) j["rendered"] = json(*report.render);
   if (report.distances) j["distances"] = json(*report.distances);

@@ -11,6 +11,7 @@
 #include "audit.hpp"
 #include "audit_attributes.hpp"
 #include "audit_command.hpp"
+#include "audit_declarations.hpp"
 #include "audit_distances.hpp"
 #include "audit_pairing.hpp"
 #include "audit_render.hpp"
@@ -163,6 +164,9 @@ double SizeReport::bytes_per_gaussian() const {
 double SizeReport::gpu_bytes_per_gaussian() const {
   return n_asset == 0 ? 0 : static_cast<double>(gpu_bytes) / static_cast<double>(n_asset);
 }
+std::size_t Report::n_contradictions() const {
+  return static_cast<std::size_t>(std::ranges::count(declared_differences, true, &DeclaredDifference::changes_picture));
+}
 double Report::seen_share() const {
   if (!render) return 0;
   const auto share = [](std::uint64_t unseen, std::uint64_t n) {
@@ -287,6 +291,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     if (!paired) return make_error(options.asset, paired.error());
     report.pairs = paired->report(source->size());
   }
+  report.declared_differences = compare_declarations(*source, *report.declarations, rgs_asset);
   if (options.render) {
     const RenderInputs inputs{&*source, rgs_asset ? &view : nullptr, rgs_asset ? nullptr : &splats,
                               &pairing, report.declarations,         report.source_stated};

@@ -74,7 +74,9 @@ Result<SourceScene> source_scene(const Source& source) {
   out.n_left_out = source.size() - n;
   cloud.resize(n, source.sh_degree());
   out.bounds = robust_bounds(cloud.mean, source.origin());
-  auto scene = Scene::load(std::move(cloud), declared_at(source.origin()));
+  const bool is_stored = !source.stored_path().empty();
+  auto scene = is_stored ? Scene::load(source.stored_path(), source.limits())
+                         : Scene::load(std::move(cloud), declared_at(source.origin()));
   if (!scene) return tl::unexpected(scene.error());
   out.scene = std::move(*scene);
   return out;

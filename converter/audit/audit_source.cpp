@@ -35,6 +35,9 @@ Result<Source> Source::open(const std::string& path, ReadOptions options, const 
     convert_axes(file->cloud, file->axes, to);
     convert_axes(file->origin, file->axes, to);
     file->axes = to;
+  } else if (file->format == SplatFormat::rgs) {
+    source.stored_path_ = path;
+    source.limits_ = limits;
   }
   source.stated_ = declarations_of(*file);
   source.file_ = std::make_shared<const SplatFile>(*std::move(file));

@@ -32,6 +32,10 @@ class Source {
   /// The file's declarations; axes and origin are those of the Gaussians.
   const Declarations& declarations() const { return ply_ != nullptr ? ply_->declarations() : stated_; }
   const Origin& origin() const { return ply_ != nullptr ? ply_->origin() : file_->origin; }
+  /// Of an .rgs whose axes were kept: the file and its limits, for drawing its values as stored. Its Gaussians here went
+  /// through logarithms, which round.
+  const std::string& stored_path() const { return stored_path_; }
+  const DecodeLimits& limits() const { return limits_; }
   /// Of an .rgs: its source, which an asset made from it names as its own.
   std::optional<Provenance> provenance() const { return ply_ != nullptr ? std::nullopt : file_->provenance; }
   /// The same Gaussians with means relative to `origin`. Errors: those of PlyFile::open().
@@ -46,6 +50,8 @@ class Source {
   std::shared_ptr<const PlyFile> owned_;
   std::shared_ptr<const SplatFile> file_;
   Declarations stated_;
+  std::string stored_path_;
+  DecodeLimits limits_;
 };
 
 }  // namespace rgs::audit

@@ -203,3 +203,58 @@ TEST_CASE("the nearest point that is left is the one a search of all finds") {
   CHECK(n > 300);
   CHECK_FALSE(audit::NearestPoints({}).take({0, 0, 0}, 1));
 }
+
+TEST_CASE("a file audited against itself is identical, in pictures and attributes, whatever its profile") {
+  const SceneFolder scene;
+  const std::string rgs = scene.file("self.rgs");
+  const auto more = [](const char* a, const char* b = nullptr) {
+    std::vector<std::string> out;
+    for (const char* text : {a, b})
+      if (text != nullptr) out.emplace_back(text);
+    return out;
+  };
+  for (const auto& options : {more("--keep-order"), more("--profile", "packed"), more("--profile", "archive"),
+                              more("--lod"), more("--axes", "opengl"), more("--aa", "mip")}) {
+    CAPTURE(options[0]);
+    std::vector<std::string> command{RGS_CONVERT, "--no-sync", "--quiet", "--overwrite", scene.ply, rgs};
+    command.insert(command.end(), options.begin(), options.end());
+    REQUIRE(run_program(command).exit_code == 0);
+    const json j = audited({rgs, rgs, "--cameras", scene.cameras, "--no-attribution"});
+    CHECK(j["verdict"]["grade"] == "identical");
+    CHECK(j["declared_differences"].empty());
+    CHECK(j["rendered"]["mse"] == 0);
+    for (const json& error : j["attributes"]["errors"]) CHECK_MESSAGE(error["meaning"]["max"] == 0, error["key"]);
+  }
+}
+
+TEST_CASE("a linear asset of an sRGB source fails every gate that does not allow it") {
+  const SceneFolder scene;
+  EncodeOptions linear;
+  linear.colour_space = ColourSpace::linear_display;
+  const std::string rgs = write_rgs(scene.file("linear.rgs"), scene.cloud, linear), glb = scene.file("linear.glb");
+  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", "--colour-space", "linear", scene.ply, glb}).exit_code ==
+          0);
+  for (const std::string& asset : {rgs, glb}) {
+    const std::vector<std::string> command{scene.ply, asset, "--cameras", scene.cameras, "--no-attribution"};
+    const auto gated = [&](const char* conditions, int exit_code) {
+      std::vector<std::string> with = command;
+      with.insert(with.end(), {"--fail-below", conditions});
+      return audited(with, exit_code);
+    };
+    const json j = gated("psnr=20", 5);
+    CHECK(j["verdict"]["grade"] == "visible");
+    CHECK(j["declared_differences"][0]["key"] == "colour_space");
+    CHECK(j["verdict"]["headline"].get<std::string>().find("contradictions 1 > 0") != std::string::npos);
+    CHECK(j["verdict"]["detail"].get<std::string>().find("colour space as sRGB, display-referred; the asset: linear") !=
+          std::string::npos);
+    gated("psnr=20,contradictions=1", 0);
+    CHECK(audited({asset, asset, "--no-render"})["declared_differences"].empty());
+  }
+  // The reverse, and a format that cannot state it.
+  const std::string spz = scene.file("linear.spz");
+  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", rgs, spz}).exit_code == 0);
+  for (const std::string& asset : {scene.ply, spz})
+    audited({rgs, asset, "--cameras", scene.cameras, "--no-attribution", "--fail-below", "psnr=20"}, 5);
+  const json other = audited({scene.ply, scene.rgs, "--no-render", "--fail-below", "contradictions=0"});
+  CHECK(other["declared_differences"].empty());
+}

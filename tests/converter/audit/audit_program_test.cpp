@@ -446,7 +446,8 @@ TEST_CASE("an anti-aliasing that the source declares and the asset has lost is r
   const json a = audit(lost), b = audit(kept);
   CHECK(a["rendered"]["psnr"].get<double>() < 40);
   CHECK(b["rendered"]["psnr"].get<double>() > 50);
-  constexpr const char* kSaid = "The source states mip-splatting with a low-pass of 0.1 px^2, the asset classic";
+  constexpr const char* kSaid =
+      "anti-aliasing as Mip-Splatting, opacity compensated, low-pass 0.1 px^2; the asset: classic";
   CHECK(a["verdict"]["detail"].get<std::string>().find(kSaid) != std::string::npos);
   CHECK(b["verdict"]["detail"].get<std::string>().find("states mip") == std::string::npos);
 }
