@@ -37,7 +37,7 @@ Result<Source> Source::open(const std::string& path, ReadOptions options, const 
     file->axes = to;
   } else if (file->format == SplatFormat::rgs) {
     source.stored_path_ = path;
-    source.limits_ = limits;
+    source.limits_ = options.limits;
   }
   source.stated_ = declarations_of(*file);
   source.file_ = std::make_shared<const SplatFile>(*std::move(file));
