@@ -97,7 +97,7 @@ TEST_CASE("view.json states what there is and null for the rest") {
   const json least = json::parse(view_json({.scenes = {{"a.rgs", "scenes/0/a.rgs", 12}}}));
   CHECK(least == json::parse(R"({"version": 1, "scenes": [{"name": "a.rgs", "url": "scenes/0/a.rgs", "bytes": 12}],
                                  "cameras": null, "photos": [], "frames": null})"));
-  CHECK(json::parse(view_json({.spz_opengl = true}))["settings"] == json{{"spz_axes", "opengl"}});
+  CHECK(json::parse(view_json({.scenes = {}, .spz_opengl = true}))["settings"] == json{{"spz_axes", "opengl"}});
   const json most = json::parse(view_json({.scenes = {{"a\xff.rgs", "u", 1}, {"</script>", "v", 2}},
                                            .cameras = "cameras.json",
                                            .photos = {{"IMG 1", "photos/0.jpg"}},
