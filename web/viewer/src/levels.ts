@@ -5,7 +5,10 @@ import type { Page } from "@roofgs/reader";
 export interface CutView {
   /** Centre of the camera, in the pages' coordinates. */
   position: readonly number[];
+  /** The larger focal length. */
   focalPx: number;
+  /** As the scene declares: nearer pages count as this near. */
+  zNear: number;
   /** Projected error that is allowed, pixels; 0 draws leaves. */
   detailPx: number;
   /** Most Gaussians to draw. */
@@ -21,15 +24,14 @@ export interface Cut {
   n: number;
 }
 
-/** Distance from a point to a box; 0 inside. */
-function distance(point: readonly number[], { min, max }: Page["core"]): number {
-  let sum = 0;
-  for (let i = 0; i < 3; ++i) {
-    const p = point[i] as number;
-    const outside = Math.max((min[i] as number) - p, 0, p - (max[i] as number));
-    sum += outside * outside;
-  }
-  return Math.sqrt(sum);
+/** World units that a pixel covers where the page's core is nearest. */
+function footprint({ core: { min, max } }: Page, { position, focalPx, zNear }: CutView): number {
+  const outside = position.map((p, i) => Math.max((min[i] as number) - p, 0, p - (max[i] as number)));
+  return Math.max(zNear, Math.hypot(...outside)) / focalPx;
+}
+
+export function projectedError(page: Page, view: CutView): number {
+  return page.error / footprint(page, view);
 }
 
 /**
@@ -37,7 +39,7 @@ function distance(point: readonly number[], { min, max }: Page["core"]): number 
  * page with absent children stays in the cut, and those children are wanted.
  */
 export function chooseCut(page: (index: number) => Page, isResident: (index: number) => boolean, view: CutView): Cut {
-  const errorPx = (p: Page): number => (p.nChildren === 0 ? 0 : (p.error * view.focalPx) / Math.max(1e-9, distance(view.position, p.core)));
+  const errorPx = (p: Page): number => projectedError(p, view);
   const root = page(0);
   if (!isResident(0)) return { draw: [], want: [0], n: 0 };
   const want: { index: number; errorPx: number }[] = [];

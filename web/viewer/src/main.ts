@@ -376,7 +376,7 @@ class Page {
     for (const scene of this.scenes) {
       if (!scene?.hasPages) continue;
       const position = add(view.position, scene.origin, -1);
-      scene.look({ position, focalPx: view.focal * width, detailPx: Number(input("detail").value), budget }, performance.now());
+      scene.look({ position, focalPx: Math.max(1, view.aspect) * view.focal * width, detailPx: Number(input("detail").value), budget }, performance.now());
     }
     this.notice();
     // Boxes last for one frame.

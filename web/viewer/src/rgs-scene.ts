@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf, type Colour, RgsResource } from "@roofgs/playcanvas";
 import type { Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
-import { chooseCut, type Cut, type CutView } from "./levels.js";
+import { chooseCut, type Cut, type CutView, projectedError } from "./levels.js";
 import { type Box, Scene, type Tint } from "./scene.js";
 import type { Side, Stage } from "./stage.js";
 
@@ -156,7 +156,8 @@ export class RgsScene extends Scene {
     return antiAliasingOf(this.file.declarations, this.hasPages && detailPx > 0);
   }
 
-  override look(view: CutView, now: number): void {
+  override look(looking: Omit<CutView, "zNear">, now: number): void {
+    const view = { ...looking, zNear: this.file.declarations.zNear };
     this.view = view;
     const cut = this.plan();
     if (!cut) return;
@@ -291,10 +292,7 @@ export class RgsScene extends Scene {
     const page = this.file.levels?.page(index);
     if (!page) return [0, 0, 0];
     if (tint === "level") return kLevelColours[page.level % kLevelColours.length] as Colour;
-    const { position, focalPx } = this.view ?? { position: [0, 0, 0], focalPx: 1 };
-    const near = [0, 1, 2].map((i) => Math.max((page.core.min[i] as number) - (position[i] as number), 0, (position[i] as number) - (page.core.max[i] as number)));
-    const errorPx = (page.error * focalPx) / Math.max(1e-9, Math.hypot(...near));
-    const share = Math.min(1, errorPx / 4);
+    const share = this.view ? Math.min(1, projectedError(page, this.view) / 4) : 0;
     return [share, 1 - share, 0.2];
   }
 }

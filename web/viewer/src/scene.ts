@@ -59,7 +59,7 @@ export abstract class Scene {
   }
   setTint(_tint: Tint): void {}
   /** Called before each frame; chooses the cut of scenes with levels of detail. */
-  look(_view: CutView, _now: number): void {}
+  look(_view: Omit<CutView, "zNear">, _now: number): void {}
 
   /** `origin` of the stage's coordinates, world. */
   place(origin: readonly number[]): void {

@@ -879,6 +879,45 @@ inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly
   assert.notEqual(await still(page, "#stage"), plain);
 });
 
+/** Applies a link to a page that is there already. */
+const follow = (page, link) =>
+  page.evaluate((link) => {
+    const done = new Promise((resolve) => addEventListener("hashchange", resolve, { once: true }));
+    location.hash = link;
+    return done;
+  }, new URLSearchParams(link).toString());
+
+/** docs/format/FORMAT.md, "Error and cut", of every page by itself. */
+function drawnPages({ levels, declarations }, { position, focalPx, detailPx }) {
+  const isFine = ({ error, core: { min, max } }) => {
+    const outside = position.map((p, i) => Math.max(min[i] - p, 0, p - max[i]));
+    return error <= (detailPx * Math.max(declarations.zNear, Math.hypot(...outside))) / focalPx;
+  };
+  const all = Array.from({ length: levels.nPages }, (_, i) => levels.page(i));
+  return all.filter((page) => isFine(page) && (page.parent < 0 || !isFine(all[page.parent])));
+}
+
+inBrowser("a view draws the pages that the format defines, inside a core too", { allowed: [k404] }, async ({ page }) => {
+  const bytes = readFileSync(join(golden, "levels_packed.rgs"));
+  const file = await open(bytes);
+  await drop(page, "a.rgs", bytes);
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs");
+  await page.locator("#stats").check();
+  const width = await page.evaluate(() => document.getElementById("picture").width);
+  const found = [];
+  for (const [detailPx, z, focal, aspect] of [[0, 0, 0.5, 1], [1, 0, 0.5, 1], [2, 0, 0.5, 1], [2, 0, 0.5, 2], [4, 0, 0.5, 1], [4, 0, 0.5, 2], [0.25, -20, 20, 1], [1, -20, 20, 1], [2, -20, 20, 1]]) {
+    await follow(page, { at: [0, 0, z], axes: [1, 0, 0, 0, 1, 0, 0, 0, 1], lens: [focal, aspect, 0, 0], pivot: [0, 0, z + 1], detail: detailPx });
+    await settled(page);
+    const expected = drawnPages(file, { position: [0, 0, z], focalPx: focal * width * aspect, detailPx });
+    const n = expected.reduce((sum, { count }) => sum + count, 0);
+    const overlay = await text(page, "#overlay");
+    assert.ok(new RegExp(`^${n} of .*, ${expected.length} pages$`, "m").test(overlay), `detail ${detailPx} at ${z}: ${n} in ${expected.length} pages, not ${overlay}`);
+    found.push(expected.length);
+  }
+  file.close();
+  assert.deepEqual([...new Set(found)].sort(), [1, 2, 5], `${found}`);
+});
+
 inBrowser("bounds are drawn over the picture, and stay there", { allowed: [k404] }, async ({ page }) => {
   const yellow = async () => {
     return page.evaluate(async (base64) => {

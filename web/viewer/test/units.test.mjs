@@ -116,7 +116,7 @@ test("the cut of a tree of pages", () => {
   const { chooseCut } = modules.levels;
   const pages = tree();
   const cut = (here, changes = {}) => {
-    const cutView = { position: [-10, 0, 0], focalPx: 10, detailPx: 1, budget: 1000, ...changes };
+    const cutView = { position: [-10, 0, 0], focalPx: 10, zNear: 0.1, detailPx: 1, budget: 1000, ...changes };
     return chooseCut((i) => pages[i], (i) => here.includes(i), cutView);
   };
   const all = [0, 1, 2, 3];
@@ -129,8 +129,9 @@ test("the cut of a tree of pages", () => {
   assert.deepEqual(cut(all, { budget: 39 }), { draw: [1, 2], want: [], n: 20 });
   assert.deepEqual(cut([0, 1]), { draw: [0], want: [2], n: 10 });
   assert.deepEqual(cut([0, 1, 2]), { draw: [1, 2], want: [3], n: 20 });
-  // From inside a box nothing coarse is good enough.
-  assert.deepEqual(cut(all, { position: [0.5, 0.5, 0.5], detailPx: 16 }).draw, [2, 3]);
+  // Inside a core the distance is zNear: 800 px and 200 px.
+  const inside = [0.5, 0.5, 0.5];
+  assert.deepEqual([16, 200, 800].map((detailPx) => cut(all, { position: inside, detailPx }).draw), [[2, 3], [1, 2], [0]]);
 });
 
 test("view.json, and what an address says", () => {
