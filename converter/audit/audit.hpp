@@ -177,8 +177,9 @@ struct ViewResult {
   std::string name;
   int width = 0, height = 0;
   double drawn = 1;  ///< share of pixels on which the source or, if larger, the asset draws
-  Score score;       ///< of rated views
-  std::optional<PhotoScore> photo;
+  Score score;       ///< of rated views; with levels of detail each measure is the worse one of `leaves` and `levels`
+  std::optional<PhotoScore> photo;          ///< likewise the one that loses more
+  std::optional<Score> leaves{}, levels{};  ///< of a file with levels of detail: see LevelPsnr
 
   bool rated() const { return drawn >= kRatedShare; }
   bool hardly_sees() const { return drawn < kHardlySeenShare; }
@@ -200,8 +201,15 @@ struct ViewPictures {
   Image photo = {};  ///< empty without photographs
 };
 
+/// A file with levels of detail is drawn twice in each view: its leaves like a file without levels, against the source;
+/// and at the default detail as renderers draw it, against all of the source with the same compensated opacities.
+struct LevelPsnr {
+  double leaves = 0, levels = 0;  ///< means over the views, dB
+};
+
 struct AlsoReport {
   std::string path, note;  ///< note: why there is no quality
+  bool has_levels = false;
   std::uint64_t bytes = 0, n_gaussians = 0;
   std::optional<double> psnr, worst_psnr, ssim, loss;
 };
@@ -220,6 +228,7 @@ struct RenderReport {
   float largest = std::numeric_limits<float>::quiet_NaN();
   std::optional<double> loss;       ///< mean over the views, dB
   std::optional<PhotoScore> photo;  ///< means over the views
+  std::optional<LevelPsnr> level_psnr;
   std::vector<AttributionRow> attribution;
   std::string attribution_note;          ///< why it is missing, or what it excludes
   std::uint64_t n_undrawable = 0;        ///< damaged Gaussians of the source, missing from the reference
@@ -244,11 +253,20 @@ inline constexpr std::size_t kFarScenes = 3;
 struct FarScore {
   double psnr = 0, worst_psnr = 0, ssim = 0, worst_ssim = 0;
 };
+/// PSNR above this is a waste: levels that reach it lose nothing.
+inline constexpr double kEnoughDb = 44;
+/// Levels that lose more than this in any view fail every gate without a limit of its own for them, and are not graded
+/// better than "visible differences": four times the squared error that all Gaussians would leave.
+inline constexpr double kLevelsLossDb = 6;
+
 struct FarView {
   std::string name;
   int width = 0, height = 0;
   std::array<double, kFarScenes> psnr{}, ssim{};  ///< by FarScene
   double drawn = 0;  ///< Gaussians of the chosen pages, in view or not, over those of the asset
+
+  /// What levels lose against all Gaussians compensated or, if less, against kEnoughDb.
+  double loss() const;
 };
 /// The rated views from `far` times the distance, with 1 / `far` of their size.
 struct FarRow {
@@ -275,8 +293,14 @@ struct DistanceReport {
   double seconds = 0;
 
   const FarRow* at(int far) const;  ///< null: not measured
-  /// Largest loss of levels against all Gaussians compensated over all distances, dB; NaN without rows.
-  double loss() const;
+  /// The view with the largest FarView::loss().
+  struct Worst {
+    double loss = std::numeric_limits<double>::quiet_NaN();  ///< NaN without rows
+    double psnr = 0;                                         ///< of its levels
+    int far = 0;
+    std::string view{};
+  };
+  Worst worst() const;
 };
 
 // ---- all

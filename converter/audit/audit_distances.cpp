@@ -93,8 +93,7 @@ class DistanceAudit {
     } else if (most * kSupersampling > kMaxImageSide) {
       report_.note = fmt::format("the truth would be more than {} pixels wide", kMaxImageSide);
     } else {
-      for (const int far : kDistances)
-        if (least / far >= kLeastSide) report_.rows.push_back({far});
+      for (int far = 1; least / far >= kLeastSide; far *= 2) report_.rows.push_back({far});
       if (report_.rows.size() < kDistances.size())
         report_.note = fmt::format("farther away, views are less than {} pixels wide or high", kLeastSide);
     }
@@ -130,12 +129,8 @@ class DistanceAudit {
   }
 
   RenderOptions options_of(FarScene what) const {
-    RenderOptions options = reference_arithmetic(inputs_.declared);
-    if (what == FarScene::leaves) return options;
-    options.anti_aliasing = math::AntiAliasing::mip_splatting;
-    options.low_pass = default_low_pass_px2(AaMode::mip_splatting);
-    if (what == FarScene::levels) options.detail_px = report_.detail_px;
-    return options;
+    return what == FarScene::leaves ? reference_arithmetic(inputs_.declared)
+                                    : levels_arithmetic(what == FarScene::levels ? report_.detail_px : 0.0F);
   }
 
   Done compare(const Scene& scene, std::size_t view, std::size_t row, Picture truth) {
@@ -226,15 +221,18 @@ const FarRow* DistanceReport::at(int far) const {
   return found == rows.end() ? nullptr : &*found;
 }
 
-double DistanceReport::loss() const {
-  double most = std::numeric_limits<double>::quiet_NaN();
-  for (const FarRow& row : rows) {
-    const double all = row.score(FarScene::compensated).psnr;
-    const double levels = row.score(FarScene::levels).psnr;
-    const double lost = all == levels ? 0 : all - levels;  // both may be infinite
-    most = most >= lost ? most : lost;
-  }
-  return most;
+double FarView::loss() const {
+  const auto of = [this](FarScene what) { return psnr[static_cast<std::size_t>(what)]; };
+  return std::min(kEnoughDb, of(FarScene::compensated)) - std::min(kEnoughDb, of(FarScene::levels));
+}
+
+DistanceReport::Worst DistanceReport::worst() const {
+  Worst out;
+  for (const FarRow& row : rows)
+    for (const FarView& view : row.views)
+      if (const double loss = view.loss(); !(loss <= out.loss))
+        out = {loss, view.psnr[static_cast<std::size_t>(FarScene::levels)], row.far, view.name};
+  return out;
 }
 
 Outcome<DistanceReport> compare_distances(const RenderInputs& inputs, const Options& options,

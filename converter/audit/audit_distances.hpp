@@ -1,4 +1,4 @@
-// audit_distances.hpp - compares a file's levels of detail with the truth, from 1 to 8 times as far.
+// audit_distances.hpp - compares a file's levels of detail with the truth, from ever farther away.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,9 +10,9 @@
 
 namespace rgs::audit {
 
-/// Multiples of the views' distance, by which their sizes are divided.
+/// Multiples of the views' distance that conditions and tables name; views are divided by twice as much again and again
+/// until a side has less than kLeastSide pixels, so that the coarsest levels are drawn too.
 inline constexpr std::array<int, 4> kDistances{1, 2, 4, 8};
-/// Smallest useful side of a picture, pixels.
 inline constexpr int kLeastSide = 8;
 
 /// Draws the source for the truth and the file at options.asset, which has levels of detail, as each FarScene, in

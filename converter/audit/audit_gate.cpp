@@ -9,6 +9,10 @@
 #include <charconv>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <utility>
+
+#include "audit_text.hpp"
 
 namespace rgs::audit {
 namespace {
@@ -34,7 +38,7 @@ constexpr std::array<ConditionKind, 24> kKinds{{
     {"levels-psnr-2x", "the same from twice as far", true, Needs::distances},
     {"levels-psnr-4x", "from four times as far", true, Needs::distances},
     {"levels-psnr-8x", "from eight times as far", true, Needs::distances},
-    {"levels-loss", "dB that levels lose against all Gaussians compensated, at any distance", false, Needs::distances},
+    {"levels-loss", "dB that levels lose in any view at any distance; 6 unless stated", false, Needs::distances},
     {"levels-drawn-1x", "share of the Gaussians that levels draw", false, Needs::distances},
     {"levels-drawn-2x", "the same from twice as far", false, Needs::distances},
     {"levels-drawn-4x", "from four times as far", false, Needs::distances},
@@ -47,7 +51,7 @@ const ConditionKind* kind_of(const std::string& name) {
 }
 
 double distance_value(const std::string& name, const DistanceReport& report) {
-  if (name == "levels-loss") return report.loss();
+  if (name == "levels-loss") return report.worst().loss;
   const FarRow* row = report.at(name[name.size() - 2] - '0');
   if (row == nullptr) return std::numeric_limits<double>::quiet_NaN();
   return name.starts_with("levels-drawn") ? row->drawn : row->score(FarScene::levels).psnr;
@@ -76,7 +80,8 @@ double found_value(const std::string& name, const Report& report) {
   if (name == "largest") return 255 * static_cast<double>(r.largest);
   if (name == "loss") return r.loss.value_or(kNone);
   for (const AttributionRow& row : r.attribution)
-    if (name == "together-psnr" && row.key == "together") return row.psnr;
+    if (name == "together-psnr" && row.key == "together")
+      return r.level_psnr ? std::min(row.psnr, r.level_psnr->levels) : row.psnr;
   return kNone;
 }
 
@@ -85,7 +90,7 @@ double found_value(const std::string& name, const Report& report) {
 // default conversion stays below 7, archive below 48, SPZ reaches 111.
 constexpr float kLosslessLargest = 16.F / 255, kCloseLargest = 64.F / 255;
 
-Verdict::Grade grade(const Report& report) {
+Verdict::Grade grade_of_views(const Report& report) {
   using Grade = Verdict::Grade;
   const RenderReport& r = *report.render;
   if (r.n_rated == 0) return Grade::unrated;
@@ -97,6 +102,19 @@ Verdict::Grade grade(const Report& report) {
   if (r.worst_psnr >= 40 && r.worst_ssim >= 0.97 && r.largest <= kCloseLargest) return Grade::close;
   if (r.worst_psnr >= 30) return Grade::visible;
   return Grade::poor;
+}
+
+// Levels that lose too much from afar, if any.
+std::optional<DistanceReport::Worst> bad_levels(const Report& report) {
+  auto worst = report.distances ? report.distances->worst() : DistanceReport::Worst();
+  return worst.loss > kLevelsLossDb ? std::optional(std::move(worst)) : std::nullopt;
+}
+
+Verdict::Grade grade(const Report& report) {
+  using Grade = Verdict::Grade;
+  const Grade of_views = grade_of_views(report);
+  const auto bad = bad_levels(report);
+  return bad ? std::max(of_views, bad->psnr >= 30 ? Grade::visible : Grade::poor) : of_views;
 }
 
 // The quantised sort key, if it alone does visible damage: depths outside the declared range share its end bins.
@@ -180,11 +198,12 @@ std::vector<Condition> evaluate(std::vector<Condition> conditions, const Measure
   }
   // Conditions with unrated pictures must fail: cameras that see nothing must not pass on sizes alone.
   if (!conditions.empty() && found("rated-views") == 0) conditions.push_back({"rated-views", 1, 0, true, false});
-  // Nor may declarations that pictures do not show.
-  if (const double n = found("contradictions");
-      !conditions.empty() && n > 0 &&
-      std::ranges::find(conditions, "contradictions", &Condition::name) == conditions.end())
-    conditions.push_back({"contradictions", 0, n, false, false});
+  // Nor may what the views' pictures do not show: declarations, and levels that are drawn from afar.
+  for (const auto& [name, limit] : {std::pair("contradictions", 0.0), std::pair("levels-loss", kLevelsLossDb)}) {
+    const bool stated = std::ranges::find(conditions, name, &Condition::name) != conditions.end();
+    if (!conditions.empty() && !stated && found(name) > limit)
+      conditions.push_back({name, limit, found(name), false, false});
+  }
   return conditions;
 }
 
@@ -232,6 +251,14 @@ Verdict verdict(const Report& report) {
           255 * std::sqrt(r.mse), r.psnr, r.worst_psnr, r.n_rated, 255 * static_cast<double>(r.largest));
     } else {
       out.detail = fmt::format("{} views are identical in every bit.", r.n_rated);
+    }
+    if (r.level_psnr && out.grade != Verdict::Grade::unrated)
+      out.detail += fmt::format(" Each view is rated as its worse drawing: leaves {}, at the default detail {}.",
+                                format_psnr(r.level_psnr->leaves), format_psnr(r.level_psnr->levels));
+    if (const auto bad = bad_levels(report)) {
+      out.finding += fmt::format(", with levels of detail that lose {:.1f} dB", bad->loss);
+      out.detail += fmt::format(" The levels of detail fall to {:.1f} dB from {} times as far in {}.", bad->psnr,
+                                bad->far, bad->view.empty() ? "a view" : "view " + bad->view);
     }
     const auto n_blind = static_cast<std::size_t>(
         std::count_if(r.views.begin(), r.views.end(), [](const ViewResult& v) { return v.hardly_sees(); }));

@@ -31,8 +31,8 @@ std::string unmeasurable(std::span<const Condition> conditions, const Options& o
 using Measured = std::map<std::string, double>;
 Measured measured(const Report& report);
 /// The conditions with their measured values. One on something that does not exist (the attribution of a PLY, the PSNR
-/// of views that do not show the scene) fails. If pictures were made and none is rated, every gate fails, and
-/// so does one without "contradictions" if there are any.
+/// of views that do not show the scene) fails. If pictures were made and none is rated, every gate fails, and so does
+/// one without a limit of its own for contradictions, or for levels that lose more than kLevelsLossDb.
 std::vector<Condition> evaluate(std::vector<Condition> conditions, const Measured& measured);
 /// Fills in report.gate.
 void evaluate(std::vector<Condition> conditions, Report& report);

@@ -176,6 +176,9 @@ Json json(const RenderReport& r) {
       view["largest"] = {{"difference", v.score.largest}, {"x", v.score.x}, {"y", v.score.y}};
       view["background"] = v.score.over_white ? "white" : "black";
     }
+    for (const auto& [name, score] : {std::pair("leaves", &v.leaves), std::pair("levels", &v.levels)})
+      if (*score)
+        view[name] = {{"psnr", number((*score)->psnr)}, {"ssim", (*score)->ssim}, {"largest", (*score)->largest}};
     if (v.photo) view["photo"] = json(*v.photo);
     views.push_back(std::move(view));
   }
@@ -201,6 +204,8 @@ Json json(const RenderReport& r) {
     out["worst_ssim"] = r.worst_ssim;
     out["largest"] = r.largest;
   }
+  if (r.level_psnr)
+    out["level_psnr"] = {{"leaves", number(r.level_psnr->leaves)}, {"levels", number(r.level_psnr->levels)}};
   out["photos"] = r.photo ? json(*r.photo) : Json();
   out["n_undrawable"] = r.n_undrawable;
   out["attribution"] = std::move(attribution);
@@ -234,7 +239,7 @@ Json json(const DistanceReport& r) {
     rows.push_back(std::move(out));
   }
   Json out{{"detail_px", r.detail_px}, {"rows", std::move(rows)}, {"seconds", r.seconds}};
-  if (!r.rows.empty()) out["loss"] = number(r.loss());
+  if (!r.rows.empty()) out["loss"] = number(r.worst().loss);
   if (!r.note.empty()) out["note"] = r.note;
   return out;
 }

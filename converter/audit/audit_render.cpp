@@ -96,7 +96,7 @@ class PictureAudit {
     for (std::size_t first = 0; first < views_.size();) {
       std::size_t end = first;
       for (std::uint64_t bytes = 0; end < views_.size(); ++end) {
-        bytes += picture_bytes(views_[end].camera);
+        bytes += (draws_levels() ? 2 : 1) * picture_bytes(views_[end].camera);
         if (end > first && bytes > kBatchBytes) break;
       }
       if (auto ok = batch(first, end); !ok) return tl::unexpected(ok.error());
@@ -139,9 +139,15 @@ class PictureAudit {
   }
 
   std::uint64_t frames_per_view() const {
-    return 2 + (variants_.empty() ? 0 : variants_.size() - 1) +
-           static_cast<std::uint64_t>(
-               std::count_if(also_.begin(), also_.end(), [](auto& a) { return a.note.empty(); }));
+    std::uint64_t n =
+        2 + (variants_.empty() ? 0 : variants_.size() - 1) + (draws_levels() ? 1 : 0) + (inputs_.has_levels ? 1 : 0);
+    for (const AlsoReport& a : also_)
+      if (a.note.empty()) n += a.has_levels ? 2 : 1;
+    return n;
+  }
+
+  bool draws_levels() const {
+    return inputs_.has_levels || std::ranges::any_of(also_, [](const AlsoReport& a) { return a.has_levels; });
   }
 
   glm::dvec3 up() const { return inputs_.declared ? declared_up(*inputs_.declared) : kWorldUp; }
@@ -163,11 +169,16 @@ class PictureAudit {
       if (auto ok = load_source(); !ok) return ok;
     const RenderOptions as_source = inputs_.source_stated ? reference_arithmetic(inputs_.source_stated) : exact;
     references_.clear();
+    level_references_.clear();
     reference_drawn_.clear();
     for (std::size_t i = first; i < end; ++i) {
       auto image = render(i, as_source, &reference_drawn_.emplace_back());
       if (!image) return tl::unexpected(image.error());
       references_.push_back(std::move(*image));
+      if (!draws_levels()) continue;
+      image = render(i, levels_arithmetic(0));
+      if (!image) return tl::unexpected(image.error());
+      level_references_.push_back(std::move(*image));
     }
     scene_ = Scene();
     if (auto ok = asset(first, end, exact); !ok) return ok;
@@ -178,7 +189,7 @@ class PictureAudit {
   }
 
   Done asset(std::size_t first, std::size_t end, const RenderOptions& exact) {
-    if (inputs_.rgs != nullptr) {
+    if (inputs_.rgs != nullptr && !inputs_.has_levels) {
       auto scene = Scene::load(*inputs_.rgs);
       if (!scene) return make_error(options_.asset, scene.error());
       scene_ = std::move(*scene);
@@ -188,11 +199,17 @@ class PictureAudit {
       scene_ = std::move(file->scene);
     }
     for (std::size_t i = first; i < end; ++i) {
-      double drawn = 0;
+      double drawn = 0, levels_drawn = 0;
       auto image = render(i, exact, &drawn);
       if (!image) return tl::unexpected(image.error());
-      drawn = std::max(drawn, reference_drawn_[i - first]);
-      if (auto ok = score(i, drawn, references_[i - first], std::move(*image)); !ok) return ok;
+      std::optional<Picture> levels;
+      if (inputs_.has_levels) {
+        auto as_drawn = render(i, levels_arithmetic(kDefaultDetailPx), &levels_drawn);
+        if (!as_drawn) return tl::unexpected(as_drawn.error());
+        levels = std::move(*as_drawn);
+      }
+      drawn = std::max({drawn, levels_drawn, reference_drawn_[i - first]});
+      if (auto ok = score(i, first, drawn, std::move(*image), std::move(levels)); !ok) return ok;
     }
     if (Series* together = find("together")) {
       const RenderOptions paper = with_lists(with_exp(with_key(exact)));
@@ -246,16 +263,23 @@ class PictureAudit {
     auto& sums = also_sums_[static_cast<std::size_t>(&other - also_.data())];
     for (std::size_t i = first; i < end; ++i) {
       if (!is_rated(i)) continue;
-      auto image = render(i, exact);
-      if (!image) return tl::unexpected(image.error());
-      const auto d = difference(references_[i - first], *image);
-      const auto s = ssim(references_[i - first], *image);
-      if (!d || !s) return make_error(other.path, d ? s.error() : d.error());
-      sums.psnr.push_back(d->psnr);
-      sums.ssim += *s;
-      const auto loss = photo_loss(views_[i], references_[i - first].black, image->black);
-      if (!loss) return tl::unexpected(loss.error());
-      sums.loss += *loss;
+      Score worse;
+      double most_lost = 0;
+      for (const bool as_levels : {false, true}) {
+        if (as_levels && !other.has_levels) continue;
+        const auto image = render(i, as_levels ? levels_arithmetic(kDefaultDetailPx) : exact);
+        if (!image) return tl::unexpected(image.error());
+        const Picture& reference = (as_levels ? level_references_ : references_)[i - first];
+        const auto score = compare(i, reference, *image);
+        if (!score) return tl::unexpected(score.error());
+        const auto loss = photo_loss(views_[i], reference.black, image->black);
+        if (!loss) return tl::unexpected(loss.error());
+        worse = as_levels ? worse_of(worse, *score) : *score;
+        most_lost = as_levels ? std::max(most_lost, *loss) : *loss;
+      }
+      sums.psnr.push_back(worse.psnr);
+      sums.ssim += worse.ssim;
+      sums.loss += most_lost;
     }
     scene_ = Scene();
     return {};
@@ -307,38 +331,72 @@ class PictureAudit {
     return {};
   }
 
-  Done score(std::size_t view, double drawn, const Picture& reference, Picture image) {
+  Outcome<Score> compare(std::size_t view, const Picture& reference, const Picture& image) const {
     const Camera& camera = views_[view].camera;
+    const auto d = difference(reference, image);
+    const auto s = ssim(reference, image);
+    if (!d || !s) return make_error("view " + camera.name, d ? s.error() : d.error());
+    const auto pixel = static_cast<int>(d->largest_index / 3);
+    return Score{d->mse,
+                 d->psnr,
+                 *s,
+                 d->largest,
+                 pixel % camera.width,
+                 pixel / camera.width,
+                 shows_more_over_white(reference, image)};
+  }
+
+  static Score worse_of(const Score& a, const Score& b) {
+    Score out = a.psnr <= b.psnr ? a : b;
+    const Score& spot = a.largest >= b.largest ? a : b;
+    out.ssim = std::min(a.ssim, b.ssim);
+    out.largest = spot.largest, out.x = spot.x, out.y = spot.y;
+    return out;
+  }
+
+  // `levels`: the asset at the default detail.
+  Done score(std::size_t view, std::size_t first, double drawn, Picture image, std::optional<Picture> levels) {
+    const Camera& camera = views_[view].camera;
+    const Picture* reference = &references_[view - first];
     ViewResult result{camera.name, camera.width, camera.height, drawn, {}, {}};
     rated_[view] = result.rated() ? 1 : 0;
     if (!result.rated()) {
       report_.views.push_back(std::move(result));
       return {};
     }
-    const auto d = difference(reference, image);
-    const auto s = ssim(reference, image);
-    if (!d || !s) return make_error("view " + camera.name, d ? s.error() : d.error());
-    const auto pixel = static_cast<int>(d->largest_index / 3);
-    result.score = {d->mse,
-                    d->psnr,
-                    *s,
-                    d->largest,
-                    pixel % camera.width,
-                    pixel / camera.width,
-                    shows_more_over_white(reference, image)};
+    const auto score = compare(view, *reference, image);
+    if (!score) return tl::unexpected(score.error());
+    result.score = *score;
     Image photo;
     if (!views_[view].photo.empty()) {
       auto read = read_photo(views_[view]);
       if (!read) return tl::unexpected(read.error());
       photo = *std::move(read);
-      const auto photo_score = compare_to_photo(views_[view], photo, reference.black, image.black);
+      const auto photo_score = compare_to_photo(views_[view], photo, reference->black, image.black);
       if (!photo_score) return tl::unexpected(photo_score.error());
       result.photo = *photo_score;
     }
     if (Series* conversion = find("conversion"))
-      conversion->add(d->psnr, d->mse, result.photo ? result.photo->loss() : 0);
+      conversion->add(score->psnr, score->mse, result.photo ? result.photo->loss() : 0);
+    if (levels) {
+      const Picture& level_reference = level_references_[view - first];
+      const auto as_drawn = compare(view, level_reference, *levels);
+      if (!as_drawn) return tl::unexpected(as_drawn.error());
+      result.leaves = *score;
+      result.levels = *as_drawn;
+      result.score = worse_of(*score, *as_drawn);
+      if (result.photo) {
+        const auto photo_score = compare_to_photo(views_[view], photo, level_reference.black, levels->black);
+        if (!photo_score) return tl::unexpected(photo_score.error());
+        if (photo_score->loss() > result.photo->loss()) result.photo = *photo_score;
+      }
+      if (as_drawn->psnr < score->psnr) {
+        reference = &level_reference;
+        image = std::move(*levels);
+      }
+    }
     report_.views.push_back(std::move(result));
-    keep({view, reference, std::move(image), std::move(photo)});
+    keep({view, *reference, std::move(image), std::move(photo)});
     return {};
   }
 
@@ -417,7 +475,7 @@ class PictureAudit {
 
   void summarise_views() {
     auto& views = report_.views;
-    std::vector<double> psnr;
+    std::vector<double> psnr, leaves, levels;
     PhotoScore photo;
     double ssim_sum = 0, mse_sum = 0, drawn = 0;
     for (const ViewResult& v : views) {
@@ -433,6 +491,7 @@ class PictureAudit {
     for (const ViewResult& v : views) {
       if (!v.rated()) continue;
       psnr.push_back(v.score.psnr);
+      if (v.levels) leaves.push_back(v.leaves->psnr), levels.push_back(v.levels->psnr);
       ssim_sum += v.score.ssim;
       mse_sum += v.score.mse;
       report_.worst_psnr = std::min(report_.worst_psnr, v.score.psnr);
@@ -445,6 +504,7 @@ class PictureAudit {
       photo.asset_ssim += v.photo->asset_ssim / n;
     }
     report_.psnr = mean_psnr(psnr);
+    if (!levels.empty()) report_.level_psnr = {mean_psnr(leaves), mean_psnr(levels)};
     report_.ssim = ssim_sum / n;
     report_.mse = mse_sum / n;
     if (!options_.photos.empty()) {
@@ -487,8 +547,9 @@ class PictureAudit {
   Scene scene_;  // the one being rendered
   SceneBounds bounds_;
   std::vector<View> views_;
-  std::vector<std::uint8_t> rated_;      // [views], of those drawn so far
-  std::vector<Picture> references_;      // of the batch
+  std::vector<std::uint8_t> rated_;  // [views], of those drawn so far
+  std::vector<Picture> references_;  // of the batch
+  std::vector<Picture> level_references_;
   std::vector<double> reference_drawn_;  // of the batch
   std::vector<float> alpha_;             // of the last frame
   std::vector<Series> variants_;
@@ -503,6 +564,14 @@ RenderOptions reference_arithmetic(const std::optional<Declarations>& declared) 
   options.paper = steps_of({.pipeline = Pipeline::baseline}, Backend::cpu);
   options.detail_px = 0.0F;
   return with_declarations(options, declared);
+}
+
+RenderOptions levels_arithmetic(float detail_px) {
+  RenderOptions options = reference_arithmetic(Declarations());
+  options.anti_aliasing = math::AntiAliasing::mip_splatting;
+  options.low_pass = default_low_pass_px2(AaMode::mip_splatting);
+  options.detail_px = detail_px;
+  return options;
 }
 
 double mean_psnr(std::span<const double> values) {

@@ -20,6 +20,7 @@ struct RenderInputs {
   const FileView* rgs = nullptr;
   const Source* other = nullptr;
   const Pairing* pairing = nullptr;
+  bool has_levels = false;  ///< of the asset's file; `rgs` is then its leaves
   std::optional<Declarations> declared = {}, source_stated = {};
 };
 
@@ -28,11 +29,15 @@ struct RenderInputs {
 /// low-pass.
 RenderOptions reference_arithmetic(const std::optional<Declarations>& declared);
 
+/// The same with what levels of detail are drawn with: compensated opacities and their low-pass. Draws files without
+/// levels too, to compare with.
+RenderOptions levels_arithmetic(float detail_px);
+
 /// Mean of the finite PSNRs: one identical view does not make the mean infinite.
 double mean_psnr(std::span<const double> values);
 
 /// Renders every view of source and asset by the reference definition (FP32, square extent, exact order and
-/// exponential), and the attribution's variants. Views are taken in batches whose reference pictures fit into 512 MB,
+/// exponential; levels of detail as LevelPsnr says), and the attribution's variants. Views are taken in batches whose reference pictures fit into 512 MB,
 /// and at most two scenes are in memory at a time. Fills `also` too. Variants and other files are drawn in the rated
 /// views alone.
 Outcome<RenderReport> compare_pictures(const RenderInputs& inputs, const Options& options,

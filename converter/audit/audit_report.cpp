@@ -318,7 +318,10 @@ class Page {
   void views(const RenderReport& r) {
     title("views", "Views");
     add("<p>Worst first. Both sides are rendered by the original 3DGS definition in FP32 and compared in floating "
-        "point, so that all differences come from the asset.{}</p>\n",
+        "point, so that all differences come from the asset.{}{}</p>\n",
+        r.level_psnr ? " Levels of detail are drawn twice, the leaves like a file without levels, and at the default "
+                       "detail beside all of the original with equally compensated opacities: the worse drawing counts."
+                     : "",
         r.automatic_views ? " No cameras were given: these views lie on a circle around the scene, where no photograph "
                             "may have been taken."
                           : "");

@@ -118,6 +118,7 @@ Outcome<std::vector<AlsoReport>> measure_also(const Options& options) {
     AlsoReport report;
     report.path = path;
     report.bytes = file->bytes().size();
+    report.has_levels = has_levels(file->bytes());
     if (!options.render) report.note = "not rendered";
     out.push_back(std::move(report));
   }
@@ -293,8 +294,13 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   }
   report.declared_differences = compare_declarations(*source, *report.declarations, rgs_asset);
   if (options.render) {
-    const RenderInputs inputs{&*source, rgs_asset ? &view : nullptr, rgs_asset ? nullptr : &splats,
-                              &pairing, report.declarations,         report.source_stated};
+    const RenderInputs inputs{&*source,
+                              rgs_asset ? &view : nullptr,
+                              rgs_asset ? nullptr : &splats,
+                              &pairing,
+                              size.levels.has_value(),
+                              report.declarations,
+                              report.source_stated};
     auto rendered = compare_pictures(inputs, options, *also, progress);
     if (!rendered) return tl::unexpected(rendered.error());
     report.render = std::move(*rendered);

@@ -86,6 +86,9 @@ class Text : private tool::TextLines {
     }
     line("  unseen      in no rated view: {} Gaussians of the source, {} of the asset", format_count(r.source_unseen),
          format_count(r.asset_unseen));
+    if (r.level_psnr)
+      line("  of these    the worse drawing of each: leaves {}, at the default detail {}",
+           format_psnr(r.level_psnr->leaves), format_psnr(r.level_psnr->levels));
     if (r.photo)
       line("  photos      source {:.3f} dB, asset {:.3f} dB: loss {:.4f} dB; SSIM {:.5f}, {:.5f}", r.photo->source_psnr,
            r.photo->asset_psnr, r.photo->loss(), r.photo->source_ssim, r.photo->asset_ssim);

@@ -302,7 +302,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->group(views);
   app.add_flag("--no-render", a.no_render, "Compare sizes and attributes only")->group(views);
   app.add_flag("--no-attribution", a.no_attribution, "Do not attribute the loss to steps")->group(views);
-  app.add_flag("--no-distances", a.no_distances, "Do not compare levels of detail from 1 to 8 times as far")
+  app.add_flag("--no-distances", a.no_distances, "Do not compare levels of detail from ever farther away")
       ->group(views);
   app.add_flag("--compare-scales", o.compare_scales,
                "Also compare SH with one scale set for the file and one per chunk")

@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <numeric>
 #include <string>
 #include <vector>
 
@@ -15,6 +16,7 @@
 #include "audit_program_fixture.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/image_metrics.hpp"
+#include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
 #include "skip.hpp"
@@ -106,11 +108,73 @@ RenderOptions reference() {
   return options;
 }
 
+/// The file with levels with noise for the colours and opacities of all pages but the leaves, whose errors are
+/// multiplied by `error`, written anew with sound hashes.
+std::string with_garbage_above_leaves(const std::string& path, float error) {
+  const auto mapped = MappedFile::open(scene().levels);
+  REQUIRE(mapped);
+  const auto file = PagedFile::open(mapped->bytes());
+  REQUIRE(file);
+  std::vector<std::uint32_t> all(file->n_pages());
+  std::iota(all.begin(), all.end(), 0U);
+  lod::Levels levels{read_pages(*file, all).value(), file->pages(), file->quality_db()};
+  SplitMix random(3);
+  for (lod::Page& page : levels.pages) {
+    if (page.level == 0) continue;
+    page.error *= error;
+    for (std::uint64_t i = page.first; i < page.first + page.count; ++i) {
+      Splat splat = levels.splats.view().splat(i);
+      for (float& x : splat.sh) x = random.dyadic(-3, 3);
+      splat.opacity_logit = random.dyadic(-3, 4);
+      levels.splats.set(i, splat);
+    }
+  }
+  EncodeOptions options;
+  options.order = Order::input;
+  std::vector<std::byte> bytes;
+  REQUIRE(write_levels(levels, options, bytes));
+  return write_bytes(path, bytes);
+}
+
 }  // namespace
+
+TEST_CASE("garbage above the leaves that is drawn by default fails gate and grade") {
+  const std::string bad = with_garbage_above_leaves(scene().file("garbage.rgs"), 1e-6F);
+  const ProgramResult run = scene().run(bad, {"--no-attribution", "--no-distances", "--fail-below", "psnr=40"});
+  CHECK(run.exit_code == 5);
+  CHECK(run.err.find("psnr") != std::string::npos);
+  const json j = scene().result(bad, {"--no-attribution", "--no-distances"});
+  CHECK(j["verdict"]["grade"] == "poor");
+  CHECK(j["rendered"]["psnr"].get<double>() < 25);
+  for (const json& view : j["rendered"]["views"]) {
+    CHECK(view["psnr"] == view["levels"]["psnr"]);
+    CHECK(view["leaves"]["psnr"].get<double>() > 40);
+  }
+}
+
+TEST_CASE("garbage above the leaves that is drawn from afar alone fails gate and grade") {
+  const std::string bad = with_garbage_above_leaves(scene().file("far_garbage.rgs"), 1);
+  const json j = scene().result(bad, {"--no-attribution", "--fail-below", "ratio=0.01"});
+  CHECK(j["distances"]["loss"].get<double>() > 6);
+  CHECK(j["gate"]["holds"] == false);
+  REQUIRE(j["gate"]["conditions"].size() == 2);
+  CHECK(j["gate"]["conditions"][1]["name"] == "levels-loss");
+  CHECK(j["verdict"]["grade"] == "poor");
+  CHECK(scene().run(bad, {"--no-attribution", "--fail-below", "levels-loss=100"}).exit_code ==
+        0);  // as the caller says
+  CHECK(scene().run(scene().levels, {"--no-attribution", "--fail-below", "ratio=0.01"}).exit_code == 0);
+}
 
 TEST_CASE("the leaves of a file with levels are audited like the Gaussians of a file without") {
   const json plain = scene().result(scene().plain), levels = scene().result(scene().levels);
-  CHECK(without_seconds(levels["rendered"]) == without_seconds(plain["rendered"]));
+  CHECK(levels["rendered"]["level_psnr"]["leaves"] == plain["rendered"]["psnr"]);
+  for (const json& view : levels["rendered"]["views"]) {
+    const json& all = plain["rendered"]["views"];
+    const json& of_plain =
+        *std::find_if(all.begin(), all.end(), [&](const json& v) { return v["name"] == view["name"]; });
+    CHECK(view["leaves"]["psnr"] == of_plain["psnr"]);
+    CHECK(view["psnr"] == std::min(view["leaves"]["psnr"], view["levels"]["psnr"]));
+  }
   CHECK(without_seconds(levels["attributes"]) == without_seconds(plain["attributes"]));
   CHECK(levels["asset"]["gaussians"] == 14000);
   CHECK(levels["asset"]["made_from_source"] == true);
@@ -134,7 +198,9 @@ TEST_CASE("quality by distance compares the pages that a view draws with the ave
     CHECK(row["views"].size() == 2);
     CHECK(row["drawn"].get<double>() <= drawn_before);
     drawn_before = row["drawn"];
-    loss = std::max(loss, row["compensated"]["psnr"].get<double>() - row["levels"]["psnr"].get<double>());
+    for (const json& view : row["views"])
+      loss = std::max(loss, std::min(44.0, view["compensated"]["psnr"].get<double>()) -
+                                std::min(44.0, view["levels"]["psnr"].get<double>()));
   }
   CHECK(j["loss"].get<double>() == doctest::Approx(loss));
   CHECK(drawn_before < 0.8);
