@@ -46,7 +46,8 @@ struct Options {
   bool distances = true;        ///< of a file with levels of detail: quality from afar
   Backend backend = Backend::automatic;
   int threads = 0;
-  ReadOptions read;  ///< limits, and the axes of SPZ
+  std::uint64_t picture_bytes = std::uint64_t{512} << 20;  ///< of the source in memory at a time; at least one view's
+  ReadOptions read;                                        ///< limits, and the axes of SPZ
 };
 
 // ---- size

@@ -16,7 +16,6 @@
 namespace rgs::audit {
 namespace {
 
-constexpr std::uint64_t kBatchBytes = std::uint64_t{512} << 20;  // pictures of the truth
 constexpr int kSupersampling = 2;
 
 // The same view with `by` / `per` times as many pixels a side; drops partial pixels at the right and lower edges, as
@@ -68,7 +67,7 @@ class DistanceAudit {
       std::size_t end = first;
       for (std::uint64_t bytes = 0; end < cameras_.size(); ++end) {
         bytes += truth_bytes(cameras_[end]);
-        if (end > first && bytes > kBatchBytes) break;
+        if (end > first && bytes > options_.picture_bytes) break;
       }
       if (auto ok = batch(first, end); !ok) return tl::unexpected(ok.error());
       first = end;

@@ -19,8 +19,7 @@
 namespace rgs::audit {
 namespace {
 
-constexpr std::uint64_t kBatchBytes = std::uint64_t{512} << 20;  // reference pictures
-constexpr std::uint64_t kKeptBytes = std::uint64_t{512} << 20;   // pictures of the worst views
+constexpr std::uint64_t kKeptBytes = std::uint64_t{512} << 20;  // pictures of the worst views
 constexpr std::size_t kKeptViews = 6;
 
 std::uint64_t picture_bytes(const Camera& camera) {
@@ -97,7 +96,7 @@ class PictureAudit {
       std::size_t end = first;
       for (std::uint64_t bytes = 0; end < views_.size(); ++end) {
         bytes += (draws_levels() ? 2 : 1) * picture_bytes(views_[end].camera);
-        if (end > first && bytes > kBatchBytes) break;
+        if (end > first && bytes > options_.picture_bytes) break;
       }
       if (auto ok = batch(first, end); !ok) return tl::unexpected(ok.error());
       first = end;
@@ -165,7 +164,7 @@ class PictureAudit {
 
   Done batch(std::size_t first, std::size_t end) {
     const RenderOptions exact = reference_arithmetic(inputs_.declared);
-    if (scene_.size() == 0 && first > 0)
+    if (first > 0)  // scene_ is what the batch before drew last
       if (auto ok = load_source(); !ok) return ok;
     const RenderOptions as_source = inputs_.source_stated ? reference_arithmetic(inputs_.source_stated) : exact;
     references_.clear();

@@ -37,9 +37,9 @@ RenderOptions levels_arithmetic(float detail_px);
 double mean_psnr(std::span<const double> values);
 
 /// Renders every view of source and asset by the reference definition (FP32, square extent, exact order and
-/// exponential; levels of detail as LevelPsnr says), and the attribution's variants. Views are taken in batches whose reference pictures fit into 512 MB,
-/// and at most two scenes are in memory at a time. Fills `also` too. Variants and other files are drawn in the rated
-/// views alone.
+/// exponential; levels of detail as LevelPsnr says), and the attribution's variants. Views are taken in
+/// batches by Options::picture_bytes, and at most two scenes are in memory at a time. Fills `also` too. Variants and
+/// other files are drawn in the rated views alone.
 Outcome<RenderReport> compare_pictures(const RenderInputs& inputs, const Options& options,
                                        std::vector<AlsoReport>& also, tool::Progress& progress);
 

@@ -498,3 +498,22 @@ TEST_CASE("charts and pages survive any content") {
   CHECK(html("<script>alert('x') & \"y\"</script>\x1b[31m\xff") ==
         "&lt;script&gt;alert(&#39;x&#39;) &amp; &quot;y&quot;&lt;/script&gt;\\u{1b}[31m\\xff");
 }
+
+TEST_CASE("views compared in several batches score as in one") {
+  TemporaryFolder folder;
+  SplatCloud cloud = audit_cloud(300);
+  Options options;
+  options.source = write_ply(folder.file("a.ply"), cloud);
+  for (float& sh : cloud.sh) sh *= 0.5F;
+  options.asset = write_rgs(folder.file("a.rgs"), cloud);
+  options.cameras = write_cameras(folder.file("cameras.json"), 3, 48, 36);
+  options.backend = Backend::cpu;
+  options.attribution = false;
+  tool::Progress quiet(tool::Progress::Mode::quiet);
+  const auto in_one = run(options, quiet);
+  options.picture_bytes = 1;
+  const auto each = run(options, quiet);
+  REQUIRE((in_one && each));
+  CHECK(in_one->render->worst_psnr < 30);
+  for (std::size_t i = 0; i < 3; ++i) CHECK(in_one->render->views[i].score.psnr == each->render->views[i].score.psnr);
+}
