@@ -9,9 +9,10 @@ import { difference } from "./difference.js";
 import { type Frame, type FrameRequest, Frames } from "./frames.js";
 import { type Mode, type PageState, readLink, writeLink } from "./link.js";
 import { type Manifest, readInside, readManifest, spzAxesOf } from "./manifest.js";
-import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence } from "./messages.js";
+import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence, waitingSentence } from "./messages.js";
 import { element, hideLoading, say, showError, showLoading, showProgress, withdrawError } from "./page.js";
 import { openScene, type Read, readFile } from "./open-scene.js";
+import type { Trouble } from "./page-reads.js";
 import type { Scene, Tint } from "./scene.js";
 import { type Side, Stage } from "./stage.js";
 
@@ -164,7 +165,7 @@ class Page {
     let scene: Scene | undefined;
     try {
       const read = await reading;
-      scene = await openScene(this.stage, { name, read, spzAxes: spzAxesOf(location.search, this.manifest), side, onProgress: showProgress, onError: (error) => this.fail(name, error) });
+      scene = await openScene(this.stage, { name, read, spzAxes: spzAxesOf(location.search, this.manifest), side, onProgress: showProgress, on: this.trouble(name) });
       if (before) before.hidden = true;
       this.show(scene, side);
       if (side === 0) this.referenceScene = referenceScene ?? 0;
@@ -641,6 +642,12 @@ class Page {
     link.download = `${this.scenes[0].name}.png`;
     link.click();
     URL.revokeObjectURL(link.href);
+  }
+
+  private trouble(name: string): Trouble {
+    let said = "";
+    const waiting = (error: unknown): void => (error === null ? withdrawError(said) : showError((said = waitingSentence(name, error))));
+    return { waiting, damaged: (error) => this.fail(name, error) };
   }
 
   private fail(name: string, error: unknown): void {

@@ -11,7 +11,7 @@ interface CodedError {
 /** For codes that do not mean a damaged file. */
 const kAdvice: Record<string, string> = {
   open_failed: "could not be fetched. Check that the server is running and lets this page read from it, then reload the page",
-  read_failed: "stopped loading. Start rgs-view again if it has ended, then reload the page",
+  read_failed: "stopped loading. Reload the page; if rgs-view has ended, start it again and open its new address",
   bad_magic: "is not a scene that this page can open. It opens .rgs, .ply, .spz and .sog; rgs-convert makes .rgs of other formats",
   unsupported_version: "was made by a newer program than this page. Use the page of that version",
   unsupported_feature: "has something that this page cannot draw",
@@ -40,6 +40,12 @@ export function sentence(name: string, error: unknown): string {
   const advice = kAdvice[code];
   if (advice) return `${name} ${advice}. (${code}${where}: ${text ?? message ?? ""})`;
   return `${name} is damaged: ${text ?? message ?? ""} (${code}${where}). Copy the file again, or convert the scene again.`;
+}
+
+/** Of a file whose pages are read again after `error`. */
+export function waitingSentence(name: string, error: unknown): string {
+  const { code, text } = error as CodedError;
+  return `${name} is incomplete: reading failed, and is tried again until it succeeds. If rgs-view has ended, start it again and open its new address. (${code}: ${text})`;
 }
 
 export const kNoGraphics =

@@ -4,6 +4,7 @@ import { open } from "@roofgs/reader";
 import { type EngineKind, EngineScene } from "./engine-scene.js";
 import { kBeginningBytes, kindOf } from "./kind.js";
 import { readInside, type SceneEntry } from "./manifest.js";
+import type { Trouble } from "./page-reads.js";
 import { worker } from "./reader-worker.js";
 import { beginFile, type OpenedFile, RgsScene } from "./rgs-scene.js";
 import type { Scene } from "./scene.js";
@@ -65,19 +66,19 @@ export interface OpenScene {
   spzAxes: SpzAxes;
   side: Side;
   onProgress: OnProgress;
-  /** For errors in pages that are read later. */
-  onError(error: unknown): void;
+  /** In pages that are read later. */
+  on: Trouble;
 }
 
 /** Resolves with the first part of the scene; complete() reads the rest. */
-export async function openScene(stage: Stage, { name, read, spzAxes, side, onProgress, onError }: OpenScene): Promise<Scene> {
+export async function openScene(stage: Stage, { name, read, spzAxes, side, onProgress, on }: OpenScene): Promise<Scene> {
   if (read.kind === "cameras") throw new Error("it is a camera file, not a scene");
   if (read.kind !== "rgs") return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), spzAxes, side, onProgress });
   const { opened } = read;
   try {
     const first = await opened.first;
     if (first.done || (first.value.n === 0 && opened.file.header.nGaussians === 0)) throw new Error("it holds no Gaussians");
-    return new RgsScene(name, opened, first.value, stage, side, onError);
+    return new RgsScene(name, opened, first.value, stage, side, on);
   } catch (error) {
     opened.file.close();
     throw error;

@@ -3,11 +3,10 @@
 import { type AntiAliasing, antiAliasingOf, type Colour, RgsResource } from "@roofgs/playcanvas";
 import type { Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
 import { chooseCut, type Cut, type CutView, projectedError } from "./levels.js";
+import { PageReads, type Trouble } from "./page-reads.js";
 import { type Box, Scene, type Tint } from "./scene.js";
 import type { Side, Stage } from "./stage.js";
 
-/** Most pages in flight. */
-const kPagesAtATime = 4;
 /** Most Gaussians of resident pages, as a multiple of the budget. */
 const kKept = 2;
 /** Least time between two uploads to the GPU. */
@@ -69,12 +68,9 @@ export class RgsScene extends Scene {
   private shown = { shDegree: 3, tint: "none" as Tint };
   private readonly resident = new Map<number, StoredGaussians>();
   private readonly stop = new AbortController();
-  private readonly inFlight = new Set<number>();
-  private readonly quarantined = new Set<number>();
-  private wanted: number[] = [];
+  private readonly reads: PageReads<StoredGaussians>;
   private rebuilt = -Infinity;
   private read = 0;
-  private reported = false;
   private view: CutView | undefined;
   /** The view that the colours by error were computed for. */
   private tinted: CutView | undefined;
@@ -85,7 +81,7 @@ export class RgsScene extends Scene {
     first: StoredGaussians,
     stage: Stage,
     side: Side,
-    private readonly onError: (error: unknown) => void,
+    on: Trouble,
   ) {
     const { file } = opened;
     super(name, file.fileBytes, stage, side);
@@ -98,11 +94,17 @@ export class RgsScene extends Scene {
     this.origin = origin;
     this.up = upOf(file);
     this.hasPages = file.levels !== null;
+    const arrived = (index: number, stored: StoredGaussians): void => {
+      this.keep(index, stored);
+      this.plan();
+      this.stage.request();
+    };
+    this.reads = new PageReads((index) => file.readPageStored(index, { signal: this.stop.signal }), { ...on, arrived });
     if (file.levels) {
       this.keep(0, first);
       this.rebuild([0]);
       if (file.nPresent < file.levels.nPages) {
-        this.onError({ code: "pages_missing", text: `the file has ${file.nPresent} of its ${file.levels.nPages} pages` });
+        on.damaged({ code: "pages_missing", text: `the file has ${file.nPresent} of its ${file.levels.nPages} pages` });
       }
     } else {
       this.drawn = [0];
@@ -128,7 +130,7 @@ export class RgsScene extends Scene {
   }
 
   override get pages(): { drawn: number; wanted: number } {
-    return { drawn: this.hasPages ? this.drawn.length : 0, wanted: this.wanted.length };
+    return { drawn: this.hasPages ? this.drawn.length : 0, wanted: this.reads.wanted.length };
   }
 
   override boxes(): Box[] {
@@ -188,6 +190,7 @@ export class RgsScene extends Scene {
   }
 
   override destroy(): void {
+    this.reads.end();
     this.stop.abort();
     this.file.close();
     super.destroy();
@@ -200,37 +203,8 @@ export class RgsScene extends Scene {
     const { levels } = file;
     if (!levels || !view || this.stop.signal.aborted) return undefined;
     const cut = chooseCut((index) => levels.page(index), (index) => this.resident.has(index), view);
-    this.wanted = cut.want.filter((index) => index < file.nPresent && !this.quarantined.has(index));
-    for (const index of this.wanted) {
-      if (this.inFlight.size >= kPagesAtATime) break;
-      if (this.inFlight.has(index)) continue;
-      void this.fetchPage(index).catch((error: unknown) => {
-        this.fail(error);
-        // If the server has gone, nothing more is requested. A damaged page is quarantined.
-        if ((error as { code?: string }).code === "read_failed") return;
-        this.inFlight.delete(index);
-        this.quarantined.add(index);
-      });
-    }
+    this.reads.want(cut.want.filter((index) => index < file.nPresent));
     return cut;
-  }
-
-  /** Reports the first error only. */
-  private fail(error: unknown): void {
-    if (this.stop.signal.aborted || this.reported) return;
-    this.reported = true;
-    this.onError(error);
-  }
-
-  private async fetchPage(index: number): Promise<void> {
-    const { levels } = this.file;
-    if (!levels) return;
-    this.inFlight.add(index);
-    const stored = await this.file.readPageStored(index, { signal: this.stop.signal });
-    this.inFlight.delete(index);
-    this.keep(index, stored);
-    this.plan();
-    this.stage.request();
   }
 
   private keep(index: number, stored: StoredGaussians): void {

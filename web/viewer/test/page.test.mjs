@@ -961,8 +961,22 @@ inBrowser("a server that goes away is said, and what is there stays", { ...level
   await server.end();
   await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
   const [said] = await errors(page);
-  assert.match(said, /^levels\.rgs stopped loading\. .*Start rgs-view again/);
+  assert.match(said, /^levels\.rgs is incomplete: reading failed, and is tried again .*start it again/);
   await untilDrawn(page);
+});
+
+let nRefused = 0;
+let isRefusing = true;
+const refuses = async (url, begin) => isRefusing && url.endsWith("levels.rgs") && begin >= (await secondPage()) && (nRefused += 1) && 404;
+inBrowser("a server that comes back is read on", { ...levelsOnly, hold: refuses, allowed: [k404] }, async ({ page }) => {
+  await page.locator("#stats").check();
+  await page.locator("#detail").fill("0");
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  while (nRefused <= 4) await page.evaluate(() => new Promise(requestAnimationFrame));
+  assert.match((await errors(page)).join(), /^levels\.rgs is incomplete: reading failed, .*\(read_failed: the server answers with HTTP 404\)/);
+  isRefusing = false;
+  await page.waitForFunction(() => /^60k of 60k Gaussians/.test(document.getElementById("overlay").textContent));
+  assert.deepEqual(await errors(page), []);
 });
 
 inBrowser("damaged files are said, with code and byte", { allowed: [k404] }, async ({ t, page }) => {

@@ -11,7 +11,7 @@ const kTypes = { ".html": "text/html", ".js": "text/javascript", ".css": "text/c
 
 /**
  * `files`: paths below the token by URL. `view`: view.json, or null. `frame(request)`: path of a picture, or { status, error, headers }.
- * `hold(url, begin, bytes)`: answers once this resolves. `ranges`: without them every answer is the whole file. Returns the page's
+ * `hold(url, begin, bytes)`: answers once this resolves; a number is the status of a refusal. `ranges`: without them every answer is the whole file. Returns the page's
  * address, requests as they came and bytes by URL.
  */
 export async function startServer({ files = {}, view = null, frame = null, hold, ranges = true } = {}) {
@@ -47,8 +47,12 @@ export async function startServer({ files = {}, view = null, frame = null, hold,
     const end = Math.min(size - 1, to ? Number(to) : size - 1);
     const headers = { "Content-Type": kTypes[extname(path)] ?? "application/octet-stream", "Content-Length": size === 0 ? 0 : end - begin + 1, "Accept-Ranges": ranges ? "bytes" : "none", "Cache-Control": "no-store" };
     if (from !== undefined) headers["Content-Range"] = `bytes ${begin}-${end}/${size}`;
-    await hold?.(url, begin, headers["Content-Length"]);
+    const held = await hold?.(url, begin, headers["Content-Length"]);
     if (answer.destroyed) return;
+    if (typeof held === "number") {
+      answer.writeHead(held).end();
+      return;
+    }
     bytes[url] = (bytes[url] ?? 0) + headers["Content-Length"];
     answer.writeHead(from === undefined ? 200 : 206, headers);
     if (request.method === "HEAD" || size === 0) answer.end();

@@ -15,7 +15,7 @@ let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "checksum", "controls", "declared", "difference", "kind", "levels", "link", "manifest", "messages", "picture-size", "spz"];
+  const names = ["cameras", "checksum", "controls", "declared", "difference", "kind", "levels", "link", "manifest", "messages", "page-reads", "picture-size", "spz"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -134,6 +134,110 @@ test("the cut of a tree of pages", () => {
   assert.deepEqual([16, 200, 800].map((detailPx) => cut(all, { position: inside, detailPx }).draw), [[2, 3], [1, 2], [0]]);
 });
 
+/** Reads that the test answers, in a time that it tells. */
+function pageReads() {
+  const log = { now: 0, open: [], arrived: [], said: [], timer: null };
+  const read = (page) => new Promise((resolve, reject) => log.open.push({ page, resolve, reject }));
+  const on = { arrived: (page) => log.arrived.push(page), waiting: (error) => log.said.push(error?.code ?? "goes on"), damaged: ({ code }) => log.said.push(code) };
+  const startTimer = (ms, ring) => {
+    const timer = { at: log.now + ms, ring };
+    log.timer = timer;
+    return () => log.timer === timer && (log.timer = null);
+  };
+  const reads = new modules["page-reads"].PageReads(read, on, { now: () => log.now, startTimer });
+  const answer = async (page, code) => {
+    const [found] = log.open.splice(log.open.findIndex((each) => each.page === page), 1);
+    if (code) found.reject({ code });
+    else found.resolve();
+    await new Promise(setImmediate);
+  };
+  const open = () => log.open.map(({ page }) => page);
+  /** All reads in flight fail. */
+  const fail = async (code) => {
+    for (const page of open()) await answer(page, code);
+  };
+  /** Milliseconds until something is read again. */
+  const pause = () => {
+    const { at, ring } = log.timer;
+    const ms = at - log.now;
+    [log.now, log.timer] = [at, null];
+    ring();
+    return ms;
+  };
+  return { log, reads, answer, open, fail, pause };
+}
+
+test("reads that fail are tried again until they succeed, ever more rarely", async () => {
+  const { log, reads, answer, open, fail, pause } = pageReads();
+  reads.want([5, 6, 7, 8, 9, 10]);
+  const pauses = [];
+  for (let i = 0; i < 100; ++i) {
+    assert.deepEqual(open(), [5, 6, 7, 8]);
+    await fail("read_failed");
+    assert.deepEqual(open(), []);
+    // New views request nothing meanwhile.
+    reads.want([5, 6, 7, 8, 9, 10 + i]);
+    assert.deepEqual(open(), []);
+    pauses.push(pause());
+  }
+  assert.deepEqual(pauses.slice(0, 8), [250, 500, 1000, 2000, 4000, 8000, 8000, 8000]);
+  assert.deepEqual([...new Set(pauses.slice(8))], [8000]);
+  assert.deepEqual(log.said, ["read_failed"]);
+  // The first page that comes ends the pause of those that have not failed.
+  await answer(6);
+  assert.deepEqual(log.said, ["read_failed", "goes on"]);
+  assert.deepEqual(log.arrived, [6]);
+  reads.want([5, 7, 8, 9]);
+  assert.deepEqual(open(), [5, 7, 8, 9]);
+  for (const page of open()) await answer(page);
+  reads.want([]);
+  assert.equal(log.timer, null);
+  reads.want([11]);
+  await fail("read_failed");
+  assert.equal(pause(), 250);
+});
+
+test("a page that cannot be read does not hold up others", async () => {
+  const { log, reads, answer, open, pause } = pageReads();
+  reads.want([1, 2, 3]);
+  await answer(2);
+  await answer(1, "read_failed");
+  reads.want([1, 3, 4]);
+  assert.deepEqual(open(), [3, 4]);
+  assert.deepEqual(log.said, []);
+  assert.equal(pause(), 250);
+  assert.deepEqual(open(), [3, 4, 1]);
+});
+
+test("a damaged page is quarantined, after six tries if its checksum does not match", async () => {
+  const { log, reads, answer, open, pause } = pageReads();
+  reads.want([1, 2]);
+  await answer(2, "bad_value");
+  assert.deepEqual(log.said, ["bad_value"]);
+  for (const ms of [250, 500, 1000, 2000, 4000]) {
+    await answer(1, "checksum_mismatch");
+    assert.deepEqual(open(), []);
+    assert.deepEqual(reads.wanted, [1]);
+    assert.equal(pause(), ms);
+  }
+  await answer(1, "checksum_mismatch");
+  reads.want([1, 2]);
+  assert.deepEqual([open(), reads.wanted, log.timer], [[], [], null]);
+  // Later ones are not said.
+  assert.deepEqual(log.said, ["bad_value"]);
+});
+
+test("closed while it waits, a file is read no more and nothing is said of it", async () => {
+  const { log, reads, open, fail } = pageReads();
+  reads.want([1, 2]);
+  await fail("read_failed");
+  reads.want([1]);
+  reads.end();
+  assert.deepEqual(log.said, ["read_failed", "goes on"]);
+  reads.want([1, 2]);
+  assert.deepEqual([open(), log.timer], [[], null]);
+});
+
 test("view.json, and what an address says", () => {
   const { manifestOfAddress, nameOf, parseManifest } = modules.manifest;
   assert.equal(manifestOfAddress(""), null);
@@ -151,7 +255,7 @@ test("sentences say what to do", () => {
   const { sentence, ServerError } = modules.messages;
   const damaged = sentence("a.rgs", { code: "checksum_mismatch", text: "the section's bytes have changed", offset: 512 });
   assert.equal(damaged, "a.rgs is damaged: the section's bytes have changed (checksum_mismatch at byte 512). Copy the file again, or convert the scene again.");
-  assert.match(sentence("a.rgs", { code: "read_failed", text: "x" }), /Start rgs-view again/);
+  assert.match(sentence("a.rgs", { code: "read_failed", text: "x" }), /start it again and open its new address/);
   assert.match(sentence("a.rgs", { code: "bad_magic", text: "x", offset: 0 }), /is not a scene that this page can open.*at byte 0/);
   assert.equal(sentence("The reference picture", new ServerError("internal", "x")), "The reference picture could not be made: internal: x.");
   assert.equal(sentence("a.ply", new Error("no")), "a.ply could not be opened: no.");
