@@ -73,11 +73,13 @@ Result<SourceScene> source_scene(const Source& source) {
   SourceScene out;
   out.n_left_out = source.size() - n;
   cloud.resize(n, source.sh_degree());
-  out.bounds = robust_bounds(cloud.mean, source.origin());
   const bool is_stored = !source.stored_path().empty();
   auto scene = is_stored ? Scene::load(source.stored_path(), source.limits())
                          : Scene::load(std::move(cloud), declared_at(source.origin()));
   if (!scene) return tl::unexpected(scene.error());
+  const auto bounds = subject_bounds(*scene);
+  if (!bounds) return tl::unexpected(bounds.error());
+  out.bounds = *bounds;
   out.scene = std::move(*scene);
   return out;
 }

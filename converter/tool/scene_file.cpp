@@ -16,9 +16,7 @@ Result<SceneFile> load_rgs(MappedFile file, const DecodeLimits& limits, bool onl
   out.file_bytes = file.bytes().size();
   auto scene = only_open ? Scene::open(std::move(file), limits) : Scene::load(std::move(file), limits);
   if (!scene) return tl::unexpected(scene.error());
-  const Declarations& declarations = *scene->declarations();
-  out.up = declared_up(declarations);
-  out.bounds = declared_bounds(declarations);
+  out.up = declared_up(*scene->declarations());
   out.scene = std::move(*scene);
   return out;
 }
@@ -34,7 +32,6 @@ Result<SceneFile> load_other(const std::string& path, const ReadOptions& options
   SceneFile out;
   out.format = file->format;
   out.file_bytes = file->bytes;
-  out.bounds = robust_bounds(file->cloud.mean, file->origin);
   auto scene = Scene::load(std::move(file->cloud), declarations_of(*file));
   if (!scene) {
     Error error = scene.error();

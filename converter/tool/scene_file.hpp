@@ -16,7 +16,6 @@ struct SceneFile {
   SplatFormat format = SplatFormat::unknown;
   Scene scene;
   std::uint64_t file_bytes = 0;  ///< of a SOG folder, of all its files
-  SceneBounds bounds;            ///< robust extent: the .rgs's, or robust_bounds()
   glm::dvec3 up = kWorldUp;      ///< the .rgs's, or that of 3DGS
 };
 

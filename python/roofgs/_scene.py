@@ -171,7 +171,7 @@ class Scene:
 
     @property
     def bounds(self) -> Tuple[Vector3, Vector3]:
-        """Two corners of a world box that holds most means; far floaters do not count."""
+        """Two corners of the world box where Gaussians are dense and opaque: what `default_view` shows. Reads the scene."""
         return self._native.bounds
 
     @property
@@ -347,7 +347,7 @@ class StreamedScene:
 
     @property
     def bounds(self) -> Tuple[Vector3, Vector3]:
-        """Two corners of a world box that holds most means."""
+        """As `Scene.bounds`, from the table of pages: nearly the same."""
         return self._native.bounds
 
     @property

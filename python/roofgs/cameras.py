@@ -100,7 +100,7 @@ def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 
 
 def orbit(scene: "Union[Scene, StreamedScene]", n: int, *, width: int = 1280, height: int = 720,
           horizontal_fov: float = 60.0) -> List[Camera]:
-    """`n` cameras on a circle around the whole scene."""
+    """`n` cameras all around the scene's subject, each as near as shows it."""
     low, high = scene.bounds
     return _roofgs.orbit(low, high, int(n), scene.up, width, height, float(horizontal_fov))
 

@@ -50,7 +50,6 @@ Result<SceneFile> scene_of(Result<SplatFile> file) {
   SceneFile out;
   out.format = file->format;
   out.file_bytes = file->bytes;
-  out.bounds = robust_bounds(file->cloud.mean, file->origin);
   if (file->declarations) out.up = declared_up(*file->declarations);
   auto scene = Scene::load(std::move(file->cloud), declarations_of(*file));
   if (!scene) {
@@ -86,7 +85,6 @@ Result<SceneFile> load_url(ByteSource& source, const LoadOptions& options, Progr
   SceneFile out;
   out.format = SplatFormat::rgs;
   out.file_bytes = bytes.size();
-  out.bounds = declared_bounds(*scene->declarations());
   out.up = declared_up(*scene->declarations());
   out.scene = *std::move(scene);
   return out;
@@ -139,7 +137,6 @@ PyScene from_arrays(const py::object& means, const py::object& quats, const py::
   PyScene out;
   const Unlocked unlocked;
   out.file.scene = take(Scene::load(view, declared));
-  out.file.bounds = robust_bounds(view.mean, origin);
   return out;
 }
 
@@ -147,6 +144,11 @@ SceneView view_of(const PyScene& scene) {
   begin_work();
   const Unlocked unlocked;
   return take(scene.file.scene.view(), scene.path);
+}
+
+SceneBounds bounds_of(const PyScene& scene) {
+  const Unlocked unlocked;
+  return take(subject_bounds(scene.file.scene), scene.path);
 }
 
 // A read-only array that keeps the scene's memory alive: a row of each Gaussian's `stride` numbers.
@@ -336,7 +338,8 @@ void bind_scene(py::module_& module) {
                              })
       .def_property_readonly("bounds",
                              [](const PyScene& s) {
-                               const auto& [low, high] = s.file.bounds;
+                               begin_work();
+                               const auto [low, high] = bounds_of(s);
                                return py::make_tuple(py::make_tuple(low.x, low.y, low.z),
                                                      py::make_tuple(high.x, high.y, high.z));
                              })

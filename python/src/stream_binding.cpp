@@ -82,7 +82,7 @@ void bind_stream(py::module_& module) {
       .def_property_readonly("origin", [](const PyStream& s) { return s.scene().origin(); })
       .def_property_readonly("bounds",
                              [](const PyStream& s) {
-                               const auto [low, high] = declared_bounds(*s.scene().declarations());
+                               const auto [low, high] = s.scene().subject_bounds();
                                return py::make_tuple(py::make_tuple(low.x, low.y, low.z),
                                                      py::make_tuple(high.x, high.y, high.z));
                              })

@@ -73,7 +73,9 @@ def test_a_refined_view_is_the_whole_file(where, examples, server, renderer):
         stats = scene.stats
         assert stats["pages_missing"] == 0 < stats["pages_resident"] and stats["bytes_read"] > 0
         scene.check()
-        assert scene.bounds == whole.bounds and scene.up == whole.up
+        assert scene.up == whole.up
+        size = np.ptp(whole.bounds, axis=0).max()
+        np.testing.assert_allclose(scene.bounds, whole.bounds, atol=size / 6)  # a table of few pages
     assert scene.closed
 
 

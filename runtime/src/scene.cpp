@@ -20,6 +20,7 @@
 #include "rgs/guard_memory.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/quantize.hpp"
+#include "rgs/subject_box.hpp"
 #include "splat_arrays.hpp"
 
 namespace rgs {
@@ -27,6 +28,7 @@ namespace {
 
 constexpr std::uint64_t kMaxGaussians = std::uint64_t{1} << 31;
 constexpr std::uint64_t kGrain = 8192;
+constexpr std::uint64_t kDecodedAtOnce = std::uint64_t{1} << 20;
 
 bool all_finite(const float* values, std::uint64_t n) {
   return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
@@ -555,6 +557,35 @@ Result<DirectData> Scene::direct() const {
     const std::scoped_lock lock(storage_->mutex);
     return storage_->take_direct();
   });
+}
+
+Result<SceneBounds> subject_bounds(const Scene& scene) {
+  if (!scene.has_file()) {
+    const auto view = scene.view();
+    if (!view) return tl::unexpected(view.error());
+    return placed(subject_box(view->mean, view->opacity), view->origin);
+  }
+  // The FP32 arrays of a file take many times as much as these.
+  const FileView& file = *scene.file();
+  const std::uint64_t n_chunks = file.header().n_chunks;
+  const std::uint64_t at_once = std::max<std::uint64_t>(1, kDecodedAtOnce / file.header().chunk_size);
+  std::vector<float> mean, opacity;
+  mean.reserve(3 * scene.size());
+  opacity.reserve(scene.size());
+  std::array<ActivatedSplat, 64> buffer;
+  for (std::uint64_t chunk = 0; chunk < n_chunks; chunk += at_once) {
+    const auto data = read_chunks(file, chunk, std::min(at_once, n_chunks - chunk), {.validate = false});
+    if (!data) return tl::unexpected(data.error());
+    for (std::uint64_t i = 0; i < data->size(); i += buffer.size()) {
+      const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), data->size() - i));
+      if (const Status s = data->read(data->first() + i, part); !s) return tl::unexpected(s.error());
+      for (const ActivatedSplat& splat : part) {
+        mean.insert(mean.end(), splat.mean, splat.mean + 3);
+        opacity.push_back(splat.opacity);
+      }
+    }
+  }
+  return placed(subject_box(mean, opacity), scene.origin());
 }
 
 }  // namespace rgs

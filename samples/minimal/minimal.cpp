@@ -20,8 +20,9 @@ int main(int argc, char** argv) {
   auto renderer = rgs::Renderer::create();
   if (!renderer) return report(renderer.error());
 
-  // Every file declares a box.
-  const auto camera = rgs::default_view(rgs::declared_bounds(*scene->declarations()), {.width = 1280, .height = 720});
+  const auto bounds = rgs::subject_bounds(*scene);
+  if (!bounds) return report(bounds.error());
+  const auto camera = rgs::default_view(*bounds, {.width = 1280, .height = 720});
   rgs::Image image = rgs::Image::make(camera.width, camera.height, 3);
   rgs::RenderTarget target;
   target.rgb = image.pixels;

@@ -137,8 +137,9 @@ int name_files(std::vector<Shot>& shots, const Options& options) {
 }
 
 // Cameras of all pictures, at their final size, from the options and, for views without cameras, from the scene.
-// Returns an exit code.
-int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<Shot>& shots) {
+// `bounds()` is a Result<SceneBounds>. Returns an exit code.
+template <class Bounds>
+int make_shots(const Options& options, const Bounds& bounds, const glm::dvec3& scene_up, std::vector<Shot>& shots) {
   rgs::ViewFormat format;
   tool::ImageSize size;
   if (!options.size.empty()) {
@@ -152,7 +153,7 @@ int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<
     if (!keys) return tool::report(options.path, keys.error());
     cameras = rgs::interpolated_path(*keys, options.frames);
   } else {
-    glm::dvec3 up = scene.up;
+    glm::dvec3 up = scene_up;
     if (!options.cameras.empty()) {
       const auto set = rgs::read_camera_set(options.cameras);
       if (!set) return tool::report(options.cameras, set.error());
@@ -165,12 +166,12 @@ int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<
         cameras = *std::move(chosen);
       }
     }
-    if (options.orbit > 0) {
-      cameras = rgs::orbit(scene.bounds, options.orbit, format, up);
-      for (std::size_t i = 0; i < cameras.size(); ++i) cameras[i].name = fmt::format("orbit_{:04}", i);
-    } else if (cameras.empty()) {
-      cameras = {rgs::default_view(scene.bounds, format, up)};
-      cameras.front().name = "view";
+    if (cameras.empty()) {
+      const rgs::Result<rgs::SceneBounds> subject = bounds();
+      if (!subject) return tool::report(options.scene, subject.error());
+      cameras = rgs::orbit(*subject, std::max(options.orbit, 1), format, up);
+      for (std::size_t i = 0; i < cameras.size(); ++i)
+        cameras[i].name = options.orbit > 0 ? fmt::format("orbit_{:04}", i) : "view";
     }
   }
   // Zero-padded, so that a list of the folder is in the order of the path.
@@ -472,7 +473,8 @@ int render(const Options& options) {
   if (!options.quiet) warn_of_missing_pages(options.scene, scene->scene);
 
   std::vector<Shot> shots;
-  if (const int code = make_shots(options, *scene, shots); code != tool::kSuccess) return code;
+  const auto bounds = [&] { return rgs::subject_bounds(scene->scene); };
+  if (const int code = make_shots(options, bounds, scene->up, shots); code != tool::kSuccess) return code;
   std::vector<std::string> outputs{options.json || !options.quiet ? "-" : ""};
   for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
@@ -561,11 +563,10 @@ int render_streamed(const Options& options) {
   if (!scene) return report_not_streamed(options, scene.error());
   const double load_seconds = seconds_since(start);
 
-  rgs::SceneFile placed;  // for views without cameras
-  placed.bounds = rgs::declared_bounds(*scene->declarations());
-  placed.up = rgs::declared_up(*scene->declarations());
   std::vector<Shot> shots;
-  if (const int code = make_shots(options, placed, shots); code != tool::kSuccess) return code;
+  const auto bounds = [&] { return scene->subject_bounds(); };
+  const glm::dvec3 up = rgs::declared_up(*scene->declarations());
+  if (const int code = make_shots(options, bounds, up, shots); code != tool::kSuccess) return code;
   std::vector<std::string> outputs{options.json || !options.quiet ? "-" : ""};
   for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;

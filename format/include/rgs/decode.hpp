@@ -140,7 +140,8 @@ class FileView {
                                      bool levels);
   static Result<FileView> parse_front(std::span<const FilePart> parts, std::uint64_t size, const DecodeLimits& limits,
                                       bool levels);
-  static Result<FileView> parse(std::span<const FilePart> parts, const DecodeLimits& limits, bool levels);
+  static Result<FileView> parse(std::span<const FilePart> parts, std::uint64_t size, const DecodeLimits& limits,
+                                bool levels);
   std::span<const std::byte> table(SectionType type) const;
   static std::optional<std::span<const std::byte>> bytes_of(const SectionEntry& entry, std::span<const FilePart> parts);
   Status parse_declarations(std::span<const FilePart> parts);

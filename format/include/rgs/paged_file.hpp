@@ -74,7 +74,8 @@ class PagedFile {
 
   // For reading a file in pieces. The table of pages, 112 bytes a page, is coarse to fine as the pages are: a prefix of
   // it suffices to draw, before the rest is read. `parts`: what is in memory of the file; the first has the file's
-  // first bytes. They may be freed after each call.
+  // first bytes. They may be freed after each call. `size`: bytes of the whole file, if known; else bytes behind the
+  // end that the header states are not noticed.
   //
   //   parts = {0, the first 64 KiB}
   //   while (PagedFile::needs(parts) is not empty) read these ranges, append them to parts
@@ -85,12 +86,14 @@ class PagedFile {
   /// What open_beginning() needs besides `parts`, in file order, each range to be read as one part: the head; then
   /// DECL, ARCH, and LODS up to its first record; empty if nothing. Our writers put head, DECL and LODS first, and ARCH
   /// behind LODS. A range has at most 1 MiB. Errors: those of open_beginning() for the bytes so far.
-  static Result<std::vector<FileRange>> needs(std::span<const FilePart> parts, const DecodeLimits& limits = {});
+  static Result<std::vector<FileRange>> needs(std::span<const FilePart> parts, const DecodeLimits& limits = {},
+                                              std::optional<std::uint64_t> size = {});
   /// Opens a file without its bytes(): no page is present; read pages at stored() and decode them with PageDecoder.
-  /// Pages whose records are complete in `parts`, at least the root, are known and have passed open()'s checks, except
-  /// the hash of LODS: see is_verified(). The caller must notice pages beyond the file's real size: see n_within().
+  /// Pages whose records are complete in `parts`, at least the root, are known and have passed open()'s checks, except,
+  /// unless one part holds all of LODS, its hash: see is_verified(). The caller must notice pages beyond the file's real size: see n_within().
   /// Errors: those of open(); truncated if needs() is not empty; limit_exceeded for an ARCH of more than 1 MiB.
-  static Result<PagedFile> open_beginning(std::span<const FilePart> parts, const DecodeLimits& limits = {});
+  static Result<PagedFile> open_beginning(std::span<const FilePart> parts, const DecodeLimits& limits = {},
+                                          std::optional<std::uint64_t> size = {});
   /// Adds more of the table: pages whose records are now complete become known; known ones keep their numbers and
   /// values. `part` must start at or before unread_table().offset; bytes before that and behind the table are ignored.
   /// Takes time in proportion to the new bytes. The last page completes the hash of LODS and the checks of the whole
@@ -147,7 +150,8 @@ class PagedFile {
 
  private:
   static Result<PagedFile> parse(std::span<const std::byte> bytes, const DecodeLimits& limits);
-  static Result<PagedFile> parse_beginning(std::span<const FilePart> parts, const DecodeLimits& limits);
+  static Result<PagedFile> parse_beginning(std::span<const FilePart> parts, const DecodeLimits& limits,
+                                           std::optional<std::uint64_t> size);
   Status read_records(std::span<const std::byte> records);
   FileView head_;
   detail::PageTable table_;

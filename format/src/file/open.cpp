@@ -240,7 +240,7 @@ std::span<const std::byte> FileView::stored(SectionType type) const {
 Result<FileView> FileView::open(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   return detail::guard_memory([&] {
     const FilePart whole{0, bytes};
-    return parse({&whole, 1}, limits, false);
+    return parse({&whole, 1}, bytes.size(), limits, false);
   });
 }
 
@@ -361,8 +361,9 @@ Result<FileView> FileView::parse_front(std::span<const FilePart> parts, std::uin
 }
 
 // Without levels the whole file is the only part; with `levels` the first part has its first bytes.
-Result<FileView> FileView::parse(std::span<const FilePart> parts, const DecodeLimits& limits, bool levels) {
-  auto parsed = parse_front(parts, parts.front().bytes.size(), limits, levels);
+Result<FileView> FileView::parse(std::span<const FilePart> parts, std::uint64_t size, const DecodeLimits& limits,
+                                 bool levels) {
+  auto parsed = parse_front(parts, size, limits, levels);
   if (!parsed) return parsed;
   FileView view = *std::move(parsed);
   if (levels) {

@@ -106,7 +106,7 @@ Result<PagedFile> PagedFile::open(std::span<const std::byte> bytes, const Decode
 
 Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const FilePart whole{0, bytes};
-  auto head = FileView::parse({&whole, 1}, limits, true);
+  auto head = FileView::parse({&whole, 1}, bytes.size(), limits, true);
   if (!head) return tl::unexpected(head.error());
   PagedFile file;
   file.head_ = *std::move(head);
@@ -137,13 +137,14 @@ Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const Decod
   return file;
 }
 
-Result<std::vector<FileRange>> PagedFile::needs(std::span<const FilePart> parts, const DecodeLimits& limits) {
+Result<std::vector<FileRange>> PagedFile::needs(std::span<const FilePart> parts, const DecodeLimits& limits,
+                                                std::optional<std::uint64_t> size) {
   return guard_memory([&]() -> Result<std::vector<FileRange>> {
     const auto beginning = beginning_of(parts);
     const auto missing_head = detail::missing_head(beginning);
     if (!missing_head) return tl::unexpected(missing_head.error());
     if (*missing_head) return std::vector{**missing_head};
-    const auto head = FileView::parse_head(beginning, beginning.size(), limits, true);
+    const auto head = FileView::parse_head(beginning, size.value_or(beginning.size()), limits, true);
     if (!head) return tl::unexpected(head.error());
     std::vector<FileRange> missing;
     for (SectionEntry entry : head->sections()) {
@@ -162,14 +163,16 @@ Result<std::vector<FileRange>> PagedFile::needs(std::span<const FilePart> parts,
   });
 }
 
-Result<PagedFile> PagedFile::open_beginning(std::span<const FilePart> parts, const DecodeLimits& limits) {
-  return guard_memory([&] { return parse_beginning(parts, limits); });
+Result<PagedFile> PagedFile::open_beginning(std::span<const FilePart> parts, const DecodeLimits& limits,
+                                            std::optional<std::uint64_t> size) {
+  return guard_memory([&] { return parse_beginning(parts, limits, size); });
 }
 
-Result<PagedFile> PagedFile::parse_beginning(std::span<const FilePart> parts, const DecodeLimits& limits) {
+Result<PagedFile> PagedFile::parse_beginning(std::span<const FilePart> parts, const DecodeLimits& limits,
+                                             std::optional<std::uint64_t> size) {
   std::vector<FilePart> from_front{{0, beginning_of(parts)}};
   from_front.insert(from_front.end(), parts.begin(), parts.end());
-  auto head = FileView::parse(from_front, limits, true);
+  auto head = FileView::parse(from_front, size.value_or(from_front.front().bytes.size()), limits, true);
   if (!head) return tl::unexpected(head.error());
   PagedFile file;
   file.head_ = *std::move(head);
@@ -182,10 +185,12 @@ Result<PagedFile> PagedFile::parse_beginning(std::span<const FilePart> parts, co
   first.stored_bytes = std::min(first.stored_bytes, kLevelsHeadBytes + kPageRecordBytes);
   const auto section = FileView::bytes_of(first, parts);
   if (!section) return tl::unexpected(too_short(from_front.front().bytes, file.head_.header()).error());
+  // In open()'s order, as far as the bytes are there: a damaged file has one error.
+  if (const auto all = FileView::bytes_of(context.levels, parts)) {
+    if (Status s = check_hash(context.levels, xxh3(*all)); !s) return tl::unexpected(s.error());
+  }
   auto table = parse_levels_head(*section, context, limits);
   if (!table) return tl::unexpected(table.error());
-  if (Status s = check_decoded_bytes(context, limits, file.head_.header().file_bytes); !s)
-    return tl::unexpected(s.error());
   file.table_ = *std::move(table);
   file.codec_ = static_cast<Codec>(context.pages.codec);
   file.unread_.emplace();
@@ -194,6 +199,8 @@ Result<PagedFile> PagedFile::parse_beginning(std::span<const FilePart> parts, co
     if (part.offset > file.unread_table().offset) continue;
     if (Status s = file.extend(part); !s) return tl::unexpected(s.error());
   }
+  if (Status s = check_decoded_bytes(context, limits, file.head_.header().file_bytes); !s)
+    return tl::unexpected(s.error());
   return file;
 }
 

@@ -21,6 +21,7 @@
 
 namespace RGS_API rgs {
 
+struct Box;
 struct Declarations;
 
 inline constexpr int kMaxImageSide = 65536;
@@ -83,9 +84,8 @@ struct SceneBounds {
 /// Views [n, 3] floats, such as a scene's means, as vectors.
 std::span<const glm::vec3> as_points(std::span<const float> coordinates);
 
-/// Box of the 2nd to 98th percentile of each coordinate of `origin` + `mean` [n, 3], so that distant floaters, which
-/// every trained scene has, do not count. Non-finite points are ignored. No points: the unit box around the origin.
-SceneBounds robust_bounds(std::span<const float> mean, const Origin& origin = kNoOrigin);
+/// Where a box of means, such as subject_box(), lies in the world.
+SceneBounds placed(const Box& box, const Origin& origin);
 
 /// Up in worlds with 3DGS/COLMAP axes (y down); the default of the views below.
 inline constexpr glm::dvec3 kWorldUp{0, -1, 0};
@@ -97,10 +97,11 @@ glm::dvec3 declared_up(const Declarations& declarations);
 /// Mean up direction of the cameras; kWorldUp if it is zero.
 glm::dvec3 mean_up(std::span<const Camera> cameras);
 
-/// View of a scene without cameras: from the front (-z side), 20 degrees above, far enough to see the whole box.
+/// View of a scene without cameras: from the front (-z side), 10 degrees above, as near as shows the ellipsoid in the box:
+/// its corners are mostly empty, and between a farther camera and a trained scene there are floaters.
 Camera default_view(const SceneBounds& bounds, const ViewFormat& format = {}, const glm::dvec3& up = kWorldUp);
 
-/// `n` cameras on a circle around the box at default_view's distance and elevation; camera 0 is default_view.
+/// `n` such views from all around, evenly spaced; camera 0 is default_view.
 std::vector<Camera> orbit(const SceneBounds& bounds, int n, const ViewFormat& format = {},
                           const glm::dvec3& up = kWorldUp);
 

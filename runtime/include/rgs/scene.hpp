@@ -9,6 +9,7 @@
 #include <span>
 #include <string>
 
+#include "rgs/camera.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
@@ -109,5 +110,9 @@ class Scene {
 
   std::shared_ptr<const Storage> storage_;
 };
+
+/// subject_box() of its Gaussians, in the world: what views without cameras look at. Reads all of them. Errors: those
+/// of read_chunks() and Scene::view().
+Result<SceneBounds> subject_bounds(const Scene& scene);
 
 }  // namespace rgs

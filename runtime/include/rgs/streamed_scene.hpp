@@ -8,6 +8,7 @@
 #include <string>
 
 #include "rgs/byte_source.hpp"
+#include "rgs/camera.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/result.hpp"
@@ -99,6 +100,8 @@ class StreamedScene {
   Status status() const;
   /// Of all renderers; pages_missing and detail_reached_px of the last frame or refine().
   StreamStats stats() const;
+  /// What views without cameras look at: subject_box() of the pages that open() knew, in the world.
+  const SceneBounds& subject_bounds() const;
 
  private:
   friend class Renderer;

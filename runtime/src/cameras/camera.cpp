@@ -22,7 +22,8 @@ using Vec3 = glm::dvec3;
 
 // Accepts a 3x3 rotation written with single precision or five decimals, not a scaled or mirrored one.
 constexpr double kRotationTolerance = 1e-3;
-constexpr double kElevation = 20 * std::numbers::pi / 180;
+constexpr double kElevation = 10 * std::numbers::pi / 180;
+constexpr double kNearest = 0.4;  // nothing nearer than half of it is drawn
 
 // Not glm::length, whose squares overflow or underflow for very large or small numbers.
 double norm(const Vec3& a) {
@@ -209,31 +210,13 @@ std::span<const glm::vec3> as_points(std::span<const float> coordinates) {
   return {reinterpret_cast<const glm::vec3*>(coordinates.data()), coordinates.size() / 3};
 }
 
-SceneBounds robust_bounds(std::span<const float> mean, const Origin& origin) {
-  const Vec3 centre = glm::make_vec3(origin.data());
-  SceneBounds bounds{centre - 0.5, centre + 0.5};
-  std::vector<float> values;
-  values.reserve(mean.size() / 3);
-  for (int axis = 0; axis < 3; ++axis) {
-    values.clear();
-    for (const glm::vec3& p : as_points(mean))
-      if (std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z)) values.push_back(p[axis]);
-    if (values.empty()) return bounds;
-    const std::size_t cut = values.size() / 50;
-    const auto low = values.begin() + static_cast<std::ptrdiff_t>(cut);
-    std::nth_element(values.begin(), low, values.end());
-    bounds.low[axis] = centre[axis] + static_cast<double>(*low);
-    const auto high = values.end() - 1 - static_cast<std::ptrdiff_t>(cut);
-    std::nth_element(values.begin(), high, values.end());
-    bounds.high[axis] = centre[axis] + static_cast<double>(*high);
-  }
-  return bounds;
+SceneBounds placed(const Box& box, const Origin& origin) {
+  const Vec3 at = glm::make_vec3(origin.data());
+  return {at + Vec3(glm::make_vec3(box.min.data())), at + Vec3(glm::make_vec3(box.max.data()))};
 }
 
 SceneBounds declared_bounds(const Declarations& declarations) {
-  const auto& [low, high] = declarations.robust;
-  const Vec3 origin = glm::make_vec3(declarations.origin.data());
-  return {origin + Vec3(glm::make_vec3(low.data())), origin + Vec3(glm::make_vec3(high.data()))};
+  return placed(declarations.robust, declarations.origin);
 }
 
 Vec3 declared_up(const Declarations& declarations) {
@@ -255,19 +238,21 @@ Vec3 mean_up(std::span<const Camera> cameras) {
 
 std::vector<Camera> orbit(const SceneBounds& bounds, int n, const ViewFormat& format, const Vec3& up_wish) {
   const Vec3 up = normalized(up_wish, kWorldUp);
-  const Vec3 target = 0.5 * (bounds.low + bounds.high);
-  const double radius = std::max(0.5 * norm(bounds.high - bounds.low), 1e-6);
-  // The box's sphere fits the narrower field of view.
+  const Vec3 target = 0.5 * (bounds.low + bounds.high), half = 0.5 * (bounds.high - bounds.low);
   const double tan_x = std::tan(format.horizontal_fov * std::numbers::pi / 360);
-  const double half_angle = std::atan(tan_x * std::min(1.0, static_cast<double>(format.height) / format.width));
-  const double distance = radius / std::sin(half_angle);
+  const double tan_y = tan_x * format.height / format.width;
   const Vec3 front = perpendicular({0, 0, -1}, up), side = glm::cross(up, front);
   std::vector<Camera> cameras;
   for (int i = 0; i < n; ++i) {
     const double angle = 2 * std::numbers::pi * i / n;
-    const Vec3 level = std::cos(angle) * front + std::sin(angle) * side;
-    const Vec3 eye = target + distance * (std::cos(kElevation) * level + std::sin(kElevation) * up);
-    cameras.push_back(look_at(eye, target, up, format));
+    const Vec3 level = std::cos(angle) * front + std::sin(angle) * side, right = glm::cross(up, level);
+    const Vec3 away = std::cos(kElevation) * level + std::sin(kElevation) * up, down = glm::cross(away, right);
+    // A point at c from the middle has the depth distance - dot(away, c). It is in the picture if that is at least
+    // dot(edge, c) for every edge. Of all points of the ellipsoid one has the direction of half * (away + edge).
+    double distance = norm(half * away) + kNearest;
+    for (const Vec3& edge : {right / tan_x, -right / tan_x, down / tan_y, -down / tan_y})
+      distance = std::max(distance, norm(half * (away + edge)));
+    cameras.push_back(look_at(target + distance * away, target, up, format));
   }
   return cameras;
 }

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
+#include "rgs/subject_box.hpp"
 #include "stream/streamed_state.hpp"
 
 namespace rgs {
@@ -57,7 +58,7 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
   };
   if (Status done = read({0, std::min(kFirstBytes, source->size())}); !done) return done;
   for (;;) {
-    const auto needed = PagedFile::needs(parts, limits);
+    const auto needed = PagedFile::needs(parts, limits, source->size());
     if (!needed) return tl::unexpected(needed.error());
     if (needed->empty()) break;
     for (const FileRange& range : *needed) {
@@ -66,12 +67,8 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
   }
   const std::uint64_t archive = names_section(parts.front().bytes, SectionType::archive) ? kMostArchiveMemory : 0;
   if (Status taken = take(archive); !taken) return taken;
-  auto opened = PagedFile::open_beginning(parts, limits);
+  auto opened = PagedFile::open_beginning(parts, limits, source->size());
   if (!opened) return tl::unexpected(opened.error());
-  if (opened->head().header().file_bytes < source->size()) {
-    return make_error(Errc::trailing_bytes, opened->head().header().file_bytes,
-                      "the file is longer than its header says", opened->head().header().file_bytes, source->size());
-  }
   // Reserves the whole table now, so that it cannot fail later. An archive's tables are reserved above.
   const std::uint64_t whole = opened->whole_memory_bytes();
   if (Status taken = take(whole - std::min(whole, archive)); !taken) return taken;
@@ -83,6 +80,7 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
     if (unread.bytes == 0 || part.offset > unread.offset || part.offset + part.bytes.size() <= unread.offset) continue;
     if (Status extended = file->extend(part); !extended) return extended;
   }
+  subject = placed(subject_box(file->pages()), declarations->origin);
   memory.clear();
   const std::scoped_lock lock(pool->mutex);
   const std::uint64_t given = part_bytes + archive - std::min(whole, archive);
@@ -285,6 +283,9 @@ const std::optional<Declarations>& StreamedScene::declarations() const {
 }
 const Origin& StreamedScene::origin() const {
   return state_->declarations->origin;
+}
+const SceneBounds& StreamedScene::subject_bounds() const {
+  return state_->subject;
 }
 
 Status StreamedScene::status() const {

@@ -150,6 +150,7 @@ struct StreamedState {
   std::optional<PagedFile> file;  // its table grows under both `table` and pool->mutex, locked in this order
   TableMutex table;
   std::optional<Declarations> declarations;
+  SceneBounds subject;
   bool prefetches = true;
   bool has_root = false;  // its memory is taken
   ByteSource::Traits traits;

@@ -6,6 +6,8 @@
 #include <cstring>
 #include <filesystem>
 #include <optional>
+#include <random>
+#include <string>
 
 #include "complexity.hpp"
 #include "edit_file.hpp"
@@ -45,13 +47,13 @@ Result<PagedFile> open_from(std::span<const std::byte> file, std::uint64_t first
   Fetched fetched(file);
   fetched.read({0, first_bytes});
   for (int round = 0; round < 4; ++round) {
-    const auto needs = PagedFile::needs(fetched.parts());
+    const auto needs = PagedFile::needs(fetched.parts(), {}, file.size());
     if (!needs) return tl::unexpected(needs.error());
     if (needs->empty()) {
       if (n_more != nullptr) *n_more = fetched.parts().size() - 1;
-      return PagedFile::open_beginning(fetched.parts());
+      return PagedFile::open_beginning(fetched.parts(), {}, file.size());
     }
-    REQUIRE_FALSE(PagedFile::open_beginning(fetched.parts()));
+    REQUIRE_FALSE(PagedFile::open_beginning(fetched.parts(), {}, file.size()));
     for (const FileRange& range : *needs) {
       if (range.offset > file.size() || range.bytes > file.size() - range.offset) {
         return make_error(Errc::truncated, file.size(), "the end is missing");
@@ -536,4 +538,32 @@ TEST_CASE("fuzzing seeds are valid files: others would stop at the first check")
     REQUIRE(file);
     CHECK(validate(*file));
   }
+}
+
+TEST_CASE("a damaged beginning is refused with the error of the whole file") {
+  std::mt19937 random(31);
+  int n_refused = 0, n_trailing = 0;
+  for (const char* name : {"levels_direct.rgs", "levels_packed.rgs", "levels_archive.rgs"}) {
+    const Bytes golden = read_bytes(std::filesystem::path(RGS_SOURCE_DIR) / "tests/golden" / name);
+    const std::uint64_t pages = section_of(golden, "PAGE");
+    for (int i = 0; i < 2000; ++i) {
+      Bytes file = golden;
+      // Every eighth states another size of the file; the others change a byte before the pages.
+      const std::uint64_t at = random() % 8 == 0 ? 16 + random() % 2 : random() % pages;
+      file[at] ^= static_cast<std::byte>(1U << random() % 8);
+      if (random() % 4 != 0) fix_hashes(file);
+      const auto whole = PagedFile::open(file);
+      const auto beginning = open_from(file, pages);
+      if (beginning) continue;
+      CAPTURE(name);
+      CAPTURE(at);
+      REQUIRE_FALSE(whole);
+      CHECK(std::string(errc_name(beginning.error().code)) == errc_name(whole.error().code));
+      CHECK(beginning.error().offset == whole.error().offset);
+      ++n_refused;
+      n_trailing += whole.error().code == Errc::trailing_bytes ? 1 : 0;
+    }
+  }
+  CHECK(n_refused > 2000);
+  CHECK(n_trailing > 20);
 }

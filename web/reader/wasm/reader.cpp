@@ -96,9 +96,14 @@ std::span<const std::byte> beginning_of(const File& file) {
   return most;
 }
 
+// Bytes of the whole file, -1 if unknown.
+std::optional<std::uint64_t> known(double file_bytes) {
+  return file_bytes >= 0 ? std::optional(static_cast<std::uint64_t>(file_bytes)) : std::nullopt;
+}
+
 // Bytes of the whole file; if unknown (-1), those that the header states: docs/format/FORMAT.md, "Header".
 std::uint64_t whole_bytes(const File& file, double file_bytes) {
-  if (file_bytes >= 0) return static_cast<std::uint64_t>(file_bytes);
+  if (const auto size = known(file_bytes)) return *size;
   const auto beginning = beginning_of(file);
   std::uint64_t stated = 0;
   if (beginning.size() >= kHeaderBytes) std::memcpy(&stated, beginning.data() + 16, sizeof stated);
@@ -298,7 +303,7 @@ RGS_EXPORT(rgs_add_part) void rgs_add_part(File* file, double offset, std::byte*
 /// The ranges (offset, bytes) that rgs_open_parts() still needs, and their number. One part must begin at 0. `file_bytes` may be -1.
 RGS_EXPORT(rgs_needs) int rgs_needs(File* file, double file_bytes) {
   const bool levels = has_levels(beginning_of(*file));
-  const auto ranges = levels ? PagedFile::needs(file->parts, file->limits)
+  const auto ranges = levels ? PagedFile::needs(file->parts, file->limits, known(file_bytes))
                              : FileView::head_needs(file->parts, whole_bytes(*file, file_bytes), file->limits);
   if (!ranges) return fail(ranges.error());
   numbers.clear();
@@ -310,7 +315,7 @@ RGS_EXPORT(rgs_needs) int rgs_needs(File* file, double file_bytes) {
 RGS_EXPORT(rgs_open_parts) int rgs_open_parts(File* file, double file_bytes) {
   const bool levels = has_levels(beginning_of(*file));
   if (levels) {
-    auto paged = PagedFile::open_beginning(file->parts, file->limits);
+    auto paged = PagedFile::open_beginning(file->parts, file->limits, known(file_bytes));
     if (!paged) return fail(paged.error());
     file->paged = *std::move(paged);
   } else {

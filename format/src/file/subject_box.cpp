@@ -1,0 +1,177 @@
+// subject_box.cpp - robust bounds of a scene, weighted by opacity.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/subject_box.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <utility>
+
+#include "rgs/decode.hpp"
+
+namespace rgs {
+namespace {
+
+constexpr std::size_t kBins = 65536;
+// Tukey's (Exploratory Data Analysis, 1977). Of a normal distribution 0.7 % lie outside.
+constexpr double kFences = 1.5;
+// A floor has no thickness, and many means of a gridded scene are equal: its fences are those of a box at least this
+// share as thick as the longest side.
+constexpr double kThinnest = 0.25;
+// Fewer have no quartiles worth the name.
+constexpr std::uint64_t kFewest = 32;
+// What holds less of the weight is not what the scene is about.
+constexpr double kLeastShare = 1.0 / 3;
+constexpr double kTail = 0.02;
+constexpr double kOpaque = 65535;
+
+/// In FP64, where the middle of two floats and the length of any side are finite.
+struct Sides {
+  std::array<double, 3> low, high;
+  bool operator==(const Sides&) const = default;
+};
+
+/// How opacity is distributed along each axis of a box. In whole numbers, so that the order of adding does not matter.
+class Histogram {
+ public:
+  Histogram(std::span<const float> mean, std::span<const float> opacity, const Sides& box)
+      : box_(box), bins_(3 * kBins) {
+    std::array<double, 3> per_unit{};
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double side = box.high[k] - box.low[k];
+      per_unit[k] = side > 0 ? kBins / side : 0;
+    }
+    for (std::size_t i = 0; i < opacity.size(); ++i) {
+      std::array<std::size_t, 3> bin{};
+      bool inside = true;
+      for (std::size_t k = 0; k < 3 && inside; ++k) {
+        const auto x = static_cast<double>(mean[3 * i + k]);
+        inside = x >= box.low[k] && x <= box.high[k];  // not if NaN
+        if (inside) bin[k] = std::min(static_cast<std::size_t>((x - box.low[k]) * per_unit[k]), kBins - 1);
+      }
+      if (!inside) continue;
+      ++count_;
+      // At least 1: a scene of invisible Gaussians has a place, too.
+      const double opaque = opacity[i] > 0 ? std::min(static_cast<double>(opacity[i]), 1.) : 0;
+      const std::uint64_t weight = 1 + static_cast<std::uint64_t>(opaque * kOpaque);
+      weight_ += weight;
+      for (std::size_t k = 0; k < 3; ++k) bins_[k * kBins + bin[k]] += weight;
+    }
+  }
+
+  std::uint64_t count() const { return count_; }
+  std::uint64_t weight() const { return weight_; }
+  /// The box without this share of the weight at either end of each axis.
+  Sides without(double share) const {
+    Sides out = box_;
+    const auto outside = static_cast<std::uint64_t>(share * static_cast<double>(weight_));
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::uint64_t* bins = &bins_[k * kBins];
+      std::size_t low = 0, high = kBins - 1;
+      for (std::uint64_t below = bins[low]; below <= outside; below += bins[low]) ++low;
+      for (std::uint64_t above = bins[high]; above <= outside; above += bins[high]) --high;
+      const double bin = (box_.high[k] - box_.low[k]) / kBins;
+      out.low[k] = box_.low[k] + static_cast<double>(low) * bin;
+      out.high[k] = high == kBins - 1 ? box_.high[k] : box_.low[k] + static_cast<double>(high + 1) * bin;
+    }
+    return out;
+  }
+
+ private:
+  Sides box_;
+  std::uint64_t count_ = 0, weight_ = 0;
+  std::vector<std::uint64_t> bins_;  // [3, kBins]
+};
+
+/// What of the histogram's box lies within the fences of its quartiles.
+Sides fenced(const Histogram& histogram, const Sides& box) {
+  const Sides quartiles = histogram.without(0.25);
+  double longest = 0;
+  for (std::size_t k = 0; k < 3; ++k) longest = std::max(longest, quartiles.high[k] - quartiles.low[k]);
+  Sides out;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const double margin = kFences * std::max(quartiles.high[k] - quartiles.low[k], kThinnest * longest);
+    out.low[k] = std::max(box.low[k], quartiles.low[k] - margin);
+    out.high[k] = std::min(box.high[k], quartiles.high[k] + margin);
+  }
+  return out;
+}
+
+constexpr float kMostGaussians = 65536.F * lod::kMaxChildren;  // of a page, and of its children
+
+/// Weighted means that stand for evenly spread Gaussians.
+class SpreadMeans {
+ public:
+  void add(const Box& box, float weight) {
+    constexpr int kSide = 4;
+    for (int i = 0; i < kSide * kSide * kSide; ++i) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        const int step = k == 0 ? i % kSide : k == 1 ? i / kSide % kSide : i / kSide / kSide;
+        const float share = (static_cast<float>(step) + 0.5F) / kSide;
+        mean_.push_back(box.min[k] * (1 - share) + box.max[k] * share);
+      }
+      weight_.push_back(weight);
+    }
+  }
+  Box box() const { return subject_box(mean_, weight_); }
+
+ private:
+  std::vector<float> mean_, weight_;
+};
+
+}  // namespace
+
+Box subject_box(std::span<const float> mean, std::span<const float> opacity) {
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  Sides box{{kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity}};
+  for (std::size_t i = 0; i < opacity.size(); ++i) {
+    const float* p = &mean[3 * i];
+    if (!std::isfinite(p[0]) || !std::isfinite(p[1]) || !std::isfinite(p[2])) continue;
+    for (std::size_t k = 0; k < 3; ++k) {
+      box.low[k] = std::min(box.low[k], static_cast<double>(p[k]));
+      box.high[k] = std::max(box.high[k], static_cast<double>(p[k]));
+    }
+  }
+  if (box.low[0] > box.high[0]) return {{-0.5F, -0.5F, -0.5F}, {0.5F, 0.5F, 0.5F}};
+  Histogram histogram(mean, opacity, box);
+  const double least = kLeastShare * static_cast<double>(histogram.weight());
+  for (;;) {
+    const Sides inner = fenced(histogram, box);
+    if (inner == box) break;
+    Histogram fewer(mean, opacity, inner);
+    if (fewer.count() < kFewest || static_cast<double>(fewer.weight()) < least) break;
+    box = inner;
+    histogram = std::move(fewer);
+  }
+  const Sides kept = histogram.without(kTail);
+  Box out;
+  for (std::size_t k = 0; k < 3; ++k) {
+    out.min[k] = static_cast<float>(kept.low[k]);
+    out.max[k] = static_cast<float>(kept.high[k]);
+  }
+  return out;
+}
+
+Box subject_box(const FileView& file) {
+  SpreadMeans means;
+  for (std::uint64_t i = 0; i < file.header().n_chunks; ++i) {
+    if (const auto chunk = file.chunk(i)) means.add(chunk->means, chunk->max_opacity);
+  }
+  return means.box();
+}
+
+Box subject_box(std::span<const lod::Page> pages) {
+  SpreadMeans means;
+  for (const lod::Page& page : pages) {
+    if (page.n_children > 0 && page.first_child < pages.size()) continue;
+    // Leaves are about as full as their parents.
+    const float n = static_cast<float>(page.count) * static_cast<float>(std::max(page.n_children, 1U));
+    means.add(page.core, n / kMostGaussians);
+  }
+  return means.box();
+}
+
+}  // namespace rgs
