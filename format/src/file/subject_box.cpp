@@ -15,7 +15,8 @@
 namespace rgs {
 namespace {
 
-constexpr std::size_t kBins = 65536;
+// Of an axis of the box at hand, which gets smaller with each turn.
+constexpr std::size_t kBins = 1024;
 // Tukey's (Exploratory Data Analysis, 1977). Of a normal distribution 0.7 % lie outside.
 constexpr double kFences = 1.5;
 // A floor has no thickness, and many means of a gridded scene are equal: its fences are those of a box at least this
@@ -28,6 +29,8 @@ constexpr double kLeastShare = 1.0 / 3;
 constexpr double kTail = 0.02;
 constexpr double kOpaque = 65535;
 
+using Mean = std::array<float, 3>;
+
 /// In FP64, where the middle of two floats and the length of any side are finite.
 struct Sides {
   std::array<double, 3> low, high;
@@ -37,29 +40,27 @@ struct Sides {
 /// How opacity is distributed along each axis of a box. In whole numbers, so that the order of adding does not matter.
 class Histogram {
  public:
-  Histogram(std::span<const float> mean, std::span<const float> opacity, const Sides& box)
-      : box_(box), bins_(3 * kBins) {
+  template <class EachMean>
+  Histogram(const EachMean& each_mean, const Sides& box) : box_(box), bins_(3 * kBins) {
     std::array<double, 3> per_unit{};
     for (std::size_t k = 0; k < 3; ++k) {
       const double side = box.high[k] - box.low[k];
       per_unit[k] = side > 0 ? kBins / side : 0;
     }
-    for (std::size_t i = 0; i < opacity.size(); ++i) {
+    each_mean([&](const Mean& mean, float opacity) {
       std::array<std::size_t, 3> bin{};
-      bool inside = true;
-      for (std::size_t k = 0; k < 3 && inside; ++k) {
-        const auto x = static_cast<double>(mean[3 * i + k]);
-        inside = x >= box.low[k] && x <= box.high[k];  // not if NaN
-        if (inside) bin[k] = std::min(static_cast<std::size_t>((x - box.low[k]) * per_unit[k]), kBins - 1);
+      for (std::size_t k = 0; k < 3; ++k) {
+        const auto x = static_cast<double>(mean[k]);
+        if (!(x >= box.low[k] && x <= box.high[k])) return;  // also if NaN
+        bin[k] = std::min(static_cast<std::size_t>((x - box.low[k]) * per_unit[k]), kBins - 1);
       }
-      if (!inside) continue;
       ++count_;
       // At least 1: a scene of invisible Gaussians has a place, too.
-      const double opaque = opacity[i] > 0 ? std::min(static_cast<double>(opacity[i]), 1.) : 0;
+      const double opaque = opacity > 0 ? std::min(static_cast<double>(opacity), 1.) : 0;
       const std::uint64_t weight = 1 + static_cast<std::uint64_t>(opaque * kOpaque);
       weight_ += weight;
       for (std::size_t k = 0; k < 3; ++k) bins_[k * kBins + bin[k]] += weight;
-    }
+    });
   }
 
   std::uint64_t count() const { return count_; }
@@ -100,48 +101,25 @@ Sides fenced(const Histogram& histogram, const Sides& box) {
   return out;
 }
 
-constexpr float kMostGaussians = 65536.F * lod::kMaxChildren;  // of a page, and of its children
-
-/// Weighted means that stand for evenly spread Gaussians.
-class SpreadMeans {
- public:
-  void add(const Box& box, float weight) {
-    constexpr int kSide = 4;
-    for (int i = 0; i < kSide * kSide * kSide; ++i) {
-      for (std::size_t k = 0; k < 3; ++k) {
-        const int step = k == 0 ? i % kSide : k == 1 ? i / kSide % kSide : i / kSide / kSide;
-        const float share = (static_cast<float>(step) + 0.5F) / kSide;
-        mean_.push_back(box.min[k] * (1 - share) + box.max[k] * share);
-      }
-      weight_.push_back(weight);
-    }
-  }
-  Box box() const { return subject_box(mean_, weight_); }
-
- private:
-  std::vector<float> mean_, weight_;
-};
-
-}  // namespace
-
-Box subject_box(std::span<const float> mean, std::span<const float> opacity) {
+/// `each_mean` calls what it is given with every mean and its opacity.
+template <class EachMean>
+Box box_of(const EachMean& each_mean) {
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
   Sides box{{kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity}};
-  for (std::size_t i = 0; i < opacity.size(); ++i) {
-    const float* p = &mean[3 * i];
-    if (!std::isfinite(p[0]) || !std::isfinite(p[1]) || !std::isfinite(p[2])) continue;
+  each_mean([&](const Mean& mean, float) {
+    if (!std::isfinite(mean[0]) || !std::isfinite(mean[1]) || !std::isfinite(mean[2])) return;
     for (std::size_t k = 0; k < 3; ++k) {
-      box.low[k] = std::min(box.low[k], static_cast<double>(p[k]));
-      box.high[k] = std::max(box.high[k], static_cast<double>(p[k]));
+      box.low[k] = std::min(box.low[k], static_cast<double>(mean[k]));
+      box.high[k] = std::max(box.high[k], static_cast<double>(mean[k]));
     }
-  }
+  });
   if (box.low[0] > box.high[0]) return {{-0.5F, -0.5F, -0.5F}, {0.5F, 0.5F, 0.5F}};
-  Histogram histogram(mean, opacity, box);
+  Histogram histogram(each_mean, box);
   const double least = kLeastShare * static_cast<double>(histogram.weight());
   for (;;) {
     const Sides inner = fenced(histogram, box);
     if (inner == box) break;
-    Histogram fewer(mean, opacity, inner);
+    Histogram fewer(each_mean, inner);
     if (fewer.count() < kFewest || static_cast<double>(fewer.weight()) < least) break;
     box = inner;
     histogram = std::move(fewer);
@@ -155,23 +133,49 @@ Box subject_box(std::span<const float> mean, std::span<const float> opacity) {
   return out;
 }
 
-Box subject_box(const FileView& file) {
-  SpreadMeans means;
-  for (std::uint64_t i = 0; i < file.header().n_chunks; ++i) {
-    if (const auto chunk = file.chunk(i)) means.add(chunk->means, chunk->max_opacity);
+constexpr float kMostGaussians = 65536.F * lod::kMaxChildren;  // of a page, and of its children
+
+/// Means that stand for Gaussians evenly spread over a box.
+template <class Use>
+void spread(const Box& box, float opacity, const Use& use) {
+  constexpr int kSide = 4;
+  for (int i = 0; i < kSide * kSide * kSide; ++i) {
+    Mean mean;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const int step = k == 0 ? i % kSide : k == 1 ? i / kSide % kSide : i / kSide / kSide;
+      const float share = (static_cast<float>(step) + 0.5F) / kSide;
+      mean[k] = box.min[k] * (1 - share) + box.max[k] * share;
+    }
+    use(mean, opacity);
   }
-  return means.box();
+}
+
+}  // namespace
+
+Box subject_box(std::span<const float> mean, std::span<const float> opacity) {
+  return box_of([&](const auto& use) {
+    for (std::size_t i = 0; i < opacity.size(); ++i)
+      use(Mean{mean[3 * i], mean[3 * i + 1], mean[3 * i + 2]}, opacity[i]);
+  });
+}
+
+Box subject_box(const FileView& file) {
+  return box_of([&](const auto& use) {
+    for (std::uint64_t i = 0; i < file.header().n_chunks; ++i) {
+      if (const auto chunk = file.chunk(i)) spread(chunk->means, chunk->max_opacity, use);
+    }
+  });
 }
 
 Box subject_box(std::span<const lod::Page> pages) {
-  SpreadMeans means;
-  for (const lod::Page& page : pages) {
-    if (page.n_children > 0 && page.first_child < pages.size()) continue;
-    // Leaves are about as full as their parents.
-    const float n = static_cast<float>(page.count) * static_cast<float>(std::max(page.n_children, 1U));
-    means.add(page.core, n / kMostGaussians);
-  }
-  return means.box();
+  return box_of([&](const auto& use) {
+    for (const lod::Page& page : pages) {
+      if (page.n_children > 0 && page.first_child < pages.size()) continue;
+      // Leaves are about as full as their parents.
+      const float n = static_cast<float>(page.count) * static_cast<float>(std::max(page.n_children, 1U));
+      spread(page.core, n / kMostGaussians, use);
+    }
+  });
 }
 
 }  // namespace rgs
