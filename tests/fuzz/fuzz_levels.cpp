@@ -63,7 +63,7 @@ void draw_streamed(std::span<const std::byte> bytes, const rgs::PagedFile& file,
   static rgs::Renderer renderer = *rgs::Renderer::create({.backend = rgs::Backend::cpu, .threads = 1});
   const auto streamed = rgs::StreamedScene::open(std::make_unique<MemorySource>(bytes));
   if (!streamed) {
-    if (valid) std::abort();
+    if (valid && file.n_present() > 0) std::abort();
     return;
   }
   const rgs::RenderOptions options{.detail_px = static_cast<float>(bytes.size() % 64)};
@@ -74,7 +74,8 @@ void draw_streamed(std::span<const std::byte> bytes, const rgs::PagedFile& file,
         renderer.render(*streamed, camera, {.rgb = first.rgb, .alpha = first.alpha}, options).has_value();
     if (!valid) continue;
     const auto refined = renderer.refine(*streamed, camera, std::numeric_limits<double>::infinity(), options);
-    if (!drawn || !refined || !*refined) std::abort();
+    const bool cut_off = !file.complete() && !refined && refined.error().code == rgs::Errc::truncated;
+    if (!drawn || !(cut_off || (refined && *refined))) std::abort();
     if (!renderer.render(*streamed, camera, {.rgb = complete.rgb, .alpha = complete.alpha}, options)) std::abort();
     if (!file.complete()) continue;
     const auto scene = rgs::Scene::load(bytes);
