@@ -17,6 +17,10 @@
 #if defined(RGS_LIBFUZZER)
 #include "rgs_mutator.hpp"
 
+// libFuzzer's counters of the code that ran. In assembly, since clang renames what it uses itself.
+extern std::uint8_t* const counters[2] __asm__("counters");
+__asm__(".data; counters: .quad __start___sancov_cntrs, __stop___sancov_cntrs; .text");
+
 extern "C" std::size_t LLVMFuzzerCustomMutator(std::uint8_t* data, std::size_t size, std::size_t max_size,
                                                unsigned seed) {
   return rgs::fuzz::mutate_rgs(data, size, max_size, seed);
@@ -24,6 +28,19 @@ extern "C" std::size_t LLVMFuzzerCustomMutator(std::uint8_t* data, std::size_t s
 #endif
 
 namespace {
+
+// What threads run depends on their turns. libFuzzer must not see it, so that the same runs follow from the same code.
+class UncountedCode {
+#if defined(RGS_LIBFUZZER)
+ public:
+  ~UncountedCode() {
+    std::ranges::copy(before_, counters[0]);
+  }
+
+ private:
+  std::vector<std::uint8_t> before_{counters[0], counters[1]};
+#endif
+};
 
 class MemorySource final : public rgs::ByteSource {
  public:
@@ -60,6 +77,7 @@ struct Picture {
 
 // Draws the first frame; of a valid file also the complete one, which is the picture of the scene in memory.
 void draw_streamed(std::span<const std::byte> bytes, const rgs::PagedFile& file, bool valid) {
+  [[maybe_unused]] const UncountedCode uncounted;
   static rgs::Renderer renderer = *rgs::Renderer::create({.backend = rgs::Backend::cpu, .threads = 1});
   const auto streamed = rgs::StreamedScene::open(std::make_unique<MemorySource>(bytes));
   if (!streamed) {
