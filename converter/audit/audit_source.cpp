@@ -55,7 +55,7 @@ Result<Source> Source::relative_to(const Origin& origin) const {
     return source;
   }
   SplatFile file = *file_;
-  rebase_splats(file.cloud, file.origin, origin);
+  rebase_means(file.cloud.mean, file.origin, origin);
   file.origin = origin;
   source.stated_ = stated_;
   source.stated_.origin = origin;

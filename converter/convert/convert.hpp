@@ -44,6 +44,7 @@ struct ConvertOptions {
   std::string scratch;                               ///< for levels: folder of temporary files
   bool strict =
       false;  ///< fail with bad_value, writing nothing, if values would be clamped or flushed to the output's range
+  bool allow_rounding = false;  ///< write means that their origin holds to no millimetre
   AtomicFile::Options output;
 };
 
@@ -66,13 +67,20 @@ struct ConvertSummary {
   std::vector<std::pair<const char*, double>> seconds;  ///< by stage, in order
   double sync_seconds = 0;
   Origin origin = kNoOrigin;     ///< of the output
-  double position_rounding = 0;  ///< largest rounding of a coordinate, world units, also by merging: see
-                                 ///< rgs::position_rounding()
+  double position_rounding = 0;  ///< largest rounding of a coordinate, world units, by reading, merging and writing:
+                                 ///< see rgs::position_rounding()
   WriteReport clamped;           ///< for formats other than .rgs; its counts are in `declarations`
 };
 
 /// Whether a file can hold so many Gaussians. Errors: limit_exceeded.
 Status check_count(std::uint64_t n);
+/// The rounding of a coordinate that is not refused, world units: a millimetre, where a unit of unknown size counts as a
+/// metre; without end if `allowed`.
+double max_rounding(const EncodeOptions& encode, bool allowed);
+/// Errors: unsupported_feature, found in micrometres.
+Status check_rounding(double position_rounding, double max_rounding);
+/// Adds to `notes` that positions are rounded by more than max_rounding().
+void note_rounding(ConvertSummary& summary);
 
 /// Converts to .rgs in two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a
 /// Gaussian on two threads. The bytes do not depend on the number of threads (limited by the caller through oneTBB's
@@ -112,8 +120,7 @@ struct LoadedScene {
   std::uint64_t n_source = 0;  ///< Gaussians in them; those not in `cloud` were filtered out
   int source_sh_degree = 0;
   Origin origin = kNoOrigin;     ///< of the means
-  double position_rounding = 0;  ///< largest rounding of a coordinate, world units, if clouds of several origins were
-                                 ///< merged
+  double position_rounding = 0;  ///< largest rounding of a coordinate by reading and merging, world units
   /// EncodeOptions::keep_permutation stores this, see keep_source(); empty: 0, 1, 2, ...
   std::vector<std::uint32_t> source_index = {};
   std::vector<std::string> unused;  ///< see SplatFile::unused

@@ -97,6 +97,15 @@ std::string type_name(std::uint32_t type) {
 
 }  // namespace
 
+void note_rounding(ConvertSummary& summary) {
+  EncodeOptions declared;
+  declared.metres_per_unit = summary.declarations.metres_per_unit;
+  if (summary.position_rounding > max_rounding(declared, false))
+    summary.notes.push_back(
+        fmt::format("positions are rounded by up to {:.3g} world units, which is more than a millimetre",
+                    summary.position_rounding));
+}
+
 std::string summary_text(const ConvertSummary& s) {
   using tool::format_bytes;
   using tool::format_count;

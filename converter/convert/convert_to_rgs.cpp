@@ -168,8 +168,9 @@ class ReadOnce {
   const MappedFile* file_ = nullptr;
 };
 
-lod::SplatStream stream_of(const SplatSource& source, const ReadOnce& memory) {
-  return {source.size(), source.sh_degree(), [&source, memory](const lod::SplatStream::Visit& visit) -> Status {
+lod::SplatStream stream_of(const SplatSource& source, const ReadOnce& memory, double max_rounding) {
+  return {source.size(), source.sh_degree(),
+          [&source, memory, max_rounding](const lod::SplatStream::Visit& visit) -> Status {
             constexpr std::uint64_t kRows = 65536, kPart = 1024;
             std::vector<Splat> rows;
             for (std::uint64_t first = 0; first < source.size(); first += kRows) {
@@ -179,6 +180,7 @@ lod::SplatStream stream_of(const SplatSource& source, const ReadOnce& memory) {
                 source.read(first + part * kPart, std::span(rows).subspan(part * kPart, n));
               });
               memory.done(source.row_offset(first), source.row_offset(first + rows.size() - 1));
+              if (Status s = check_rounding(source.position_rounding(), max_rounding); !s) return s;
               if (Status s = visit(first, rows); !s) return s;
             }
             return {};
@@ -208,6 +210,20 @@ Status check_count(std::uint64_t n) {
   if (n <= std::numeric_limits<std::uint32_t>::max()) return {};
   return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                     std::numeric_limits<std::uint32_t>::max(), n);
+}
+
+double max_rounding(const EncodeOptions& encode, bool allowed) {
+  if (allowed) return std::numeric_limits<double>::infinity();
+  return 1e-3 / (encode.metres_per_unit > 0 ? static_cast<double>(encode.metres_per_unit) : 1);
+}
+
+Status check_rounding(double position_rounding, double max_rounding) {
+  if (position_rounding <= max_rounding) return {};
+  return make_error(Errc::unsupported_feature, Error::kNone,
+                    "FP32 rounds positions this far from the scene's one origin too much, in micrometres; split the "
+                    "scene, or pass --allow-rounding",
+                    1000,
+                    static_cast<std::uint64_t>(std::ceil(std::min(1e3 * position_rounding / max_rounding, 1e18))));
 }
 
 Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const SceneScan& scan,
@@ -274,9 +290,13 @@ void summarise(ConvertSummary& summary, const SceneScan& scan, WrittenScene&& wr
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer) {
   if (const Status s = check_count(source.size()); !s) return tl::unexpected(s.error());
+  const double most = max_rounding(options.encode, options.allow_rounding);
   if (options.levels) {
     const ReadOnce memory(source.source(), options.output.inputs);
-    return convert_to_levels(stream_of(source, memory), facts_of(source, memory), output_path, options, observer);
+    auto summary =
+        convert_to_levels(stream_of(source, memory, most), facts_of(source, memory), output_path, options, observer);
+    if (summary) summary->position_rounding = source.position_rounding();
+    return summary;
   }
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
@@ -300,6 +320,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   if (encode.on_bad == BadPolicy::refuse && scanned.scan.n_kept() != scanned.scan.n_source()) {
     return damaged_gaussian(source.row_offset(first_damaged(source, scanned.scan.sh_degree())), scanned.scan);
   }
+  if (Status s = check_rounding(source.position_rounding(), most); !s) return tl::unexpected(s.error());
   clock.begin("sort", 0, "");
   std::vector<std::uint32_t> indices = kept_indices(scanned);
   scanned.kept = std::vector<std::uint64_t>();
@@ -321,6 +342,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   if (!synced) return tl::unexpected(synced.error());
   summary.sync_seconds = *synced;
   summarise(summary, scanned.scan, std::move(*written));
+  summary.position_rounding = source.position_rounding();
   summary.source_bytes = source.bytes();
   summary.source_sh_degree = source.sh_degree();
   summary.origin = encode.origin;

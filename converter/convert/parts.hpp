@@ -54,7 +54,7 @@ struct PartsJob {
   std::string cameras;         ///< path; empty: none
   std::string cameras_hash;    ///< options_hash() of no options and these cameras
   std::optional<float> z_near, z_far;
-  bool strict = false;
+  bool strict = false, allow_rounding = false;
   int sh_degree = 0;  ///< of the inputs
   std::uint64_t n = 0;
   std::string source_format;

@@ -270,6 +270,7 @@ Outcome<ConvertSummary> assemble_parts(const PartsRun& run, const PartsJob& job,
     if (const auto scanned = find_scan(run, job, i); scanned && *scanned)
       summary.position_rounding = std::max(summary.position_rounding, (*scanned)->position_rounding);
   }
+  note_rounding(summary);
   return summary;
 }
 

@@ -214,6 +214,7 @@ json job_json(const PartsJob& job) {
           {"z_near", optional_json(job.z_near)},
           {"z_far", optional_json(job.z_far)},
           {"strict", job.strict},
+          {"allow_rounding", job.allow_rounding},
           {"sh_degree", job.sh_degree},
           {"n", job.n},
           {"source_format", job.source_format},
@@ -238,6 +239,7 @@ PartsJob job_of(const json& j) {
   job.z_near = optional_of<float>(j.at("z_near"));
   job.z_far = optional_of<float>(j.at("z_far"));
   job.strict = j.at("strict");
+  job.allow_rounding = j.at("allow_rounding");
   job.sh_degree = j.at("sh_degree");
   job.n = j.at("n");
   job.source_format = j.at("source_format");

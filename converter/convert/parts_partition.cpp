@@ -48,13 +48,12 @@ class OpenInput {
     tiles_ = TileStream::of_one(std::move(*tile), part.facts, job.encode.axes, job.encode.origin, job.sh_degree);
     return {};
   }
-  lod::SplatStream stream() const { return tiles_.stream(); }
+  const TileStream& tiles() const { return tiles_; }
   const SceneInput& input() const { return input_; }
   std::uint64_t row_offset(std::uint64_t i) const {
     const auto& ply = tiles_.tiles().front().ply;
     return ply && i != Error::kNone ? ply->row_offset(i) : Error::kNone;
   }
-  double position_rounding() const { return tiles_.position_rounding(); }
 
  private:
   SceneInput input_;
@@ -118,7 +117,7 @@ lod::SplatStream all_inputs(const PartsJob& job, std::string& failed_input) {
               failed_input = part.path;
               OpenInput input;
               if (const auto opened = input.open(job, part); !opened) return tl::unexpected(opened.error().error);
-              const Status read = input.stream().read(
+              const Status read = input.tiles().stream().read(
                   [&](std::uint64_t first, std::span<const Splat> rows) { return visit(part.first + first, rows); });
               if (!read) return read;
             }
@@ -190,7 +189,7 @@ Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
   SceneScan scan(job.output_degree(), job.encode.on_bad);
   std::vector<float> means;
   const std::uint64_t stride = std::max<std::uint64_t>(1, job.bin_rows / kSampleOfBin);
-  lod::SplatStream stream = open.stream();
+  lod::SplatStream stream = open.tiles().stream(max_rounding(job.encode, job.allow_rounding));
   stream.read = [&, read = stream.read](const lod::SplatStream::Visit& visit) {
     return read([&](std::uint64_t first, std::span<const Splat> rows) -> Status {
       if (Status s = sample_rows(part.first + first, rows, stride, means); !s) return s;
@@ -216,7 +215,7 @@ Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
   const Status written = writer->finish({{"xxh3", scanned.xxh3},
                                          {"modified", scanned.modified},
                                          {"first_damaged", open.row_offset(first_damaged)},
-                                         {"position_rounding", open.position_rounding()},
+                                         {"position_rounding", open.tiles().position_rounding()},
                                          {"scan_bytes", scanned.scan_bytes},
                                          {"content_xxh3", xxh3(content)}});
   if (!written) return failed(path, written.error());
@@ -300,7 +299,7 @@ Done place_input(const PartsRun& run, const PartsJob& job, const PartsPlan& plan
   Error of_rows{};
   bool is_of_rows = false;
   const Status read =
-      lod::each_kept(open.stream(), plan.scan.sh_degree(), job.encode.on_bad,
+      lod::each_kept(open.tiles().stream(), plan.scan.sh_degree(), job.encode.on_bad,
                      [&](std::span<const std::uint32_t> positions, std::span<const Splat> kept) -> Status {
                        const Status added = rows.add(part.first, positions, kept);
                        if (!added) {

@@ -215,6 +215,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
   rgs::EncodeOptions& encode = arguments.convert.encode;
   std::vector<std::uint64_t> hashes;
   std::vector<rgs::InputDeclarations> declared;
+  std::vector<rgs::ScenePart> parts;
   rgs::SplatFile only;  // without its Gaussians
   for (std::size_t i = 0; i < inputs.size(); ++i) {
     auto options = read_options(arguments, inputs[i], to);
@@ -233,17 +234,23 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     const rgs::Similarity placed = place(arguments, i, encode.axes, *file);
     declared.push_back(rgs::declared_by(*file, inputs[i].name(), placed.scale));
     if (to != SplatFormat::rgs) rgs::restore_order(*file);
+    parts.push_back({file->cloud.size(), file->origin, file->position_rounding * placed.scale});
     if (i == 0) {
       scene.cloud = std::move(file->cloud);
-      scene.origin = file->origin;
       if (inputs.size() == 1) only = std::move(*file);
     } else {
-      const double rounding = rgs::append_splats(scene.cloud, scene.origin, std::move(file->cloud), file->origin);
-      scene.position_rounding = std::max(scene.position_rounding, rounding);
+      rgs::append_splats(scene.cloud, file->cloud);
     }
   }
   if (auto s = rgs::declare_scene(encode, declared, arguments.asked, loss.notes); !s)
     return failed(inputs.front().path(), s.error());
+  rgs::merge_parts(scene.cloud, parts, scene.origin);
+  const double max_rounding = rgs::max_rounding(encode, arguments.convert.allow_rounding);
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    scene.position_rounding = std::max(scene.position_rounding, parts[i].position_rounding);
+    if (auto s = rgs::check_rounding(parts[i].position_rounding, max_rounding); !s)
+      return failed(inputs[i].path(), s.error());
+  }
   const std::vector<std::uint64_t> kept = rgs::filter_splats(scene.cloud, arguments.filter, scene.origin);
   scene.xxh3 = rgs::hash_of_sources(hashes);
   if (!rgs::keep_source(encode, scene, only, kept, moves(arguments))) {
@@ -345,10 +352,9 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
     for (const Input& input : inputs) hashes.push_back(input.hash());
     return rgs::hash_of_sources(hashes);
   };
-  auto summary = rgs::convert_to_levels(scene->stream(), facts, arguments.output(), arguments.convert, observer);
-  if (!summary) {
-    return failed(concerned(arguments, inputs.front(), summary.error()), summary.error());
-  }
+  auto summary = rgs::convert_to_levels(scene->stream(rgs::max_rounding(encode, arguments.convert.allow_rounding)),
+                                        facts, arguments.output(), arguments.convert, observer);
+  if (!summary) return failed(concerned(arguments, inputs[scene->reading()], summary.error()), summary.error());
   summary->source_format = inputs.size() == 1 ? rgs::format_name(first_format) : "merged";
   summary->position_rounding = scene->position_rounding();
   summary->unused = std::move(unused);
@@ -578,6 +584,7 @@ Outcome<rgs::ConvertSummary> convert_open(Arguments& arguments, std::deque<Input
   auto summary = convert(arguments, inputs, output_format(arguments), observer);
   if (!summary) return tl::unexpected(explained(std::move(summary.error()), inputs));
   summary->source_name = name;
+  rgs::note_rounding(*summary);
   return summary;
 }
 
@@ -629,6 +636,7 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
   rgs::PartsJob job;
   rgs::EncodeOptions& encode = arguments.convert.encode;
   std::vector<rgs::InputDeclarations> declared;
+  std::vector<rgs::Origin> origins;
   std::uint64_t file_bytes = 0;
   for (std::size_t i = 0; i < arguments.n_inputs(); ++i) {
     rgs::PartsInput& part = job.inputs.emplace_back();
@@ -651,11 +659,12 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
             job.n};
     job.n += facts->n;
     job.sh_degree = std::max(job.sh_degree, facts->sh_degree);
-    if (encode.origin == rgs::kNoOrigin) encode.origin = facts->origin;
+    if (facts->n != 0) origins.push_back(facts->origin);
     file_bytes += input.bytes().size();
     job.unused.insert(job.unused.end(), opened->unused.begin(), opened->unused.end());
     declared.push_back(std::move(opened->declared));
   }
+  encode.origin = rgs::merged_origin(origins);
   const std::string& first = arguments.files.front();
   if (job.inputs.size() == 1 && job.inputs.front().format == SplatFormat::rgs) {
     return failed(first, {rgs::Errc::bad_argument, rgs::Error::kNone,
@@ -681,6 +690,7 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
   job.z_near = arguments.convert.z_near;
   job.z_far = arguments.convert.z_far;
   job.strict = arguments.convert.strict;
+  job.allow_rounding = arguments.convert.allow_rounding;
   return job;
 }
 
@@ -1070,6 +1080,8 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--strict", a.convert.strict,
                "Write nothing (exit code 4) if Gaussians are damaged or beyond the range of the output's format")
       ->excludes("--on-bad");
+  app.add_flag("--allow-rounding", a.convert.allow_rounding,
+               "Write positions that FP32 relative to the scene's one origin rounds by more than a millimetre");
   app.add_option("--cameras", a.cameras, "Set the sort key's depth range for these cameras (docs/user/CAMERAS.md)");
   app.add_option("--near", a.convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);
   app.add_option("--far", a.convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);

@@ -25,6 +25,8 @@ class SplatSource {
   int sh_degree() const { return ply_ != nullptr ? ply_->sh_degree() : cloud_.sh_degree; }
   /// The origin of the means.
   const Origin& origin() const { return ply_ != nullptr ? ply_->origin() : origin_; }
+  /// Largest rounding of a coordinate in what was read so far, world units; 0 for a cloud.
+  double position_rounding() const { return ply_ != nullptr ? ply_->position_rounding() : 0; }
   std::uint64_t bytes() const { return ply_ != nullptr ? ply_->bytes() : bytes_; }
   /// XXH3-64 of the source's bytes; reads a PLY file to its end.
   std::uint64_t hash() const { return ply_ != nullptr ? xxh3(ply_->source()) : xxh3_; }

@@ -8,16 +8,19 @@
 #include <limits>
 #include <utility>
 
+#include "convert.hpp"
+
 namespace rgs {
 namespace {
 
 constexpr std::uint64_t kRows = 65536;
 
-Status read_tile(const Tile& tile, const std::function<Status(SplatCloud& block)>& visit) {
+// `rounding`: the largest of a coordinate by reading, so far.
+Status read_tile(const Tile& tile, const std::function<Status(SplatCloud& block, double rounding)>& visit) {
   if (!tile.ply) {
     auto loaded = tile.load();
     if (!loaded) return tl::unexpected(loaded.error());
-    return visit(loaded->cloud);
+    return visit(loaded->cloud, loaded->position_rounding);
   }
   SplatCloud block;
   std::vector<Splat> rows;
@@ -28,7 +31,7 @@ Status read_tile(const Tile& tile, const std::function<Status(SplatCloud& block)
     for (std::size_t k = 0; k < rows.size(); ++k) block.set(k, rows[k]);
     const std::uint64_t begin = tile.ply->row_offset(first), end = tile.ply->row_offset(first + rows.size() - 1);
     if (tile.file != nullptr && end != Error::kNone) tile.file->advise(MappedFile::Access::done, begin, end - begin);
-    if (Status s = visit(block); !s) return s;
+    if (Status s = visit(block, tile.ply->position_rounding()); !s) return s;
   }
   return {};
 }
@@ -41,7 +44,7 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
   if (tile.ply) {
     facts = {tile.ply->size(), tile.ply->sh_degree(), false, tile.ply->origin()};
     if (tile.placed.translation != glm::dvec3(0) && facts.origin == kNoOrigin) {
-      const auto add = [&move](SplatCloud& block) {
+      const auto add = [&move](SplatCloud& block, double) {
         move.add(block.mean);
         return Status();
       };
@@ -53,7 +56,7 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
     facts = {loaded->cloud.size(), loaded->cloud.sh_degree, false, loaded->origin};
     move.add(loaded->cloud.mean);
   }
-  // As transform_splats() of a scene with an origin, and append_splats().
+  // As transform_splats() of a scene with an origin.
   convert_axes(facts.origin, tile.axes, axes);
   facts.gets_origin = facts.origin != kNoOrigin || move.is_far();
   if (facts.gets_origin) {
@@ -65,18 +68,20 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
   return facts;
 }
 
-void TileStream::place(std::size_t i, SplatCloud& block) const {
+void TileStream::place(std::size_t i, SplatCloud& block, double rounding) const {
   Similarity moved = tiles_[i].placed;
   convert_axes(block, tiles_[i].axes, axes_);
   if (facts_[i].gets_origin) moved.translation = {0, 0, 0};
   transform_splats(block, moved);
-  rounding_ = std::max(rounding_, rebase_splats(block, facts_[i].origin, origin_));
+  rounding = rounding * moved.scale + rebase_means(block.mean, facts_[i].origin, origin_);
+  rounding_ = std::max(rounding_, rounding);
 }
 
 Result<TileStream> TileStream::open(std::vector<Tile> tiles, const Axes& axes, std::size_t& failed) {
   TileStream out;
   out.tiles_ = std::move(tiles);
   out.axes_ = axes;
+  std::vector<Origin> origins;
   for (std::size_t i = 0; i < out.tiles_.size(); ++i) {
     failed = i;
     const auto facts = tile_facts(out.tiles_[i], axes);
@@ -84,8 +89,9 @@ Result<TileStream> TileStream::open(std::vector<Tile> tiles, const Axes& axes, s
     out.facts_.push_back(*facts);
     out.n_ += facts->n;
     out.sh_degree_ = std::max(out.sh_degree_, facts->sh_degree);
-    if (out.origin_ == kNoOrigin) out.origin_ = facts->origin;
+    if (facts->n != 0) origins.push_back(facts->origin);
   }
+  out.origin_ = merged_origin(origins);
   if (out.n_ > std::numeric_limits<std::uint32_t>::max()) {
     return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                       std::numeric_limits<std::uint32_t>::max(), out.n_);
@@ -105,13 +111,14 @@ TileStream TileStream::of_one(Tile tile, const TileFacts& facts, const Axes& axe
   return out;
 }
 
-lod::SplatStream TileStream::stream() const {
-  return {n_, sh_degree_, [this](const lod::SplatStream::Visit& visit) -> Status {
+lod::SplatStream TileStream::stream(double max_rounding) const {
+  return {n_, sh_degree_, [this, max_rounding](const lod::SplatStream::Visit& visit) -> Status {
             std::uint64_t first = 0;
             std::vector<Splat> rows;
-            for (std::size_t i = 0; i < tiles_.size(); ++i) {
-              const Status read = read_tile(tiles_[i], [&](SplatCloud& block) -> Status {
-                place(i, block);
+            for (reading_ = 0; reading_ < tiles_.size(); ++reading_) {
+              const Status read = read_tile(tiles_[reading_], [&](SplatCloud& block, double rounding) -> Status {
+                place(reading_, block, rounding);
+                if (Status s = check_rounding(rounding_, max_rounding); !s) return s;
                 const SplatView view = block.view();
                 for (std::uint64_t at = 0; at < view.n; at += kRows) {
                   rows.resize(std::min(kRows, view.n - at));
@@ -123,6 +130,7 @@ lod::SplatStream TileStream::stream() const {
               });
               if (!read) return read;
             }
+            reading_ = 0;
             return {};
           }};
 }

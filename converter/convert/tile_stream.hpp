@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <vector>
 
@@ -41,7 +42,10 @@ class TileStream {
   /// One tile of a whole with this origin and degree.
   static TileStream of_one(Tile tile, const TileFacts& facts, const Axes& axes, const Origin& origin, int sh_degree);
 
-  lod::SplatStream stream() const;  ///< a view: the TileStream must outlive it
+  /// A view: the TileStream must outlive it. Errors of reading: those of load; check_rounding()'s.
+  lod::SplatStream stream(double max_rounding = std::numeric_limits<double>::infinity()) const;
+  /// The tile whose reading goes on or failed; else 0.
+  std::size_t reading() const { return reading_; }
   const Origin& origin() const { return origin_; }
   std::uint64_t size() const { return n_; }
   int sh_degree() const { return sh_degree_; }
@@ -50,7 +54,7 @@ class TileStream {
   double position_rounding() const { return rounding_; }
 
  private:
-  void place(std::size_t i, SplatCloud& block) const;
+  void place(std::size_t i, SplatCloud& block, double rounding) const;
 
   std::vector<Tile> tiles_;
   std::vector<TileFacts> facts_;
@@ -59,6 +63,7 @@ class TileStream {
   std::uint64_t n_ = 0;
   int sh_degree_ = 0;
   mutable double rounding_ = 0;
+  mutable std::size_t reading_ = 0;
 };
 
 }  // namespace rgs

@@ -308,20 +308,23 @@ class SceneWalk {
   bool found() const { return !instances_.empty(); }
   const StatedScene& stated() const { return stated_; }
 
-  /// Gaussians of all instances in order, and the origin of their means.
-  SplatCloud read(Origin& origin) const {
+  /// Gaussians of all instances in order, the origin of their means, and the largest rounding of a coordinate.
+  SplatCloud read(Origin& origin, double& rounding) const {
     SplatCloud cloud;
     cloud.resize(0, sh_degree_);
-    origin = kNoOrigin;
+    std::vector<ScenePart> parts;
     for (const Instance& instance : instances_) {
-      Origin own = kNoOrigin;
-      SplatCloud part = read(instance, own);
+      ScenePart& own = parts.emplace_back();
+      SplatCloud part = read(instance, own.origin);
+      own.n = part.size();
       if (instances_.size() == 1) {
-        origin = own;
+        origin = own.origin;
         return part;
       }
-      append_splats(cloud, origin, std::move(part), own);
+      append_splats(cloud, part);
     }
+    merge_parts(cloud, parts, origin);
+    for (const ScenePart& part : parts) rounding = std::max(rounding, part.position_rounding);
     return cloud;
   }
 
@@ -554,7 +557,7 @@ Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimit
   file.format = SplatFormat::glb;
   file.bytes = bytes.size();
   walk.stated().copy_to(file);
-  file.cloud = walk.read(file.origin);
+  file.cloud = walk.read(file.origin, file.position_rounding);
   return file;
 }
 

@@ -49,6 +49,7 @@ Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimit
   detail::stated_scene(ply->declarations()).copy_to(file);
   file.cloud = *std::move(cloud);
   file.origin = ply->origin();
+  file.position_rounding = ply->position_rounding();
   return file;
 }
 

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <bit>
 #include <cassert>
 #include <cerrno>
@@ -250,6 +251,8 @@ struct PlyFile::Impl {
   bool swap = false;
   Layout layout = Layout::mixed;
   bool plain_rest = false;  // all but the means are native-endian floats
+  bool wide_means = false;
+  mutable std::atomic<double> rounding{0};  // the largest so far
   const std::byte* rows = nullptr;
   std::uint32_t row_bytes = 0;
   std::uint32_t used_first = 0;                // first byte of a row that decoding touches
@@ -281,6 +284,10 @@ struct PlyFile::Impl {
     for (std::size_t k = 0; k < 3; ++k) {
       const auto x = load_as<double>(columns[k].type, row + columns[k].offset, swap);
       out.mean[k] = static_cast<float>(x - stated.origin[k]);
+      const double error = std::fabs(static_cast<double>(out.mean[k]) - (x - stated.origin[k]));
+      for (double largest = rounding.load(std::memory_order_relaxed);
+           error > largest && std::isfinite(error) && !rounding.compare_exchange_weak(largest, error);) {
+      }
     }
     plain_rest ? decode_floats<false>(row, out, 3) : decode_mixed(row, out, 3);
   }
@@ -297,7 +304,8 @@ struct PlyFile::Impl {
         decode_standard<decltype(coefficients)::value>(row + mean, row + rest, out);
       });
     };
-    if (stated.origin != kNoOrigin) return use([this](const std::byte* row, Splat& out) { decode_rebased(row, out); });
+    if (wide_means || stated.origin != kNoOrigin)
+      return use([this](const std::byte* row, Splat& out) { decode_rebased(row, out); });
     switch (layout) {
       case Layout::standard:
         switch (sh_degree) {
@@ -481,7 +489,8 @@ std::array<double, 3> PlyFile::Impl::position(std::uint64_t i) const {
 // with it the rounding, beyond the scene.
 void PlyFile::Impl::choose_origin() {
   const auto means = std::span(columns).first(3);
-  if (std::ranges::none_of(means, is_wide, &Column::type)) return;
+  wide_means = std::ranges::any_of(means, is_wide, &Column::type);
+  if (!wide_means) return;
   const auto is_float = [](double x) {
     return !(static_cast<double>(static_cast<float>(x)) != x) || !std::isfinite(x);
   };
@@ -609,6 +618,9 @@ int PlyFile::sh_degree() const {
 }
 const Origin& PlyFile::origin() const {
   return impl_->stated.origin;
+}
+double PlyFile::position_rounding() const {
+  return impl_->rounding;
 }
 void PlyFile::rebase(const Origin& origin) {
   impl_->stated.origin = origin;

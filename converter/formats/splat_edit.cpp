@@ -179,15 +179,24 @@ bool FarMove::is_far() const {
   return limit > 0 && limit <= kMaxOrigin && n_small_ > n_ / 2;
 }
 
-double rebase_splats(SplatCloud& cloud, const Origin& from, const Origin& to) {
+double rebase_means(std::span<float> means, const Origin& from, const Origin& to) {
   double largest = 0;
   if (from == to) return largest;
-  for (std::size_t i = 0; i < cloud.mean.size(); ++i) {
-    const double x = static_cast<double>(cloud.mean[i]) + (from[i % 3] - to[i % 3]);
-    cloud.mean[i] = static_cast<float>(x);
-    if (std::isfinite(cloud.mean[i])) largest = std::max(largest, std::fabs(static_cast<double>(cloud.mean[i]) - x));
+  for (std::size_t i = 0; i < means.size(); ++i) {
+    const double x = static_cast<double>(means[i]) + (from[i % 3] - to[i % 3]);
+    means[i] = static_cast<float>(x);
+    if (std::isfinite(means[i])) largest = std::max(largest, std::fabs(static_cast<double>(means[i]) - x));
   }
   return largest;
+}
+
+Origin merged_origin(std::span<const Origin> origins) {
+  Origin middle = kNoOrigin;
+  for (std::size_t k = 0; k < 3 && !origins.empty(); ++k) {
+    const auto [low, high] = std::ranges::minmax(origins, {}, [k](const Origin& origin) { return origin[k]; });
+    middle[k] = 0.5 * (low[k] + high[k]) + 0.0;
+  }
+  return middle;
 }
 
 void convert_axes(Origin& origin, const Axes& from, const Axes& to) {
@@ -258,16 +267,16 @@ void append_splats(SplatCloud& cloud, const SplatCloud& other) {
   add(cloud.opacity_logit, other.opacity_logit, 1);
 }
 
-double append_splats(SplatCloud& cloud, Origin& origin, SplatCloud&& other, const Origin& other_origin) {
-  double rounding = 0;
-  if (origin == kNoOrigin) {
-    rounding = rebase_splats(cloud, origin, other_origin);
-    origin = other_origin;
-  } else {
-    rounding = rebase_splats(other, other_origin, origin);
+void merge_parts(SplatCloud& cloud, std::span<ScenePart> parts, Origin& origin) {
+  std::vector<Origin> origins;
+  for (const ScenePart& part : parts)
+    if (part.n != 0) origins.push_back(part.origin);
+  origin = merged_origin(origins);
+  std::uint64_t first = 0;
+  for (ScenePart& part : parts) {
+    part.position_rounding += rebase_means(std::span(cloud.mean).subspan(3 * first, 3 * part.n), part.origin, origin);
+    first += part.n;
   }
-  append_splats(cloud, other);
-  return rounding;
 }
 
 void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices) {

@@ -146,7 +146,7 @@ _KINDS = {
 _ENOENT = 2
 _NOT_FOUND = 404  # of HTTP
 _NAMES = {"DecodeLimits::": "", "StreamPoolOptions::": "", "Backend::cpu": "device='cpu'", "Backend::cuda": "device='cuda'"}
-_FLAGS = {"overwrite", "strict", "merge", "lod", "keep_permutation", "keep_order"}
+_FLAGS = {"overwrite", "strict", "allow_rounding", "merge", "lod", "keep_permutation", "keep_order"}
 
 
 def _as_python(text: str) -> str:

@@ -153,7 +153,8 @@ TEST_CASE("tiles at their places get levels without being in memory together") {
   const std::vector<std::vector<std::string>> cases{
       {"--merge", a, b, c},
       {"--merge", "--translate", "1,2,3", "--rotate", "10,20,30", "--scale", "2", a, b},
-      {"--merge", "--translate", "0,0,0", "--translate", "4e6,5e5,1", "--translate", "3,0,0", a, b, c},
+      {"--merge", "--translate", "0,0,0", "--translate", "4e6,5e5,1", "--translate", "3,0,0", "--allow-rounding", a, b,
+       c},
       {"--merge", "--to-axes", "opengl", "--metres-per-unit", "2", "--keep-permutation", c, a},
       {"--translate", "1e7,0,0", "--keep-order", a}};
   for (const auto& arguments : cases) {

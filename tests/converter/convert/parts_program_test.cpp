@@ -68,7 +68,11 @@ TEST_CASE("parts by the program have the bytes of --lod, whatever the inputs and
              {"--on-bad", "repair", "--keep-permutation", "--cameras", cameras, "--sh-degree", "1", "--aa", "mip"});
   check_same(folder, inputs,
              {"--on-bad", "drop", "--translate", "4000000,0,5", "--translate", "0,1,0", "--translate", "4000000,2,2",
-              "--rotate", "0,90,0", "--scale", "2", "--file-scales", "--near", "0.5"});
+              "--rotate", "0,90,0", "--scale", "2", "--file-scales", "--near", "0.5", "--allow-rounding"});
+  const ProgramResult far = rgs_convert({"--lod-partition", folder.file("far"), "--ranges", "2", "--translate",
+                                         "4000000,0,5", "--translate", "0,1,0", inputs[0], inputs[2]});
+  CHECK(far.exit_code == 4);
+  CHECK(far.err.find("pass --allow-rounding") != std::string::npos);
   check_same(folder, {inputs[2]}, {"--to-axes", "opengl"});
   check_same(folder, {inputs[0]}, {"--axes", "opengl", "--metres-per-unit", "0.5"});
 }

@@ -110,6 +110,7 @@ Bytes at_once(const Scene& scene, const std::string& path) {
 PartsJob job_of(const Scene& scene, std::uint32_t n_ranges) {
   PartsJob job;
   job.encode = with_provenance(scene);
+  std::vector<Origin> origins;
   for (std::size_t i = 0; i < scene.paths.size(); ++i) {
     SceneInput input;
     REQUIRE(input.open(scene.paths[i]));
@@ -119,8 +120,9 @@ PartsJob job_of(const Scene& scene, std::uint32_t n_ranges) {
                           SplatFormat::ply, kAxes3dgs, scene.placed[i], *facts, job.n});
     job.n += facts->n;
     job.sh_degree = std::max(job.sh_degree, facts->sh_degree);
-    if (job.encode.origin == kNoOrigin) job.encode.origin = facts->origin;
+    origins.push_back(facts->origin);
   }
+  job.encode.origin = merged_origin(origins);
   job.encode.n_source = job.n;
   job.n_ranges = n_ranges;
   job.bin_rows = 700;

@@ -148,6 +148,24 @@ TEST_CASE(".glb: nodes move, turn and scale their meshes, however often they sho
   CHECK(e.rotation <= 1e-6);
 }
 
+TEST_CASE(".glb: far nodes get one origin in the middle of theirs, and the rounding is stated") {
+  const SplatCloud cloud = ordinary_cloud(50, 0, 2);
+  const auto read = [&](double left, double right) {
+    return read_edited(encode_splats(cloud.view(), SplatFormat::glb).value(), [&](json& root) {
+      root["nodes"] = {{{"mesh", 0}, {"translation", {left, 0, 0}}}, {{"mesh", 0}, {"translation", {right, 0, 0}}}};
+      root["scenes"][0]["nodes"] = {0, 1};
+    });
+  };
+  const auto near = read(4e6, 4e6 + 16), far = read(-6.4e6, 6.4e6);
+  REQUIRE(near);
+  CHECK(near->origin == Origin{4e6 + 8, 0, 0});
+  CHECK(near->position_rounding < 1e-6);
+  REQUIRE(far);
+  CHECK(far->origin == kNoOrigin);
+  CHECK(far->position_rounding > 0.1);
+  CHECK(far->position_rounding <= 0.25);
+}
+
 TEST_CASE(".glb: unsupported or invalid input is refused with its reason") {
   const Bytes bytes = encode_splats(ordinary_cloud(4, 1, 3).view(), SplatFormat::glb).value();
   const auto refused = [&](const std::function<void(json&)>& edit, Errc code) {

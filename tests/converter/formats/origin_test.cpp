@@ -272,21 +272,32 @@ TEST_CASE("a far translation becomes the origin, a near one changes the means") 
 
 TEST_CASE("merged scenes get one origin, and the rounding is reported") {
   const SplatCloud a = ordinary_cloud(50, 1, 5), b = ordinary_cloud(60, 1, 6);
-  SplatCloud both = a;
-  Origin origin{4.2e6, 0, 0};
-  CHECK(append_splats(both, origin, SplatCloud(b), {4.2e6 + 16, 0, -8}) == 0);  // multiples of 2^-12
-  CHECK(origin == Origin{4.2e6, 0, 0});
-  REQUIRE(both.size() == 110);
-  CHECK(both.mean[0] == a.mean[0]);
-  CHECK(both.mean[3 * 50] == b.mean[0] + 16);
-  CHECK(both.mean[3 * 50 + 2] == b.mean[2] - 8);
-  // A scene without an origin takes the other's.
-  both = a, origin = kNoOrigin;
-  const double rounding = append_splats(both, origin, SplatCloud(b), {4.2e6, 0, 0});
-  CHECK(origin == Origin{4.2e6, 0, 0});
-  CHECK(both.mean[3 * 50] == b.mean[0]);
-  CHECK(rounding > 0.1);
-  CHECK(rounding <= 0.25);
+  SplatCloud both = a, unmoved;
+  append_splats(both, b);
+  unmoved = both;
+  Origin origin;
+  // In the middle, without what is empty; all are multiples of 2^-12.
+  std::vector<ScenePart> parts{{50, {4.2e6, 0, 0}}, {0, {1e9, 0, 0}}, {60, {4.2e6 + 16, 0, -8}, 0.5}};
+  merge_parts(both, parts, origin);
+  CHECK(origin == Origin{4.2e6 + 8, 0, -4});
+  CHECK(both.mean[0] == a.mean[0] - 8);
+  CHECK(both.mean[3 * 50] == b.mean[0] + 8);
+  CHECK(both.mean[3 * 50 + 2] == b.mean[2] - 4);
+  CHECK(parts[0].position_rounding == 0);
+  CHECK(parts[2].position_rounding == 0.5);
+  both = unmoved;
+  parts = {{50}, {60, {4.2e6, 0, 0}}};
+  merge_parts(both, parts, origin);
+  CHECK(origin == Origin{2.1e6, 0, 0});
+  for (const ScenePart& part : parts) {
+    CHECK(part.position_rounding > 0.05);
+    CHECK(part.position_rounding <= 0.125);
+  }
+  both = unmoved;
+  parts = {{50, {1e9, 0, 0}}, {60, {1e9, 0, 0}}};
+  merge_parts(both, parts, origin);
+  CHECK(origin == Origin{1e9, 0, 0});
+  CHECK(both.mean == unmoved.mean);
 }
 
 TEST_CASE("a crop takes world coordinates, FP32 or not") {

@@ -75,8 +75,10 @@ struct SplatFile {
   /// its Gaussians.
   std::vector<std::string> unused = {};
   SplatCloud cloud;
-  Origin origin = kNoOrigin;  ///< of `cloud`, in `axes`; from an .rgs, a PLY of doubles (ply.hpp) or a far node of a
-                              ///< glb
+  Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, a PLY of doubles (ply.hpp) or a far node of a
+                                 ///< glb
+  double position_rounding = 0;  ///< largest rounding of a coordinate by reading, world units: of doubles, or of far
+                                 ///< nodes of a glb
 };
 
 /// `options` with the file's declarations: all, and the provenance, of an .rgs; axes, colours, anti-aliasing, low-pass

@@ -55,6 +55,8 @@ class PlyFile {
   /// the box of the 2nd to 98th percentile of up to 65536 Gaussians, rounded to a multiple of a power of two at least
   /// as large as the box; a scene around the world's origin thus gets 0.
   const Origin& origin() const;
+  /// Largest rounding of a coordinate in the rows read so far, world units; 0 if all coordinates are FP32 numbers.
+  double position_rounding() const;
   /// Makes further means relative to `origin`, for example that of another file; not thread-safe. |x| <= kMaxOrigin.
   void rebase(const Origin& origin);
   /// See MappedFile; for a file opened by path or descriptor.

@@ -53,7 +53,9 @@ class FarMove {
 
 /// Makes means relative to `to` instead of `from`, in FP64. Returns the largest rounding of a coordinate, world units;
 /// if both are equal, changes nothing and returns 0.
-double rebase_splats(SplatCloud& cloud, const Origin& from, const Origin& to);
+double rebase_means(std::span<float> means, const Origin& from, const Origin& to);
+/// The origin of scenes with these, merged: the middle of their box; kNoOrigin without any.
+Origin merged_origin(std::span<const Origin> origins);
 
 /// Converts the scene to other axes, mirrored ones too. Exact except for harmonics when axes are exchanged. Does
 /// nothing if `from` or `to` is undeclared.
@@ -66,9 +68,15 @@ void strip_sh(SplatCloud& cloud, int degree);
 
 /// Appends `other`; the result has the larger degree, missing harmonics are 0.
 void append_splats(SplatCloud& cloud, const SplatCloud& other);
-/// The same for scenes with origins: `cloud` keeps its own, or takes the other's if it has none. Returns
-/// rebase_splats()'s result.
-double append_splats(SplatCloud& cloud, Origin& origin, SplatCloud&& other, const Origin& other_origin);
+/// Gaussians that follow those of other parts in a cloud.
+struct ScenePart {
+  std::uint64_t n = 0;
+  Origin origin = kNoOrigin;
+  double position_rounding = 0;  ///< largest of a coordinate until now, world units
+};
+/// Makes the means of all parts relative to one `origin`, the merged_origin() of those that are not empty, and adds to
+/// their roundings.
+void merge_parts(SplatCloud& cloud, std::span<ScenePart> parts, Origin& origin);
 
 /// Keeps the Gaussians at `indices`, which ascend, and drops all others.
 void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices);
