@@ -40,6 +40,7 @@ struct Options {
   std::string photos;             ///< folder of undistorted photographs named like the cameras; may be empty
   tool::ImageSize size;           ///< of all views; 0: the cameras' own, 1280x720 without cameras
   int views = 8;                  ///< number of views without cameras
+  int worst = 4;                  ///< without cameras, further views: the worst ones of a search
   bool render = true;             ///< false: sizes and attributes only
   bool attribution = true;
   bool compare_scales = false;  ///< also compare one SH scale set for the file with one per chunk
@@ -219,6 +220,7 @@ struct AlsoReport {
 struct RenderReport {
   std::string backend;
   bool automatic_views = false;
+  std::size_t n_searched = 0;     ///< views among which the worst were chosen, whose names begin with "found"
   std::vector<ViewResult> views;  ///< rated ones first, worst PSNR first
   std::size_t n_rated = 0;
   double drawn = 0;  ///< ViewResult::drawn, mean over all views

@@ -191,6 +191,7 @@ Json json(const RenderReport& r) {
                            {"loss", optional(row.loss)}});
   Json out{{"backend", r.backend},
            {"automatic_views", r.automatic_views},
+           {"n_searched", r.n_searched},
            {"n_views", r.views.size()},
            {"n_rated", r.n_rated},
            {"drawn", r.drawn},

@@ -8,11 +8,13 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <numeric>
 #include <optional>
 #include <utility>
 
 #include "audit_picture.hpp"
 #include "audit_scenes.hpp"
+#include "audit_search.hpp"
 #include "rgs/image_metrics.hpp"
 #include "scene_file.hpp"
 
@@ -21,6 +23,7 @@ namespace {
 
 constexpr std::uint64_t kKeptBytes = std::uint64_t{512} << 20;  // pictures of the worst views
 constexpr std::size_t kKeptViews = 6;
+constexpr double kSearchSide = 160;  // pixels of a searched view, the longer side
 
 std::uint64_t picture_bytes(const Camera& camera) {
   return 2 * 3 * sizeof(float) * static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
@@ -71,11 +74,10 @@ struct Series {
 
 class PictureAudit {
  public:
-  PictureAudit(const RenderInputs& inputs, const Options& options, std::vector<AlsoReport>& also,
-               tool::Progress& progress)
-      : inputs_(inputs), options_(options), also_(also), progress_(progress) {}
+  PictureAudit(const RenderInputs& inputs, const Options& options, tool::Progress& progress)
+      : inputs_(inputs), options_(options), progress_(progress) {}
 
-  Outcome<RenderReport> run() {
+  Outcome<RenderReport> run(std::span<AlsoReport> also) {
     const auto start = std::chrono::steady_clock::now();
     RendererOptions how;
     how.backend = options_.backend;
@@ -85,23 +87,19 @@ class PictureAudit {
     renderer_.emplace(std::move(*renderer));
     report_.backend = renderer_->backend_name();
     report_.automatic_views = options_.cameras.empty();
-    plan_attribution();
     if (auto ok = load_source(); !ok) return tl::unexpected(ok.error());
     auto views = choose_views(options_, bounds_, up());
     if (!views) return tl::unexpected(views.error());
-    views_ = std::move(*views);
-    rated_.resize(views_.size());
-    progress_.begin("rendering", views_.size() * frames_per_view(), "frames");
-    for (std::size_t first = 0; first < views_.size();) {
-      std::size_t end = first;
-      for (std::uint64_t bytes = 0; end < views_.size(); ++end) {
-        bytes += (draws_levels() ? 2 : 1) * picture_bytes(views_[end].camera);
-        if (end > first && bytes > options_.picture_bytes) break;
-      }
-      if (auto ok = batch(first, end); !ok) return tl::unexpected(ok.error());
-      first = end;
+    if (report_.automatic_views && options_.worst > 0) {
+      auto found = search();
+      if (!found) return tl::unexpected(found.error());
+      views->insert(views->end(), found->begin(), found->end());
     }
-    progress_.finish();
+    views_ = std::move(*views);
+    also_ = also;
+    also_sums_.resize(also.size());
+    plan_attribution();
+    if (auto ok = draw("rendering"); !ok) return tl::unexpected(ok.error());
     summarise();
     report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
     return std::move(report_);
@@ -139,14 +137,15 @@ class PictureAudit {
 
   std::uint64_t frames_per_view() const {
     std::uint64_t n =
-        2 + (variants_.empty() ? 0 : variants_.size() - 1) + (draws_levels() ? 1 : 0) + (inputs_.has_levels ? 1 : 0);
+        2 + (variants_.empty() ? 0 : variants_.size() - 1) + (draws_levels() ? 1 : 0) + (has_levels() ? 1 : 0);
     for (const AlsoReport& a : also_)
       if (a.note.empty()) n += a.has_levels ? 2 : 1;
     return n;
   }
 
+  bool has_levels() const { return inputs_.levels != nullptr; }
   bool draws_levels() const {
-    return inputs_.has_levels || std::ranges::any_of(also_, [](const AlsoReport& a) { return a.has_levels; });
+    return has_levels() || std::ranges::any_of(also_, [](const AlsoReport& a) { return a.has_levels; });
   }
 
   glm::dvec3 up() const { return inputs_.declared ? declared_up(*inputs_.declared) : kWorldUp; }
@@ -155,8 +154,53 @@ class PictureAudit {
     auto source = source_scene(*inputs_.source);
     if (!source) return make_error(options_.source, source.error());
     scene_ = std::move(source->scene);
+    is_source_ = true;
     bounds_ = source->bounds;
     report_.n_undrawable = source->n_left_out;
+    return {};
+  }
+
+  // ---- views
+
+  // The worst of the searched views, compared in small pictures that draw the pages of large ones.
+  Outcome<std::vector<View>> search() {
+    const ViewFormat format = view_format(options_);
+    const std::span<const lod::Page> pages =
+        has_levels() ? std::span(inputs_.levels->pages()) : std::span<const lod::Page>();
+    const auto candidates = searched_views(bounds_, up(), format, pages);
+    const double scale = std::min(1.0, kSearchSide / std::max(format.width, format.height));
+    const auto small = [scale](int side) { return std::max(1, static_cast<int>(scale * side)); };
+    for (const Camera& c : candidates) views_.push_back({resized(c, small(format.width), small(format.height)), {}});
+    detail_px_ = kDefaultDetailPx * static_cast<float>(scale);
+    if (auto ok = draw("searching"); !ok) return tl::unexpected(ok.error());
+    const std::vector<ViewResult> results = std::exchange(report_.views, {});
+    report_.n_searched = results.size();
+    report_.pictures.clear();
+    detail_px_ = kDefaultDetailPx;
+    std::vector<std::size_t> order(results.size());
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    std::erase_if(order, [&](std::size_t i) { return !results[i].rated() || std::isinf(results[i].score.psnr); });
+    std::ranges::stable_sort(order, {}, [&](std::size_t i) { return results[i].score.psnr; });
+    order.resize(std::min(order.size(), static_cast<std::size_t>(options_.worst)));
+    std::vector<View> worst;
+    for (const std::size_t i : order) worst.push_back({candidates[i], {}});
+    return worst;
+  }
+
+  // Compares views_ into report_.views, in their order.
+  Done draw(const char* stage) {
+    rated_.assign(views_.size(), 0);
+    progress_.begin(stage, views_.size() * frames_per_view(), "frames");
+    for (std::size_t first = 0; first < views_.size();) {
+      std::size_t end = first;
+      for (std::uint64_t bytes = 0; end < views_.size(); ++end) {
+        bytes += (draws_levels() ? 2 : 1) * picture_bytes(views_[end].camera);
+        if (end > first && bytes > options_.picture_bytes) break;
+      }
+      if (auto ok = batch(first, end); !ok) return ok;
+      first = end;
+    }
+    progress_.finish();
     return {};
   }
 
@@ -164,7 +208,7 @@ class PictureAudit {
 
   Done batch(std::size_t first, std::size_t end) {
     const RenderOptions exact = reference_arithmetic(inputs_.declared);
-    if (first > 0)  // scene_ is what the batch before drew last
+    if (!is_source_)
       if (auto ok = load_source(); !ok) return ok;
     const RenderOptions as_source = inputs_.source_stated ? reference_arithmetic(inputs_.source_stated) : exact;
     references_.clear();
@@ -180,6 +224,7 @@ class PictureAudit {
       level_references_.push_back(std::move(*image));
     }
     scene_ = Scene();
+    is_source_ = false;
     if (auto ok = asset(first, end, exact); !ok) return ok;
     if (auto ok = mixtures(first, end, exact); !ok) return ok;
     for (AlsoReport& other : also_)
@@ -188,7 +233,7 @@ class PictureAudit {
   }
 
   Done asset(std::size_t first, std::size_t end, const RenderOptions& exact) {
-    if (inputs_.rgs != nullptr && !inputs_.has_levels) {
+    if (inputs_.rgs != nullptr && !has_levels()) {
       auto scene = Scene::load(*inputs_.rgs);
       if (!scene) return make_error(options_.asset, scene.error());
       scene_ = std::move(*scene);
@@ -202,8 +247,8 @@ class PictureAudit {
       auto image = render(i, exact, &drawn);
       if (!image) return tl::unexpected(image.error());
       std::optional<Picture> levels;
-      if (inputs_.has_levels) {
-        auto as_drawn = render(i, levels_arithmetic(kDefaultDetailPx), &levels_drawn);
+      if (has_levels()) {
+        auto as_drawn = render(i, levels_arithmetic(detail_px_), &levels_drawn);
         if (!as_drawn) return tl::unexpected(as_drawn.error());
         levels = std::move(*as_drawn);
       }
@@ -266,7 +311,7 @@ class PictureAudit {
       double most_lost = 0;
       for (const bool as_levels : {false, true}) {
         if (as_levels && !other.has_levels) continue;
-        const auto image = render(i, as_levels ? levels_arithmetic(kDefaultDetailPx) : exact);
+        const auto image = render(i, as_levels ? levels_arithmetic(detail_px_) : exact);
         if (!image) return tl::unexpected(image.error());
         const Picture& reference = (as_levels ? level_references_ : references_)[i - first];
         const auto score = compare(i, reference, *image);
@@ -540,10 +585,10 @@ class PictureAudit {
 
   const RenderInputs& inputs_;
   const Options& options_;
-  std::vector<AlsoReport>& also_;
   tool::Progress& progress_;
   std::optional<Renderer> renderer_;
-  Scene scene_;  // the one being rendered
+  Scene scene_;             // the one being rendered
+  bool is_source_ = false;  // scene_
   SceneBounds bounds_;
   std::vector<View> views_;
   std::vector<std::uint8_t> rated_;  // [views], of those drawn so far
@@ -552,7 +597,9 @@ class PictureAudit {
   std::vector<double> reference_drawn_;  // of the batch
   std::vector<float> alpha_;             // of the last frame
   std::vector<Series> variants_;
-  std::vector<AlsoSums> also_sums_ = std::vector<AlsoSums>(also_.size());
+  std::span<AlsoReport> also_;
+  std::vector<AlsoSums> also_sums_;  // [also_]
+  float detail_px_ = kDefaultDetailPx;
   RenderReport report_;
 };
 
@@ -583,7 +630,7 @@ double mean_psnr(std::span<const double> values) {
 
 Outcome<RenderReport> compare_pictures(const RenderInputs& inputs, const Options& options,
                                        std::vector<AlsoReport>& also, tool::Progress& progress) {
-  return PictureAudit(inputs, options, also, progress).run();
+  return PictureAudit(inputs, options, progress).run(also);
 }
 
 }  // namespace rgs::audit

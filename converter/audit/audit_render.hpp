@@ -10,6 +10,7 @@
 #include "audit_source.hpp"
 #include "audit_views.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/paged_file.hpp"
 
 namespace rgs::audit {
 
@@ -20,7 +21,7 @@ struct RenderInputs {
   const FileView* rgs = nullptr;
   const Source* other = nullptr;
   const Pairing* pairing = nullptr;
-  bool has_levels = false;  ///< of the asset's file; `rgs` is then its leaves
+  const PagedFile* levels = nullptr;  ///< the asset's file; `rgs` is then its leaves
   std::optional<Declarations> declared = {}, source_stated = {};
 };
 

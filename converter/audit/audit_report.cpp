@@ -322,9 +322,14 @@ class Page {
         r.level_psnr ? " Levels of detail are drawn twice, the leaves like a file without levels, and at the default "
                        "detail beside all of the original with equally compensated opacities: the worse drawing counts."
                      : "",
-        r.automatic_views ? " No cameras were given: these views lie on a circle around the scene, where no photograph "
-                            "may have been taken."
-                          : "");
+        !r.automatic_views ? ""
+        : r.n_searched == 0
+            ? " No cameras were given: these views lie on a circle around the scene, where no photograph "
+              "may have been taken."
+            : fmt::format(" No cameras were given: these views lie on a circle around the scene, or are "
+                          "the worst that were found among {} around, behind and inside it, where no "
+                          "photograph may have been taken.",
+                          r.n_searched));
     view_command(r);
     const bool photos = r.photo.has_value();
     const bool one_size = std::all_of(r.views.begin(), r.views.end(), [&](const ViewResult& v) {

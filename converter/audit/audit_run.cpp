@@ -180,8 +180,9 @@ bool Report::gate_holds() const {
 }
 
 Outcome<std::string> fingerprint(const Options& o) {
-  std::string text = fmt::format("{} {} {}x{} {} {} {} {} {} {}", kTool, o.split, o.size.width, o.size.height, o.views,
-                                 o.render, o.attribution, o.compare_scales, o.distances, static_cast<int>(o.backend));
+  std::string text =
+      fmt::format("{} {} {}x{} {} {} {} {} {} {} {}", kTool, o.split, o.size.width, o.size.height, o.views, o.worst,
+                  o.render, o.attribution, o.compare_scales, o.distances, static_cast<int>(o.backend));
   std::vector<std::string> inputs{o.source, o.asset, o.cameras, o.photos};
   inputs.insert(inputs.end(), o.also.begin(), o.also.end());
   for (const std::string& path : inputs) {
@@ -294,11 +295,13 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   }
   report.declared_differences = compare_declarations(*source, *report.declarations, rgs_asset);
   if (options.render) {
+    // A file draws what it draws: beside itself its levels lose nothing.
+    const bool is_same = report.source_xxh3 == report.asset_xxh3 && size.source_bytes == size.asset_bytes;
     const RenderInputs inputs{&*source,
                               rgs_asset ? &view : nullptr,
                               rgs_asset ? nullptr : &splats,
                               &pairing,
-                              size.levels.has_value(),
+                              asset->levels && !is_same ? &*asset->levels : nullptr,
                               report.declarations,
                               report.source_stated};
     auto rendered = compare_pictures(inputs, options, *also, progress);

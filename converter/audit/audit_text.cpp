@@ -77,7 +77,9 @@ class Text : private tool::TextLines {
   void pictures(const RenderReport& r) {
     const std::string views =
         fmt::format("{}{} views{}", r.n_rated == r.views.size() ? "" : fmt::format("{} of ", r.n_rated), r.views.size(),
-                    r.automatic_views ? " around the scene" : "");
+                    !r.automatic_views  ? ""
+                    : r.n_searched == 0 ? " around the scene"
+                                        : fmt::format(" around the scene and the worst of {}", r.n_searched));
     if (r.n_rated == 0) {
       line("  pictures    {} show the scene", views);
     } else {

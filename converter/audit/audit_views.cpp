@@ -71,12 +71,16 @@ Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& o
 
 }  // namespace
 
+ViewFormat view_format(const Options& options) {
+  ViewFormat format;
+  if (options.size.width > 0) format.width = options.size.width, format.height = options.size.height;
+  return format;
+}
+
 Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const glm::dvec3& up) {
   std::vector<Camera> cameras;
   if (options.cameras.empty()) {
-    ViewFormat format;
-    if (options.size.width > 0) format.width = options.size.width, format.height = options.size.height;
-    cameras = orbit(bounds, options.views, format, up);
+    cameras = orbit(bounds, options.views, view_format(options), up);
     for (std::size_t i = 0; i < cameras.size(); ++i)
       cameras[i].name = fmt::format("orbit {:.0f} degrees", 360.0 * static_cast<double>(i) / options.views);
   } else {

@@ -16,6 +16,9 @@ struct View {
   std::string photo;  ///< file; empty without photographs
 };
 
+/// Of views without cameras.
+ViewFormat view_format(const Options& options);
+
 /// The requested views: cameras of the file at their own size or options.size, or options.views automatic ones around
 /// `bounds`. With options.photos every view has a photograph of the camera's size.
 /// Errors: those of read_camera_set(); bad_argument (no camera of the split; photographs that are missing or of another

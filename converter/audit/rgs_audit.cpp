@@ -300,6 +300,12 @@ void add_options(CLI::App& app, Arguments& a) {
       ->capture_default_str()
       ->excludes("--cameras")
       ->group(views);
+  app.add_option("--worst", o.worst,
+                 "And the N worst views of a search behind, below and inside it and where levels switch; 0: no search")
+      ->check(CLI::Range(0, 1000))
+      ->capture_default_str()
+      ->excludes("--cameras")
+      ->group(views);
   app.add_flag("--no-render", a.no_render, "Compare sizes and attributes only")->group(views);
   app.add_flag("--no-attribution", a.no_attribution, "Do not attribute the loss to steps")->group(views);
   app.add_flag("--no-distances", a.no_distances, "Do not compare levels of detail from ever farther away")

@@ -133,7 +133,7 @@ def audit(src: Path, asset: Path, *, cameras: Cameras = None, fail_below: Union[
     Parameters
     ----------
     cameras : path, or cameras, optional
-        Views to compare; by default eight on a circle around the scene.
+        Views to compare; by default eight on a circle around the scene, and the four worst of a search.
     fail_below : dict or str
         Conditions: ``{"psnr": 50, "loss": 0.03}``. One that fails raises :class:`QualityError`, whose `report` is the
         audit.

@@ -165,6 +165,12 @@ TEST_CASE("garbage above the leaves that is drawn from afar alone fails gate and
   CHECK(scene().run(scene().levels, {"--no-attribution", "--fail-below", "ratio=0.01"}).exit_code == 0);
 }
 
+TEST_CASE("a file with levels audited against itself is identical") {
+  const ProgramResult run = run_audit({scene().levels, scene().levels, "--cameras", scene().cameras, "--quiet",
+                                       "--json", "-", "--no-attribution", "--backend", "cpu"});
+  CHECK(json::parse(run.out)["verdict"]["grade"] == "identical");
+}
+
 TEST_CASE("the leaves of a file with levels are audited like the Gaussians of a file without") {
   const json plain = scene().result(scene().plain), levels = scene().result(scene().levels);
   CHECK(levels["rendered"]["level_psnr"]["leaves"] == plain["rendered"]["psnr"]);

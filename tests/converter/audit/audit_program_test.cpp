@@ -344,12 +344,12 @@ TEST_CASE("a far scene is audited as it would be near the world's origin") {
 
 TEST_CASE("views without cameras, other sizes and splits") {
   const SceneFolder scene;
-  const ProgramResult run = run_audit(
-      {scene.ply, scene.rgs, "--views", "2", "--size", "64x48", "--json", "-", "--no-attribution", "--quiet"});
+  const ProgramResult run = run_audit({scene.ply, scene.rgs, "--views", "2", "--worst", "1", "--size", "64x48",
+                                       "--json", "-", "--no-attribution", "--quiet"});
   REQUIRE(run.exit_code == 0);
   const json j = json::parse(run.out);
   CHECK(j["rendered"]["automatic_views"] == true);
-  REQUIRE(j["rendered"]["views"].size() == 2);
+  REQUIRE(j["rendered"]["views"].size() == 2 + 1);
   CHECK(j["rendered"]["views"][0]["width"] == 64);
   CHECK(run_audit({scene.ply, scene.rgs, "--cameras", scene.cameras, "--split", "train"}).exit_code == 2);
 }
