@@ -5,6 +5,7 @@ import html
 import json
 import os
 import sys
+import tempfile
 import urllib.parse
 
 from scene_folder import SceneFolder
@@ -108,9 +109,11 @@ def page(rows):
 
 
 def replace(path, text):
-    with open(path + ".new", "w", encoding="utf-8") as file:
-        file.write(text)
-    os.replace(path + ".new", path)
+    with tempfile.TemporaryDirectory(prefix=".", dir=os.path.dirname(path)) as folder:
+        new = os.path.join(folder, "new")
+        with open(new, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(new, path)
 
 
 def write(out, folder):
