@@ -44,6 +44,7 @@ struct Options {
   bool render = true;             ///< false: sizes and attributes only
   bool attribution = true;
   bool compare_scales = false;  ///< also compare one SH scale set for the file with one per chunk
+  bool depth = false;           ///< also compare depths
   bool distances = true;        ///< of a file with levels of detail: quality from afar
   Backend backend = Backend::automatic;
   int threads = 0;
@@ -151,7 +152,17 @@ struct AttributeReport {
 /// of two such pictures differ by more than over one of these.
 struct Picture {
   Image black, white;
+  Image depth = {};  ///< expected depth; empty unless asked for
   const Image& over(bool over_white) const { return over_white ? white : black; }
+};
+
+/// Depths are compared where the alphas of source and asset are both at least this: the expected depth of less is that of
+/// the little that is drawn.
+inline constexpr float kDepthAlpha = 0.5F;
+/// Errors over the source's depth, of the pixels that are compared.
+struct DepthScore {
+  double error = 0, largest = 0;  ///< the mean and the largest
+  double compared = 0;            ///< share of all pixels
 };
 
 /// Differences are those over the background that shows more, chosen for each channel of each pixel; SSIM is the lower
@@ -161,6 +172,7 @@ struct Score {
   float largest = 0;
   int x = 0, y = 0;         ///< of the largest difference
   bool over_white = false;  ///< white alone shows more than black alone
+  std::optional<DepthScore> depth{};
 };
 
 struct PhotoScore {
@@ -231,6 +243,7 @@ struct RenderReport {
   float largest = std::numeric_limits<float>::quiet_NaN();
   std::optional<double> loss;       ///< mean over the views, dB
   std::optional<PhotoScore> photo;  ///< means over the views
+  std::optional<DepthScore> depth;  ///< of the view with the largest mean error
   std::optional<LevelPsnr> level_psnr;
   std::vector<AttributionRow> attribution;
   std::string attribution_note;          ///< why it is missing, or what it excludes

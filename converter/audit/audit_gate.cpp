@@ -18,7 +18,7 @@ namespace rgs::audit {
 namespace {
 
 using Needs = ConditionKind::Needs;
-constexpr std::array<ConditionKind, 24> kKinds{{
+constexpr std::array<ConditionKind, 25> kKinds{{
     {"psnr", "mean PSNR of the views, dB", true, Needs::pictures},
     {"worst-psnr", "PSNR of the worst view, dB", true, Needs::pictures},
     {"ssim", "mean SSIM of the views", true, Needs::pictures},
@@ -27,6 +27,7 @@ constexpr std::array<ConditionKind, 24> kKinds{{
     {"largest", "largest difference of any pixel, 8-bit levels", false, Needs::pictures},
     {"rated-views", "views that show enough of the scene to be rated", true, Needs::pictures},
     {"loss", "PSNR lost against the photographs, dB", false, Needs::photos},
+    {"depth", "mean error of the depths of the worst view, over the source's", false, Needs::depth},
     {"ratio", "size of the source over the asset's", true, Needs::nothing},
     {"bytes-per-gaussian", "of the asset's file", false, Needs::nothing},
     {"gpu-bytes-per-gaussian", "resident on the GPU", false, Needs::nothing},
@@ -79,6 +80,7 @@ double found_value(const std::string& name, const Report& report) {
   if (name == "worst-ssim") return r.worst_ssim;
   if (name == "largest") return 255 * static_cast<double>(r.largest);
   if (name == "loss") return r.loss.value_or(kNone);
+  if (name == "depth") return r.depth ? r.depth->error : kNone;
   for (const AttributionRow& row : r.attribution)
     if (name == "together-psnr" && row.key == "together")
       return r.level_psnr ? std::min(row.psnr, r.level_psnr->levels) : row.psnr;
@@ -174,6 +176,7 @@ std::string unmeasurable(std::span<const Condition> conditions, const Options& o
       return "the condition '" + c.name + "' needs pictures; drop --no-render";
     if (needs == Needs::attribution && !options.attribution)
       return "the condition '" + c.name + "' needs the attribution; drop --no-attribution";
+    if (needs == Needs::depth && !options.depth) return "the condition '" + c.name + "' needs --depth";
     if (needs == Needs::distances && !options.distances)
       return "the condition '" + c.name + "' needs the levels of detail; drop --no-distances";
   }
@@ -265,6 +268,10 @@ Verdict verdict(const Report& report) {
     out.hardly_seen = out.grade != Verdict::Grade::unrated &&
                       (2 * n_blind > r.views.size() || report.seen_share() < kHardlySeenShare);
     if (out.hardly_seen) out.finding += ", but the cameras hardly see the scene";
+    if (r.depth)
+      out.detail += fmt::format(
+          " Depths differ by {:.2g} % on average in the worst view, where both draw at least half of a pixel.",
+          100 * r.depth->error);
     if (r.loss && *r.loss > 0.0005) {
       out.detail += fmt::format(" Against the photographs {:.3f} dB are lost.", *r.loss);
     } else if (r.loss) {

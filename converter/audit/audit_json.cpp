@@ -160,6 +160,10 @@ Json json(const PhotoScore& p) {
           {"asset_ssim", p.asset_ssim}};
 }
 
+Json json(const DepthScore& d) {
+  return {{"error", d.error}, {"largest", d.largest}, {"compared", d.compared}};
+}
+
 Json json(const RenderReport& r) {
   Json views = Json::array(), attribution = Json::array();
   for (const ViewResult& v : r.views) {
@@ -175,6 +179,7 @@ Json json(const RenderReport& r) {
       view["ssim"] = v.score.ssim;
       view["largest"] = {{"difference", v.score.largest}, {"x", v.score.x}, {"y", v.score.y}};
       view["background"] = v.score.over_white ? "white" : "black";
+      if (v.score.depth) view["depth"] = json(*v.score.depth);
     }
     for (const auto& [name, score] : {std::pair("leaves", &v.leaves), std::pair("levels", &v.levels)})
       if (*score)
@@ -207,6 +212,7 @@ Json json(const RenderReport& r) {
   }
   if (r.level_psnr)
     out["level_psnr"] = {{"leaves", number(r.level_psnr->leaves)}, {"levels", number(r.level_psnr->levels)}};
+  if (r.depth) out["depth"] = json(*r.depth);
   out["photos"] = r.photo ? json(*r.photo) : Json();
   out["n_undrawable"] = r.n_undrawable;
   out["attribution"] = std::move(attribution);

@@ -116,6 +116,26 @@ Result<double> ssim(const Picture& a, const Picture& b) {
   return black && (!white || *white < *black) ? white : black;
 }
 
+std::optional<DepthScore> depth_difference(const Picture& source, const Picture& asset) {
+  DepthScore score;
+  std::uint64_t n = 0;
+  const auto is_solid = [](const Picture& p, std::size_t pixel) {
+    return 1 - (p.white.pixels[3 * pixel] - p.black.pixels[3 * pixel]) >= kDepthAlpha;
+  };
+  for (std::size_t i = 0; i < source.depth.pixels.size(); ++i) {
+    if (!is_solid(source, i) || !is_solid(asset, i)) continue;
+    const auto before = static_cast<double>(source.depth.pixels[i]), after = static_cast<double>(asset.depth.pixels[i]);
+    const double error = std::abs(after - before) / before;
+    score.error += error;
+    score.largest = std::max(score.largest, error);
+    ++n;
+  }
+  if (n == 0) return std::nullopt;
+  score.error /= static_cast<double>(n);
+  score.compared = static_cast<double>(n) / static_cast<double>(source.depth.pixels.size());
+  return score;
+}
+
 bool shows_more_over_white(const Picture& a, const Picture& b) {
   const auto black = rgs::difference(a.black, b.black), white = rgs::difference(a.white, b.white);
   return black && white && white->mse > black->mse;

@@ -26,7 +26,7 @@ constexpr std::size_t kKeptViews = 6;
 constexpr double kSearchSide = 160;  // pixels of a searched view, the longer side
 
 std::uint64_t picture_bytes(const Camera& camera) {
-  return 2 * 3 * sizeof(float) * static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
+  return 7 * sizeof(float) * static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
 }
 
 RenderOptions with_key(RenderOptions options) {
@@ -336,11 +336,16 @@ class PictureAudit {
     const Camera& camera = views_[view].camera;
     Image image = Image::make(camera.width, camera.height, 3);
     alpha_.resize(image.pixels.size() / 3);
-    const auto stats = renderer_->render(scene_, camera, {.rgb = image.pixels, .alpha = alpha_}, how);
+    Image depth;
+    if (options_.depth) depth = Image::make(camera.width, camera.height, 1);
+    const auto stats =
+        renderer_->render(scene_, camera, {.rgb = image.pixels, .alpha = alpha_, .depth = depth.pixels}, how);
     if (!stats) return make_error("view " + camera.name, stats.error());
     if (drawn != nullptr) *drawn = drawn_share(alpha_);
     progress_.advance(1);
-    return over_backgrounds(std::move(image), alpha_);
+    Picture picture = over_backgrounds(std::move(image), alpha_);
+    picture.depth = std::move(depth);
+    return picture;
   }
 
   // Whether the view is rated; if not, its variants are skipped.
@@ -387,7 +392,12 @@ class PictureAudit {
                  d->largest,
                  pixel % camera.width,
                  pixel / camera.width,
-                 shows_more_over_white(reference, image)};
+                 shows_more_over_white(reference, image),
+                 depth_difference(reference, image)};
+  }
+
+  static bool less_wrong(const std::optional<DepthScore>& a, const std::optional<DepthScore>& b) {
+    return b && (!a || a->error < b->error);
   }
 
   static Score worse_of(const Score& a, const Score& b) {
@@ -395,6 +405,7 @@ class PictureAudit {
     const Score& spot = a.largest >= b.largest ? a : b;
     out.ssim = std::min(a.ssim, b.ssim);
     out.largest = spot.largest, out.x = spot.x, out.y = spot.y;
+    out.depth = less_wrong(a.depth, b.depth) ? b.depth : a.depth;
     return out;
   }
 
@@ -541,6 +552,7 @@ class PictureAudit {
       report_.worst_psnr = std::min(report_.worst_psnr, v.score.psnr);
       report_.worst_ssim = std::min(report_.worst_ssim, v.score.ssim);
       report_.largest = std::max(report_.largest, v.score.largest);
+      if (less_wrong(report_.depth, v.score.depth)) report_.depth = v.score.depth;
       if (!v.photo) continue;
       photo.source_psnr += v.photo->source_psnr / n;
       photo.asset_psnr += v.photo->asset_psnr / n;

@@ -181,8 +181,8 @@ bool Report::gate_holds() const {
 
 Outcome<std::string> fingerprint(const Options& o) {
   std::string text =
-      fmt::format("{} {} {}x{} {} {} {} {} {} {} {}", kTool, o.split, o.size.width, o.size.height, o.views, o.worst,
-                  o.render, o.attribution, o.compare_scales, o.distances, static_cast<int>(o.backend));
+      fmt::format("{} {} {}x{} {} {} {} {} {} {} {} {}", kTool, o.split, o.size.width, o.size.height, o.views, o.worst,
+                  o.render, o.depth, o.attribution, o.compare_scales, o.distances, static_cast<int>(o.backend));
   std::vector<std::string> inputs{o.source, o.asset, o.cameras, o.photos};
   inputs.insert(inputs.end(), o.also.begin(), o.also.end());
   for (const std::string& path : inputs) {

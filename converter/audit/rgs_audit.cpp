@@ -306,6 +306,8 @@ void add_options(CLI::App& app, Arguments& a) {
       ->capture_default_str()
       ->excludes("--cameras")
       ->group(views);
+  app.add_flag("--depth", o.depth, "Also compare expected depths, where both draw at least half of a pixel")
+      ->group(views);
   app.add_flag("--no-render", a.no_render, "Compare sizes and attributes only")->group(views);
   app.add_flag("--no-attribution", a.no_attribution, "Do not attribute the loss to steps")->group(views);
   app.add_flag("--no-distances", a.no_distances, "Do not compare levels of detail from ever farther away")

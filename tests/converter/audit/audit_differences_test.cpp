@@ -227,6 +227,37 @@ TEST_CASE("a file audited against itself is identical, in pictures and attribute
   }
 }
 
+TEST_CASE("what is drawn alike at other depths differs when depths are compared") {
+  const SceneFolder scene;
+  const std::string camera = write_cameras(scene.file("one.json"), 1);
+  // Twice as far from the camera and twice as large: the same picture.
+  SplatCloud moved = scene.cloud;
+  for (std::uint64_t i = 0; i < moved.size(); ++i) {
+    Splat s = moved.view().splat(i);
+    for (float& x : s.mean) x *= 2;
+    s.mean[2] += 2.5F;
+    for (float& x : s.log_scale) x += std::log(2.0F);
+    moved.set(i, s);
+  }
+  const std::string far = write_ply(scene.file("far.ply"), moved);
+  const auto audit = [&](const std::string& asset, const char* conditions, int exit_code) {
+    return audited({scene.ply, asset, "--cameras", camera, "--backend", "cpu", "--depth", "--fail-below", conditions},
+                   exit_code);
+  };
+  CHECK(audit(scene.ply, "depth=0", 0)["rendered"]["depth"]["error"] == 0);
+  audit(far, "psnr=60", 0);
+  const json found = audit(far, "psnr=60,depth=0.1", 5)["rendered"];
+  CHECK(found["depth"]["error"].get<double>() == doctest::Approx(1).epsilon(1e-3));
+  CHECK(found["depth"]["compared"].get<double>() > 0.5);
+  CHECK(found["views"][0]["depth"] == found["depth"]);
+  // Where little is drawn nothing is compared, and the gate says so.
+  for (float& x : moved.opacity_logit) x = -6;
+  const std::string thin = write_ply(scene.file("thin.ply"), moved);
+  const json none = audit(thin, "depth=10", 5);
+  CHECK(none["gate"]["conditions"][0]["measured"] == false);
+  CHECK(run_audit({scene.ply, far, "--fail-below", "depth=1"}).exit_code == 2);
+}
+
 TEST_CASE("a linear asset of an sRGB source fails every gate that does not allow it") {
   const SceneFolder scene;
   EncodeOptions linear;
