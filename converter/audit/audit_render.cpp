@@ -183,6 +183,7 @@ class PictureAudit {
     std::ranges::stable_sort(order, {}, [&](std::size_t i) { return results[i].score.psnr; });
     order.resize(std::min(order.size(), static_cast<std::size_t>(options_.worst)));
     std::vector<View> worst;
+    worst.reserve(order.size());
     for (const std::size_t i : order) worst.push_back({candidates[i], {}});
     return worst;
   }
