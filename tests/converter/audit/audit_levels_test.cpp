@@ -8,7 +8,6 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
-#include <numeric>
 #include <string>
 #include <vector>
 
@@ -16,8 +15,6 @@
 #include "audit_program_fixture.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/image_metrics.hpp"
-#include "rgs/levels_writer.hpp"
-#include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
 #include "skip.hpp"
 
@@ -111,29 +108,19 @@ RenderOptions reference() {
 /// The file with levels with noise for the colours and opacities of all pages but the leaves, whose errors are
 /// multiplied by `error`, written anew with sound hashes.
 std::string with_garbage_above_leaves(const std::string& path, float error) {
-  const auto mapped = MappedFile::open(scene().levels);
-  REQUIRE(mapped);
-  const auto file = PagedFile::open(mapped->bytes());
-  REQUIRE(file);
-  std::vector<std::uint32_t> all(file->n_pages());
-  std::iota(all.begin(), all.end(), 0U);
-  lod::Levels levels{read_pages(*file, all).value(), file->pages(), file->quality_db()};
-  SplitMix random(3);
-  for (lod::Page& page : levels.pages) {
-    if (page.level == 0) continue;
-    page.error *= error;
-    for (std::uint64_t i = page.first; i < page.first + page.count; ++i) {
-      Splat splat = levels.splats.view().splat(i);
-      for (float& x : splat.sh) x = random.dyadic(-3, 3);
-      splat.opacity_logit = random.dyadic(-3, 4);
-      levels.splats.set(i, splat);
+  return with_changed_levels(scene().levels, path, [error](lod::Levels& levels) {
+    SplitMix random(3);
+    for (lod::Page& page : levels.pages) {
+      if (page.level == 0) continue;
+      page.error *= error;
+      for (std::uint64_t i = page.first; i < page.first + page.count; ++i) {
+        Splat splat = levels.splats.view().splat(i);
+        for (float& x : splat.sh) x = random.dyadic(-3, 3);
+        splat.opacity_logit = random.dyadic(-3, 4);
+        levels.splats.set(i, splat);
+      }
     }
-  }
-  EncodeOptions options;
-  options.order = Order::input;
-  std::vector<std::byte> bytes;
-  REQUIRE(write_levels(levels, options, bytes));
-  return write_bytes(path, bytes);
+  });
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 
 #include <cmath>
 #include <fstream>
+#include <numeric>
 #include <span>
 #include <string>
 #include <vector>
@@ -13,6 +14,8 @@
 #include "golden_scenes.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/file.hpp"
+#include "rgs/levels_writer.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/ply.hpp"
 #include "text_file.hpp"
 
@@ -51,6 +54,23 @@ inline std::string write_bytes(const std::string& path, std::span<const std::byt
   std::ofstream(path, std::ios::binary)
       .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
   return path;
+}
+/// Writes the file with levels at `from` to `to` after change(levels), with sound hashes.
+template <class Change>
+std::string with_changed_levels(const std::string& from, const std::string& to, const Change& change) {
+  const auto mapped = MappedFile::open(from);
+  REQUIRE(mapped);
+  const auto file = PagedFile::open(mapped->bytes());
+  REQUIRE(file);
+  std::vector<std::uint32_t> all(file->n_pages());
+  std::iota(all.begin(), all.end(), 0U);
+  lod::Levels levels{read_pages(*file, all).value(), file->pages(), file->quality_db()};
+  change(levels);
+  EncodeOptions options;
+  options.order = Order::input;
+  std::vector<std::byte> bytes;
+  REQUIRE(write_levels(levels, options, bytes));
+  return write_bytes(to, bytes);
 }
 
 inline std::string write_rgs(const std::string& path, const SplatCloud& cloud, const EncodeOptions& options = {}) {

@@ -5,13 +5,10 @@
 #include <cmath>
 #include <cstdint>
 #include <nlohmann/json.hpp>
-#include <numeric>
 #include <string>
 #include <vector>
 
 #include "audit_program_fixture.hpp"
-#include "rgs/levels_writer.hpp"
-#include "rgs/paged_file.hpp"
 
 using nlohmann::json;
 using namespace rgs;
@@ -105,27 +102,18 @@ TEST_CASE("levels that are bad where they switch alone are found there") {
   for (float& s : cloud.log_scale) s -= 1.5F;
   const std::string source = write_ply(folder.file("scene.ply"), cloud), good = folder.file("good.rgs");
   REQUIRE(run_program({RGS_CONVERT, "--quiet", "--no-sync", source, good, "--lod"}).exit_code == 0);
-  const auto mapped = MappedFile::open(good);
-  REQUIRE(mapped);
-  const auto file = PagedFile::open(mapped->bytes());
-  REQUIRE(file);
-  std::vector<std::uint32_t> all(file->n_pages());
-  std::iota(all.begin(), all.end(), 0U);
-  lod::Levels levels{read_pages(*file, all).value(), file->pages(), file->quality_db()};
-  REQUIRE(levels.pages.front().level == 2);
-  // Level 1 is drawn in a narrow range of distances, and is black there.
-  for (lod::Page& page : levels.pages) {
-    if (page.level != 1) continue;
-    page.error = 0.9F * levels.pages.front().error;
-    for (std::uint64_t i = page.first; i < page.first + page.count; ++i) {
-      Splat splat = levels.splats.view().splat(i);
-      for (float& x : splat.sh) x = -3;
-      levels.splats.set(i, splat);
+  const std::string bad = with_changed_levels(good, folder.file("bad.rgs"), [](lod::Levels& levels) {
+    REQUIRE(levels.pages.front().level == 2);
+    // Level 1 is drawn in a narrow range of distances, and is black there.
+    for (lod::Page& page : levels.pages) {
+      if (page.level != 1) continue;
+      page.error = 0.9F * levels.pages.front().error;
+      for (std::uint64_t i = page.first; i < page.first + page.count; ++i) {
+        Splat splat = levels.splats.view().splat(i);
+        for (float& x : splat.sh) x = -3;
+        levels.splats.set(i, splat);
+      }
     }
-  }
-  EncodeOptions options;
-  options.order = Order::input;
-  std::vector<std::byte> bytes;
-  REQUIRE(write_levels(levels, options, bytes));
-  check_found(source, write_bytes(folder.file("bad.rgs"), bytes), "found where level 1 begins", {"--no-distances"});
+  });
+  check_found(source, bad, "found where level 1 begins", {"--no-distances"});
 }
