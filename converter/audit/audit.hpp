@@ -338,6 +338,7 @@ struct Report {
   /// The source's, if its anti-aliasing or low-pass is not the default: it is drawn with them.
   std::optional<Declarations> source_stated;
   std::vector<DeclaredDifference> declared_differences = {};
+  double source_rounding = 0;  ///< largest of a coordinate by reading the source in FP32, world units
   SizeReport size;
   PairReport pairs;
   std::optional<AttributeReport> attributes;  ///< of an .rgs asset
@@ -364,7 +365,7 @@ struct Verdict {
 };
 Verdict verdict(const Report& report);
 
-/// Sentences that limit the verdict: views that are unrated or hardly see the scene.
+/// Sentences that limit the verdict: a source that FP32 cannot hold, views that are unrated or hardly see the scene.
 std::vector<std::string> warnings(const Report& report);
 
 /// Hash of this program's version, the contents of all inputs and every option that changes a measurement; an equal

@@ -303,6 +303,11 @@ Verdict verdict(const Report& report) {
 
 std::vector<std::string> warnings(const Report& report) {
   std::vector<std::string> out;
+  const float metres = report.declarations ? report.declarations->metres_per_unit : 0;
+  if (report.source_rounding * (metres > 0 ? static_cast<double>(metres) : 1) > 1e-3)
+    out.push_back(fmt::format(
+        "FP32 rounds the source's positions by up to {:.3g} world units; the asset is compared with the rounded ones.",
+        report.source_rounding));
   if (!report.render || report.render->views.empty()) return out;
   const RenderReport& r = *report.render;
   const std::size_t n_views = r.views.size();

@@ -293,6 +293,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     if (!paired) return make_error(options.asset, paired.error());
     report.pairs = paired->report(source->size());
   }
+  report.source_rounding = source->position_rounding();
   report.declared_differences = compare_declarations(*source, *report.declarations, rgs_asset);
   if (options.render) {
     // A file draws what it draws: beside itself its levels lose nothing.

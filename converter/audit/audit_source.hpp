@@ -31,6 +31,8 @@ class Source {
   SplatFormat format() const { return ply_ != nullptr ? SplatFormat::ply : file_->format; }
   /// The file's declarations; axes and origin are those of the Gaussians.
   const Declarations& declarations() const { return ply_ != nullptr ? ply_->declarations() : stated_; }
+  /// Largest rounding of a coordinate in what was read so far, world units.
+  double position_rounding() const { return ply_ != nullptr ? ply_->position_rounding() : file_->position_rounding; }
   const Origin& origin() const { return ply_ != nullptr ? ply_->origin() : file_->origin; }
   /// Of an .rgs whose axes were kept: the file and its limits, for drawing its values as stored. Its Gaussians here went
   /// through logarithms, which round.

@@ -342,6 +342,17 @@ TEST_CASE("a far scene is audited as it would be near the world's origin") {
   CHECK(around["rendered"]["psnr"].get<double>() < 90);  // null if both were empty
 }
 
+TEST_CASE("an audit warns that FP32 rounds the source's positions as it does the asset's") {
+  const SceneFolder scene;
+  SplatCloud apart = scene.cloud;
+  for (std::uint64_t i = 0; i < apart.size(); ++i) apart.mean[3 * i] += i % 2 == 0 ? 6.4e6F : -6.4e6F;
+  const std::string ply = write_ply(scene.file("apart.ply"), apart, {0.1, 0, 0}), rgs = scene.file("apart.rgs");
+  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", "--allow-rounding", ply, rgs}).exit_code == 0);
+  const ProgramResult run = run_audit({ply, rgs, "--no-render", "--json", "-", "--quiet"});
+  REQUIRE(run.exit_code == 0);
+  CHECK(json::parse(run.out)["warnings"].dump().find("positions by up to 0.1 world units") != std::string::npos);
+}
+
 TEST_CASE("views without cameras, other sizes and splits") {
   const SceneFolder scene;
   const ProgramResult run = run_audit({scene.ply, scene.rgs, "--views", "2", "--worst", "1", "--size", "64x48",
