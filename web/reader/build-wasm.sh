@@ -26,7 +26,7 @@ done
 portable=$(sed -nE '/^set\(RGS_FORMAT_PORTABLE/,/^\)/s/^ +(src.*\.cpp)$/\1/p' "$root/format/CMakeLists.txt")
 stand_ins=$(sed -nE 's/^set\(RGS_FORMAT_STAND_INS (.*)\)$/\1/p' "$root/format/CMakeLists.txt")
 # The package's size is limited: these need not be fast, so they are compiled for size.
-small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/open.cpp src/file/validate.cpp \
+small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/open.cpp src/file/subject_box.cpp src/file/validate.cpp \
 src/levels/page.cpp src/levels/page_table.cpp src/levels/paged_file.cpp "
 decoder="common/debug common/entropy_common common/error_private common/fse_decompress common/xxhash common/zstd_common
   decompress/huf_decompress decompress/zstd_ddict decompress/zstd_decompress_block decompress/zstd_decompress"

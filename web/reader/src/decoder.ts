@@ -1,6 +1,7 @@
 // decoder.ts - decodes one .rgs file in one instance of rgs.wasm, synchronously, in a worker.
 // SPDX-License-Identifier: Apache-2.0
 import { RgsError, type RgsErrorCode } from "./errors.js";
+import type { Box, Vector3 } from "./head.js";
 
 /** Decoded Gaussians, structure of arrays. */
 export interface Gaussians {
@@ -82,6 +83,8 @@ interface Exports {
   rgs_open_early(file: number, address: number, bytes: number): number;
   rgs_next_early(file: number, nChunks: number): number;
   rgs_finish_early(file: number): number;
+  rgs_subject_box(file: number): void;
+  rgs_subject_box_of(means: number, opacities: number, n: number): void;
   rgs_source_index(file: number): number;
 }
 
@@ -325,6 +328,26 @@ export class Decoder {
   /** Checks such a file as a whole, after all its chunks. */
   finishEarly(): void {
     this.check(() => this.wasm.rgs_finish_early(this.file));
+  }
+
+  /** Of a file with levels of detail, of one that is read early, or of a whole one. */
+  subjectBox(): Box {
+    this.run(() => this.wasm.rgs_subject_box(this.file));
+    return this.box();
+  }
+
+  subjectBoxOf(means: Float32Array, opacities: Float32Array): Box {
+    this.run(() => {
+      const [at, weights] = [means, opacities].map((array) => this.put(new Uint8Array(array.buffer, array.byteOffset, array.byteLength))) as [number, number];
+      this.wasm.rgs_subject_box_of(at, weights, opacities.length);
+      for (const address of [at, weights]) this.wasm.rgs_free(address);
+    });
+    return this.box();
+  }
+
+  private box(): Box {
+    const [a, b, c, d, e, f] = this.numbers() as unknown as [...Vector3, ...Vector3];
+    return { min: [a, b, c], max: [d, e, f] };
   }
 
   /** Positions in the source, null if the file keeps none. */

@@ -2,7 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 import { type TransferListItem, Worker } from "node:worker_threads";
 import type { Port } from "./client.js";
-import { type OpenOptions, openWith, type RgsFile, type Source } from "./reader.js";
+import type { Box } from "./head.js";
+import { type OpenOptions, openWith, type RgsFile, type Source, subjectBoxWith } from "./reader.js";
 import type { Answer } from "./service.js";
 export * from "./index.js";
 
@@ -24,4 +25,9 @@ function startWorker(): Port {
 /** Opens an .rgs file. Rejects with an RgsError, or with the reason of `options.signal`. */
 export function open(source: Source, options: OpenOptions = {}): Promise<RgsFile> {
   return openWith(startWorker, source, options);
+}
+
+/** RgsFile.subjectBox of Gaussians that come from elsewhere: `means` [n, 3], `opacities` [n]. */
+export function subjectBox(means: Float32Array, opacities: Float32Array, options: Pick<OpenOptions, "wasm"> = {}): Promise<Box> {
+  return subjectBoxWith(startWorker, means, opacities, options);
 }

@@ -3,7 +3,7 @@
 import { Client, type Port } from "./client.js";
 import type { Gaussians, Groups, Limits, Range, StoredGaussians } from "./decoder.js";
 import { RgsError } from "./errors.js";
-import { type Declarations, type Head, type Header, Levels, parseHead, type Provenance, type Section } from "./head.js";
+import { type Box, type Declarations, type Head, type Header, Levels, parseHead, type Provenance, type Section } from "./head.js";
 import { BlobSource, MemorySource, type RangeSource, UrlSource, type UrlOptions } from "./source.js";
 
 export type Source = ArrayBuffer | ArrayBufferView | Blob | URL | string | RangeSource;
@@ -55,6 +55,7 @@ export class RgsFile {
   /** Actual bytes of the file; may be fewer than its header says. */
   readonly fileBytes: number;
   private last: Promise<unknown> = Promise.resolve();
+  private subject: Box | null;
 
   /** @internal */
   constructor(
@@ -63,7 +64,9 @@ export class RgsFile {
     head: Head,
     levels: Levels | null,
     fileBytes: number,
+    subject: Box | null,
   ) {
+    this.subject = subject;
     this.fileBytes = fileBytes < 0 ? head.header.fileBytes : fileBytes;
     this.header = head.header;
     this.declarations = head.declarations;
@@ -141,9 +144,12 @@ export class RgsFile {
       const groups = await this.client.call("openEarly", {}, call);
       if (!groups) {
         await load(all);
-        yield (await this.client.call("wholeStored", { n, shape }, call)).gaussians;
+        const { gaussians } = await this.client.call("wholeStored", { n, shape }, call);
+        this.subject = await this.client.call("subjectBox", {}, call);
+        yield gaussians;
         return;
       }
+      this.subject = await this.client.call("subjectBox", {}, call);
       const parts = partsOf(groups);
       inFlight = load(parts[0]?.ranges ?? []);
       for (const [i, { ranges: _, ...chunks }] of parts.entries()) {
@@ -164,6 +170,14 @@ export class RgsFile {
       if (hasBegun) await this.client.call("endWhole", {}).catch(() => undefined);
       end();
     }
+  }
+
+  /**
+   * What a view without cameras looks at (docs/user/CAMERAS.md), relative to the origin. Without levels of detail null until the first of
+   * storedParts().
+   */
+  get subjectBox(): Box | null {
+    return this.subject;
   }
 
   /** Pages 0 .. nPresent - 1 lie within the actual file. */
@@ -441,7 +455,7 @@ export async function openWith(start: () => Port, source: Source, options: OpenO
       if (missing.length === 0) break;
       await Promise.all(missing.map(part));
     }
-    const { head, unread: table } = await client.call("openParts", { fileBytes }, { signal });
+    const { head, unread: table, subject } = await client.call("openParts", { fileBytes }, { signal });
     let unread = table;
     while (unread && unread.bytes > 0) {
       const bytes = Math.min(kPieceBytes, unread.bytes, Math.max(0, size - unread.offset));
@@ -457,9 +471,19 @@ export async function openWith(start: () => Port, source: Source, options: OpenO
       }
     }
     const levels = unread ? new Levels(await client.call("levels", {}, { signal })) : null;
-    return new RgsFile(client, from, parseHead(head.values, head.text), levels, fileBytes);
+    return new RgsFile(client, from, parseHead(head.values, head.text), levels, fileBytes, subject);
   } catch (error) {
     client.end();
     throw error;
+  }
+}
+
+export async function subjectBoxWith(start: () => Port, means: Float32Array, opacities: Float32Array, options: Pick<OpenOptions, "wasm">): Promise<Box> {
+  const client = new Client(start());
+  try {
+    await client.call("start", { limits: {}, wasm: options.wasm });
+    return await client.call("subjectBoxOf", { means, opacities });
+  } finally {
+    client.end();
   }
 }

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { buffersOf, Decoder, type Gaussians, type Groups, type Limits, type Range, type StoredGaussians } from "./decoder.js";
 import { RgsError, type RgsErrorFields } from "./errors.js";
-import { parseHead } from "./head.js";
+import { type Box, parseHead } from "./head.js";
 
 interface Shape {
   shDegree: number;
@@ -15,8 +15,8 @@ export interface Requests {
   start: [{ limits: Limits; wasm?: WebAssembly.Module | undefined }, void];
   part: [{ offset: number; bytes: Uint8Array }, void];
   needs: [{ fileBytes: number }, Range[]];
-  /** `unread`: the rest of the page table; null without levels of detail. */
-  openParts: [{ fileBytes: number }, { head: { values: Float64Array; text: Uint8Array }; unread: Range | null }];
+  /** `unread`: the rest of the page table; null without levels of detail. `subject`: of the pages that are known. */
+  openParts: [{ fileBytes: number }, { head: { values: Float64Array; text: Uint8Array }; unread: Range | null; subject: Box | null }];
   extend: [{ offset: number; bytes: Uint8Array }, Range];
   levels: [Record<string, never>, Float64Array];
   page: [{ page: number; bytes: Uint8Array; shDegree: number }, Gaussians];
@@ -30,6 +30,9 @@ export interface Requests {
   openEarly: [Record<string, never>, Groups | null];
   nextEarly: [{ firstChunk: number; nChunks: number; shape: Shape }, StoredGaussians];
   finishEarly: [Record<string, never>, void];
+  /** After openEarly or wholeStored. */
+  subjectBox: [Record<string, never>, Box];
+  subjectBoxOf: [{ means: Float32Array; opacities: Float32Array }, Box];
   /** Releases the memory of the whole file. */
   endWhole: [Record<string, never>, void];
   /** Ends the request of that id with `cancelled`, if it waits or runs. */
@@ -118,7 +121,8 @@ export class Service {
         return this.opened.needs(request.args.fileBytes);
       case "openParts": {
         const hasLevels = this.opened.openParts(request.args.fileBytes);
-        return { head: this.opened.head(), unread: hasLevels ? this.opened.unreadTable() : null };
+        const subject = hasLevels ? this.opened.subjectBox() : null;
+        return { head: this.opened.head(), unread: hasLevels ? this.opened.unreadTable() : null, subject };
       }
       case "extend":
         this.opened.extend(request.args.offset, request.args.bytes);
@@ -166,6 +170,10 @@ export class Service {
       }
       case "finishEarly":
         return this.wholeFile.decoder.finishEarly();
+      case "subjectBox":
+        return this.wholeFile.decoder.subjectBox();
+      case "subjectBoxOf":
+        return this.opened.subjectBoxOf(request.args.means, request.args.opacities);
       case "endWhole":
         this.whole = undefined;
         return undefined;

@@ -1,7 +1,8 @@
 // web.ts - the entry for browsers.
 // SPDX-License-Identifier: Apache-2.0
 import type { Port } from "./client.js";
-import { type OpenOptions, openWith, type RgsFile, type Source } from "./reader.js";
+import type { Box } from "./head.js";
+import { type OpenOptions, openWith, type RgsFile, type Source, subjectBoxWith } from "./reader.js";
 import type { Answer } from "./service.js";
 export * from "./index.js";
 
@@ -23,4 +24,9 @@ function startWorker(make: OpenOptions["worker"]): Port {
 /** Opens an .rgs file. Rejects with an RgsError, or with the reason of `options.signal`. */
 export function open(source: Source, options: OpenOptions = {}): Promise<RgsFile> {
   return openWith(() => startWorker(options.worker), source, options);
+}
+
+/** RgsFile.subjectBox of Gaussians that come from elsewhere: `means` [n, 3], `opacities` [n]. */
+export function subjectBox(means: Float32Array, opacities: Float32Array, options: Pick<OpenOptions, "wasm" | "worker"> = {}): Promise<Box> {
+  return subjectBoxWith(() => startWorker(options.worker), means, opacities, options);
 }

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { basename, join } from "node:path";
 import test from "node:test";
-import { open, RgsError } from "@roofgs/reader";
+import { open, RgsError, subjectBox } from "@roofgs/reader";
 import { filesIn, golden, scenes } from "./dump.mjs";
 
 // By the number of parts: 16,384 Gaussians a group, in an archive 32,768.
@@ -35,6 +35,24 @@ function joined(parts, field) {
   const values = parts.flatMap((part) => [...part[field]]);
   return new parts[0][field].constructor(values);
 }
+
+test("where a view without cameras looks is known with the first part", async () => {
+  const file = await open(readFileSync(join(scenes(), "packed.rgs")));
+  assert.equal(file.subjectBox, null);
+  await file.storedParts().next();
+  const { min, max } = file.subjectBox;
+  file.close();
+  const whole = await open(readFileSync(join(scenes(), "packed.rgs")));
+  const { means, opacities } = await whole.read();
+  whole.close();
+  const exact = await subjectBox(means, opacities);
+  const longest = Math.max(...exact.max.map((value, i) => value - exact.min[i]));
+  for (const [found, wanted] of [[min, exact.min], [max, exact.max]]) found.forEach((value, i) => assert.ok(Math.abs(value - wanted[i]) < 0.1 * longest, `${found} for ${wanted}`));
+  // Of the pages that are known, when the file is open.
+  const levels = await open(readFileSync(join(scenes(), "levels.rgs")));
+  assert.ok(levels.subjectBox.max.every((value, i) => value > levels.subjectBox.min[i]));
+  levels.close();
+});
 
 test("all parts together are the file", async (t) => {
   for (const path of [...filesIn(golden), ...plain.keys()]) {

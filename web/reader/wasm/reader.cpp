@@ -20,6 +20,7 @@
 
 #include "rgs/decode.hpp"
 #include "rgs/paged_file.hpp"
+#include "rgs/subject_box.hpp"
 
 #define RGS_EXPORT(name) extern "C" [[clang::export_name(#name)]]
 
@@ -488,6 +489,18 @@ RGS_EXPORT(rgs_tables) void rgs_tables(File* file) {
           .steps = view.step_table().data(),
           .n_chunks = static_cast<std::uint32_t>(view.header().n_chunks),
           .n_step_sets = static_cast<std::uint32_t>(view.header().n_step_sets)};
+}
+
+/// subject_box() of a file with levels of detail, of one that is read early, or of a whole one: min and max in rgs_numbers().
+RGS_EXPORT(rgs_subject_box) void rgs_subject_box(File* file) {
+  numbers.clear();
+  put_box(file->paged ? subject_box(file->paged->pages()) : subject_box(*file->view));
+}
+/// The same of means [n, 3] and opacities [n].
+RGS_EXPORT(rgs_subject_box_of)
+void rgs_subject_box_of(const float* means, const float* opacities, std::uint32_t n) {
+  numbers.clear();
+  put_box(subject_box({means, std::size_t{3} * n}, {opacities, n}));
 }
 
 /// Positions of the Gaussians in the source, FP64 [n], in rgs_numbers(); returns 0 if the file keeps none.

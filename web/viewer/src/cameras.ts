@@ -55,6 +55,26 @@ export function looking(forward: Vector, up: Vector): number[][] {
   return fromAxes(right, cross(ahead, right), ahead);
 }
 
+/** Nearest distance at which Gaussians are drawn: docs/format/RENDERING.md, "A Gaussian on the image". */
+export const kNear = 0.2;
+const kTanHalfView = Math.tan(Math.PI / 6);
+const kElevation = Math.PI / 18;
+
+/** The view of a scene without cameras, as rgs/camera.hpp has it, for a picture of this height over its width. */
+export function defaultView({ min, max }: { min: Vector; max: Vector }, up: Vector, height: number): ViewState {
+  const scaled = (v: Vector, scale: number): number[] => add([0, 0, 0], v, scale);
+  const [middle, half] = [scaled(add(min, max), 0.5), scaled(add(max, min, -1), 0.5)];
+  const front = add([0, 0, -1], up, at(up, 2));
+  const level = length(front) > 1e-6 ? normalised(front) : [-1, 0, 0];
+  const away = add(scaled(level, Math.cos(kElevation)), up, Math.sin(kElevation));
+  const rotation = looking(scaled(away, -1), up);
+  // How far the middle must be for an edge of the picture to pass the ellipsoid in the box.
+  const far = (edge: Vector): number => length(add(away, edge).map((value, i) => value * at(half, i)));
+  const edges = [1, -1].flatMap((side) => [scaled(axisOf(rotation, 0), side / kTanHalfView), scaled(axisOf(rotation, 1), side / kTanHalfView / height)]);
+  const distance = Math.max(far([0, 0, 0]) + 2 * kNear, ...edges.map(far));
+  return { position: add(middle, away, distance), rotation, focal: 0.5 / kTanHalfView, aspect: 1, offset: [0, 0], pivot: middle };
+}
+
 /** A camera list of this project or of 3DGS programs: docs/user/CAMERAS.md. */
 export function parseCameras(text: string): CameraEntry[] {
   const found: unknown = JSON.parse(text);

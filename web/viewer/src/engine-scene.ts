@@ -1,9 +1,11 @@
 // engine-scene.ts - PLY, compressed PLY, SOG and SPZ, loaded by the engine.
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf } from "@roofgs/playcanvas";
-import { Asset, type GSplatResourceBase } from "playcanvas";
+import { subjectBox } from "@roofgs/reader";
+import { Asset, type GSplatData, type GSplatResourceBase, type Texture, Vec4 } from "playcanvas";
 import { antiAliasingOfComments, antiAliasingOfMeta } from "./declared.js";
 import { type Box, Scene } from "./scene.js";
+import { worker } from "./reader-worker.js";
 import type { SpzAxes } from "./spz.js";
 import { readSpz } from "./spz-resource.js";
 import type { Side, Stage } from "./stage.js";
@@ -24,6 +26,8 @@ export interface OpenEngineScene {
 interface Made {
   resource: GSplatResourceBase;
   end(): void;
+  /** [n] 0 to 1. */
+  opacities: Float32Array;
   /** Axes are right, up, backward; the scene is turned to right, down, forward. */
   isYUp?: boolean;
   antiAliasing: AntiAliasing;
@@ -33,9 +37,9 @@ interface Made {
 let nAssets = 0;
 
 async function makeSpz({ app }: Stage, { answer, spzAxes }: OpenEngineScene): Promise<Made> {
-  const { resource, antialiased, axes } = await readSpz(app.graphicsDevice, await answer.arrayBuffer());
+  const { resource, antialiased, axes, opacities } = await readSpz(app.graphicsDevice, await answer.arrayBuffer());
   const antiAliasing = antiAliasingOf({ aaMode: antialiased ? "mip_splatting" : "classic" });
-  return { resource, end: () => resource.destroy(), isYUp: (axes ?? spzAxes) === "opengl", antiAliasing };
+  return { resource, end: () => resource.destroy(), opacities, isYUp: (axes ?? spzAxes) === "opengl", antiAliasing };
 }
 
 async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenEngineScene): Promise<Made> {
@@ -80,11 +84,24 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
   const resource = asset.resource as GSplatResourceBase;
   const { comments = [], meta } = resource.gsplatData as { comments?: string[]; meta?: object };
   try {
-    return { resource, end, antiAliasing: antiAliasingOf(meta ? antiAliasingOfMeta(meta) : antiAliasingOfComments(comments)) };
+    const antiAliasing = antiAliasingOf(meta ? antiAliasingOfMeta(meta) : antiAliasingOfComments(comments));
+    return { resource, end, opacities: await opacitiesOf(resource.gsplatData as GSplatData), antiAliasing };
   } catch (error) {
     end();
     throw error;
   }
+}
+
+async function opacitiesOf(data: GSplatData): Promise<Float32Array> {
+  const { sh0 } = data as { sh0?: Texture & { _levels: unknown[] } };
+  // Of a SOG, whose opacities are in an image.
+  if (sh0) sh0._levels[0] = await sh0.read(0, 0, sh0.width, sh0.height, { immediate: true });
+  const colour = new Vec4();
+  const rows = data.createIter(null, null, null, colour);
+  return Float32Array.from({ length: data.numSplats }, (_, i) => {
+    rows.read(i);
+    return colour.w;
+  });
 }
 
 /** With the code that rgs-convert reports. */
@@ -107,34 +124,37 @@ function asSentence(kind: EngineKind, error: unknown): Error {
 export class EngineScene extends Scene {
   readonly nGaussians: number;
   readonly shDegree: number;
-  readonly box: Box;
-  /** [n, 3], turned. */
-  private readonly means: Float32Array | null;
 
   static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
     const bytes = Number(options.answer.headers.get("content-length") ?? 0);
-    const made = await (options.kind === "spz" ? makeSpz(stage, options) : makeAsset(stage, options));
+    const { opacities, ...made } = await (options.kind === "spz" ? makeSpz(stage, options) : makeAsset(stage, options));
     if (!((made.resource.numSplats as number) > 0)) {
       made.end();
       throw new Error("it holds no Gaussians");
     }
-    return new EngineScene(options.name, bytes, made, stage, options.side);
+    const { centers } = made.resource;
+    const means = (made.isYUp ? centers?.map((value, i) => (i % 3 === 0 ? value : -value)) : centers) ?? new Float32Array();
+    try {
+      const box = await subjectBox(means, opacities, worker ? { worker } : {});
+      return new EngineScene(options.name, bytes, made, means, box, stage, options.side);
+    } catch (error) {
+      made.end();
+      throw error;
+    }
   }
 
   private constructor(
     name: string,
     bytes: number,
-    private readonly made: Made,
+    private readonly made: Omit<Made, "opacities">,
+    /** [n, 3], turned. */
+    private readonly means: Float32Array,
+    readonly box: Box,
     stage: Stage,
     side: Side,
   ) {
     super(name, bytes, stage, side);
     const { resource, isYUp = false } = made;
-    const { center, halfExtents } = resource.aabb;
-    const sign = isYUp ? -1 : 1;
-    const [c, h] = [[center.x, sign * center.y, sign * center.z], [halfExtents.x, halfExtents.y, halfExtents.z]];
-    this.means = isYUp ? (resource.centers?.map((value, i) => (i % 3 === 0 ? value : -value)) ?? null) : resource.centers;
-    this.box = robustBox(this.means) ?? { min: c.map((v, i) => v - (h[i] as number)), max: c.map((v, i) => v + (h[i] as number)) };
     this.nGaussians = resource.numSplats as number;
     this.shDegree = (resource as unknown as { shBands?: number }).shBands ?? (resource.gsplatData as { shBands?: number }).shBands ?? 0;
     if (isYUp) this.turnOver();
@@ -146,7 +166,7 @@ export class EngineScene extends Scene {
   }
 
   *centres(): Iterable<Float32Array> {
-    if (this.means) yield this.means;
+    yield this.means;
   }
 
   /** The engine draws its own formats with all their SH. */
@@ -160,19 +180,4 @@ export class EngineScene extends Scene {
     super.destroy();
     this.made.end();
   }
-}
-
-/** 2nd to 98th percentile of a sample of the means. */
-function robustBox(centers: Float32Array | null): Box | null {
-  if (!centers || centers.length < 3) return null;
-  const n = centers.length / 3;
-  const step = Math.max(1, Math.floor(n / 20000));
-  const sides = [0, 1, 2].map((c) => {
-    const values: number[] = [];
-    for (let i = 0; i < n; i += step) values.push(centers[3 * i + c] as number);
-    values.sort((a, b) => a - b);
-    const rank = (share: number): number => values[Math.round(share * (values.length - 1))] as number;
-    return [rank(0.02), rank(0.98)] as const;
-  });
-  return { min: sides.map(([low]) => low), max: sides.map(([, high]) => high) };
 }

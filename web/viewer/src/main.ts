@@ -1,7 +1,7 @@
 // main.ts - the page: opens scenes, connects settings, keys and comparison.
 // SPDX-License-Identifier: Apache-2.0
 import "./style.css";
-import { add, axisOf, type CameraEntry, cross, dot, length, looking, normalised, parseCameras, pathPosition, pinholeOf, type ViewState, viewOf } from "./cameras.js";
+import { add, axisOf, type CameraEntry, defaultView, dot, kNear, length, looking, normalised, parseCameras, pathPosition, pinholeOf, type ViewState, viewOf } from "./cameras.js";
 import { buildCameras } from "./cameras-panel.js";
 import { Compare } from "./compare.js";
 import { Controls, type World } from "./controls.js";
@@ -13,14 +13,11 @@ import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence, wait
 import { element, hideLoading, say, showError, showLoading, showProgress, withdrawError } from "./page.js";
 import { openScene, type Read, readFile } from "./open-scene.js";
 import type { Trouble } from "./page-reads.js";
-import type { Scene, Tint } from "./scene.js";
+import type { Box, Scene, Tint } from "./scene.js";
 import { type Side, Stage } from "./stage.js";
 
 /** The view is at rest after so many milliseconds without a change. */
 const kRestMs = 200;
-const kFieldOfView = Math.PI / 3;
-/** Nearest distance at which Gaussians are drawn: docs/format/RENDERING.md, "A Gaussian on the image". */
-const kNear = 0.2;
 /** Seconds from one camera to the next. */
 const kPathSeconds = 2;
 
@@ -245,27 +242,16 @@ class Page {
     return { up: normalised(up && length(up) > 0.1 ? up : (this.scenes[0]?.up ?? [0, -1, 0])), speed: 0.15 * size };
   }
 
-  /** The first camera, or a view from the front, 20 degrees above (docs/user/CAMERAS.md). */
-  private firstView(scene: Scene): ViewState {
-    const { min, max } = scene.box;
-    const middle = min.map((value, i) => (value + (max[i] as number)) / 2);
-    const first = this.cameras[0];
-    if (first) return viewOf(first, this.ahead(first.position, axisOf(first.rotation, 2), middle));
-    const { up } = this.world;
-    let front = cross(up, [1, 0, 0]);
-    if (length(front) < 0.1) front = cross(up, [0, 1, 0]);
-    front = normalised(front);
-    const away = normalised(add(front, up, Math.tan(Math.PI / 9)));
-    // The box of a single Gaussian is a point. Nothing nearer than kNear is drawn.
-    const radius = length(add(max, min, -1)) / 2 || 1;
-    const position = add(middle, away, Math.max(radius / Math.sin(kFieldOfView / 2), radius + 2 * kNear));
-    const rotation = looking(add(middle, position, -1), up);
-    return { position, rotation, focal: 0.5 / Math.tan(kFieldOfView / 2), aspect: 1, offset: [0, 0], pivot: middle };
+  private firstView({ box }: Scene): ViewState {
+    const { width, height } = this.stage.size;
+    return this.cameras[0] ? this.viewFrom(this.cameras[0], box) : defaultView(box, this.world.up, height / width);
   }
 
-  /** A pivot straight ahead, as far away as the scene's middle. */
-  private ahead(position: readonly number[], forward: readonly number[], middle: readonly number[]): number[] {
-    return add(position, forward, Math.max(0.1, dot(add(middle, position, -1), forward)));
+  /** Its pivot is straight ahead, as far away as the scene's middle. */
+  private viewFrom(camera: CameraEntry, { min, max }: Box): ViewState {
+    const { position, rotation } = camera;
+    const [middle, forward] = [add([0, 0, 0], add(min, max), 0.5), axisOf(rotation, 2)];
+    return viewOf(camera, add(position, forward, Math.max(0.1, dot(add(middle, position, -1), forward))));
   }
 
   private setView(view: ViewState): void {
@@ -286,8 +272,7 @@ class Page {
     const box = this.scenes[0]?.box;
     if (!camera || !box) return;
     this.camera = index;
-    const middle = box.min.map((value, i) => (value + (box.max[i] as number)) / 2);
-    this.setView(viewOf(camera, this.ahead(camera.position, axisOf(camera.rotation, 2), middle)));
+    this.setView(this.viewFrom(camera, box));
     say(`Camera ${camera.img_name}`);
   }
 

@@ -86,8 +86,8 @@ export class RgsScene extends Scene {
     const { file } = opened;
     super(name, file.fileBytes, stage, side);
     this.file = file;
-    const { robust, full, origin } = file.declarations;
-    const box = robust.max.some((value, i) => value > (robust.min[i] as number)) ? robust : full;
+    const { origin } = file.declarations;
+    const box = file.subjectBox as Box;
     this.box = { min: box.min.map((v, i) => v + (origin[i] as number)), max: box.max.map((v, i) => v + (origin[i] as number)) };
     this.nGaussians = file.header.nGaussians;
     this.shDegree = file.header.shDegree;

@@ -47,8 +47,8 @@ class Data {
   }
 }
 
-export async function readSpz(device: GraphicsDevice, contents: ArrayBuffer): Promise<{ resource: GSplatResourceBase; antialiased: boolean; axes: SpzAxes | null }> {
+export async function readSpz(device: GraphicsDevice, contents: ArrayBuffer): Promise<{ resource: GSplatResourceBase; antialiased: boolean; axes: SpzAxes | null; opacities: Float32Array }> {
   const { header, streams, axes } = await decompressSpz(contents);
   if (header.n === 0) throw new Error("it holds no Gaussians");
-  return { resource: new GSplatSpzResource(device, new Data(header, streams)), antialiased: header.antialiased, axes };
+  return { resource: new GSplatSpzResource(device, new Data(header, streams)), antialiased: header.antialiased, axes, opacities: Float32Array.from(streams.alphas, (code) => code / 255) };
 }

@@ -15,6 +15,7 @@ import {
   PIXELFORMAT_RGBA8,
   RenderTarget,
   Texture,
+  TextureHandler,
   Vec4,
 } from "playcanvas";
 import { pinholeOf, type ViewState } from "./cameras.js";
@@ -92,7 +93,7 @@ export class Stage {
     const options = new AppOptions();
     options.graphicsDevice = device;
     options.componentSystems = [CameraComponentSystem, GSplatComponentSystem];
-    options.resourceHandlers = [GSplatHandler];
+    options.resourceHandlers = [GSplatHandler, TextureHandler];
     const app = new AppBase(canvas);
     app.init(options);
     const stage = new Stage(app, canvas, on);

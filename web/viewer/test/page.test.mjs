@@ -6,7 +6,7 @@ import { existsSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, w
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import test, { after, before } from "node:test";
-import { pathToFileURL } from "node:url";
+import { fileURLToPath, pathToFileURL } from "node:url";
 import { open } from "@roofgs/reader";
 import { program, readCameras } from "../../playcanvas/test/pictures.mjs";
 import { hasChromium, launch, newPage } from "../../reader/test/chromium.mjs";
@@ -604,6 +604,14 @@ function firstOf(path, n) {
   return Buffer.concat([Buffer.from(header.replace(`vertex ${nAll}`, `vertex ${n}`)), rows]);
 }
 
+/** Applies a link to a page that is there already. */
+const follow = (page, link) =>
+  page.evaluate((link) => {
+    const done = new Promise((resolve) => addEventListener("hashchange", resolve, { once: true }));
+    location.hash = link;
+    return done;
+  }, new URLSearchParams(link).toString());
+
 inBrowser("a PLY that declares Mip-Splatting is drawn as the .rgs made of it", { allowed: [k404] }, async ({ t, page }) => {
   const db = async (comment) => {
     const path = join(folder, "declares.ply");
@@ -615,6 +623,8 @@ inBrowser("a PLY that declares Mip-Splatting is drawn as the .rgs made of it", {
     await drop(page, "a.ply", readFileSync(path));
     await drop(page, "b.rgs", readFileSync(rgs));
     await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply | b.rgs" && document.getElementById("loading").hidden);
+    // From far away, where anti-aliasing shows and quantisation does not.
+    await follow(page, { at: [-1, -2, -39], axes: [1, 0, 0, 0, 1, 0, 0, 0, 1], lens: [0.866, 1, 0, 0], pivot: [-1, -2, -1] });
     await page.getByRole("radio", { name: "Difference" }).click();
     await page.locator("#map").waitFor();
     return Number(/^([\d.]+) dB$/.exec(await text(page, "#psnr"))?.[1]);
@@ -654,7 +664,7 @@ inBrowser("a zip that is no SOG, and an empty list of cameras, are said in sente
   assert.match(await refused("c.json", "[]"), /^c\.json could not be opened: the camera file holds no cameras\./);
 });
 
-inBrowser("images that a SOG lacks are named, and asked for nowhere", { allowed: [k404, /scene\d+\.sog-gsplat|means_l\.webp|createImageBitmap/] }, async ({ page, server }) => {
+inBrowser("images that a SOG lacks are named, and asked for nowhere", { allowed: [k404, /scene\d+\.sog-gsplat|\.webp-texture|createImageBitmap/] }, async ({ page, server }) => {
   const images = { means: ["means_l.webp", "../means_u.webp"], scales: ["scales.webp"], quats: ["quats.webp"], sh0: ["sh0.webp"] };
   const meta = { version: 2, count: 1, ...Object.fromEntries(Object.entries(images).map(([name, files]) => [name, { files }])) };
   const before = server.requests.length;
@@ -695,6 +705,43 @@ inBrowser("a single Gaussian is seen, and a scene smaller than what is too near 
   await open("a.rgs", asRgs(single));
   await open("b.ply", tiny);
   await open("b.rgs", asRgs(tiny));
+});
+
+/** Away from the native camera, as a share of its distance: what the same numbers give, what other rounding does, and what a table of chunks tells. */
+const kFirstViews = { "a.ply": 1e-5, "a.compressed.ply": 1e-5, "v3.spz": 1e-5, "v4.spz": 1e-5, "a.sog": 1e-4, "up.rgs": 0.1, "packed.rgs": 0.1, "low.rgs": 0.1, "levels.rgs": 1e-5 };
+inBrowser("without cameras a scene is seen from where rgs-render sees it", { allowed: [k404] }, async ({ t, page }) => {
+  const path = (name) => join(existsSync(join(scenes(), name)) ? scenes() : folder, name);
+  const make = (name, ...options) => execFileSync(program("rgs-convert"), ["--quiet", "--overwrite", ...options, join(scenes(), "scene.ply"), join(folder, name)]);
+  writeFileSync(join(folder, "a.ply"), readFileSync(join(scenes(), "scene.ply")));
+  make("a.compressed.ply");
+  make("flat.ply", "--sh-degree", "0");
+  const transform = join(dirname(fileURLToPath(import.meta.resolve("@playcanvas/splat-transform"))), "../bin/cli.mjs");
+  execFileSync(process.execPath, [transform, "-q", "-w", "-g", "cpu", join(folder, "flat.ply"), join(folder, "a.sog")], { stdio: "ignore" });
+  for (const version of ["3", "4"]) make(`v${version}.spz`, "--spz-version", version);
+  make("up.rgs", "--axes", "right,forward,up");
+  const names = Object.keys(kFirstViews);
+  const size = await page.evaluate(() => [document.getElementById("picture").width, document.getElementById("picture").height].map(String));
+  const lines = execFileSync(program("rgs_first_view"), [...size, ...names.map(path)], { encoding: "utf8" }).trim().split("\n");
+  const away = {};
+  for (const [i, name] of names.entries()) {
+    await page.evaluate(() => history.replaceState(null, "", location.pathname));
+    await page.reload();
+    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    await drop(page, name, readFileSync(path(name)));
+    await page.waitForFunction(() => location.hash !== "");
+    await untilDrawn(page, 100);
+    const state = new URLSearchParams((await hashOf(page)).slice(1));
+    const numbers = (field) => state.get(field).split(",").map(Number);
+    const native = lines[i].split(" ").map(Number);
+    const [at, axes, lens, pivot] = ["at", "axes", "lens", "pivot"].map(numbers);
+    const distance = Math.hypot(...at.map((value, k) => value - pivot[k]));
+    away[name] = Math.hypot(...at.map((value, k) => value - native[k])) / distance;
+    // The page's axes are camera to world.
+    axes.forEach((value, k) => assert.ok(Math.abs(value - native[3 + 3 * (k % 3) + Math.floor(k / 3)]) < 1e-6, `${name}: ${axes}`));
+    assert.deepEqual(lens.map((value) => value.toFixed(6)), [(0.5 / Math.tan(Math.PI / 6)).toFixed(6), "1.000000", "0.000000", "0.000000"], name);
+  }
+  t.diagnostic(JSON.stringify(away));
+  for (const name of names) assert.ok(away[name] < kFirstViews[name], `${name}: ${away[name]}`);
 });
 
 inBrowser("a PLY that ends too early is said to be damaged", { allowed: [k404, /scene1\.ply-gsplat/] }, async ({ page }) => {
@@ -878,14 +925,6 @@ inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly
   await page.locator("#boxes").check();
   assert.notEqual(await still(page, "#stage"), plain);
 });
-
-/** Applies a link to a page that is there already. */
-const follow = (page, link) =>
-  page.evaluate((link) => {
-    const done = new Promise((resolve) => addEventListener("hashchange", resolve, { once: true }));
-    location.hash = link;
-    return done;
-  }, new URLSearchParams(link).toString());
 
 /** docs/format/FORMAT.md, "Error and cut", of every page by itself. */
 function drawnPages({ levels, declarations }, { position, focalPx, detailPx }) {
