@@ -74,8 +74,9 @@ def test_a_refined_view_is_the_whole_file(where, examples, server, renderer):
         assert stats["pages_missing"] == 0 < stats["pages_resident"] and stats["bytes_read"] > 0
         scene.check()
         assert scene.up == whole.up
-        size = np.ptp(whole.bounds, axis=0).max()
-        np.testing.assert_allclose(scene.bounds, whole.bounds, atol=size / 6)  # a table of few pages
+        # Of so few pages the table tells where the whole scene is, not where its subject is.
+        (low, high), (subject_low, subject_high) = np.array(scene.bounds), np.array(whole.bounds)
+        assert (low <= subject_low).all() and (high >= subject_high - 0.01 * np.ptp(whole.bounds, axis=0)).all()
     assert scene.closed
 
 

@@ -18,7 +18,8 @@ class FileView;
 /// as little as themselves. Means that are not finite do not count. No means: the unit box around 0.
 Box subject_box(std::span<const float> mean, std::span<const float> opacity);
 /// The same from tables alone, for files that are read in parts: every chunk, or the finest of the known pages, is
-/// spread over its box. Differs by a few percent of the box's longest side, of a few tens of pages by up to a sixth.
+/// spread over its box. Differs by a few percent of the box's longest side, of a few tens of pages by more than half of it.
+/// Of fewer than six pages it is the core of the coarsest.
 Box subject_box(const FileView& file);
 Box subject_box(std::span<const lod::Page> pages);
 

@@ -27,6 +27,8 @@ constexpr std::uint64_t kFewest = 32;
 // What holds less of the weight is not what the scene is about.
 constexpr double kLeastShare = 1.0 / 3;
 constexpr double kTail = 0.02;
+// Fewer cores do not tell where Gaussians are dense: the sky stretches a core more than the subject does.
+constexpr std::size_t kFewestPages = 6;
 constexpr double kOpaque = 65535;
 
 using Mean = std::array<float, 3>;
@@ -168,6 +170,7 @@ Box subject_box(const FileView& file) {
 }
 
 Box subject_box(std::span<const lod::Page> pages) {
+  if (!pages.empty() && pages.size() < kFewestPages) return pages.front().core;
   return box_of([&](const auto& use) {
     for (const lod::Page& page : pages) {
       if (page.n_children > 0 && page.first_child < pages.size()) continue;

@@ -111,3 +111,13 @@ TEST_CASE("a subject on a floor, of few Gaussians, or of none has a box") {
   CHECK(Means().box().min == std::array{-0.5F, -0.5F, -0.5F});
   CHECK(Means().box().max == std::array{0.5F, 0.5F, 0.5F});
 }
+
+TEST_CASE("a table of few pages tells where the whole scene is") {
+  std::vector<lod::Page> pages(4);
+  for (lod::Page& page : pages) page.count = 100, page.core = {{10, 0, 10}, {90, 5, 70}};
+  pages[0].n_children = 3, pages[0].first_child = 1;
+  pages[0].core = pages[1].core = {{-100, -90, -80}, {100, 0, 80}};
+  const Box box = subject_box(pages);
+  CHECK(box.min == pages[0].core.min);
+  CHECK(box.max == pages[0].core.max);
+}
