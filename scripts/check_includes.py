@@ -11,6 +11,7 @@ ROOMS = {
     "kernels/math": "math",
     "kernels": "kernels",
     "runtime": "runtime",
+    "runtime/pages": "pages",
     "runtime/src/cameras": "cameras",
     "runtime/include/rgs/camera.hpp": "cameras",
     "runtime/include/rgs/camera_file.hpp": "cameras",
@@ -29,7 +30,8 @@ BUILDS_ON = {
     "math": ["format"],
     "kernels": ["math"],
     "cameras": ["format"],
-    "runtime": ["kernels", "cameras"],
+    "pages": ["math"],
+    "runtime": ["kernels", "cameras", "pages"],
     "formats": ["format", "math"],
     "lod": ["math"],
     "convert": ["formats", "cameras", "lod"],
@@ -48,6 +50,7 @@ PRIVATE = {
     "format/src": ["tests/format", "tests/fuzz", "tests/memory"],
     "kernels/src": ["runtime/src/cuda", "samples/bench", "tests/kernels", "tests/math", "tests/runtime/stream",
                     "tests/samples/bench"],
+    "runtime": ["runtime/src", "tests/runtime", "web/reader/wasm"],  # pages/
     "runtime/src": ["tests/runtime", "tests/kernels", "samples/bench"],
     "converter/formats": ["tests/converter/formats"],
 }
@@ -59,7 +62,9 @@ OUTSIDERS = ["samples/minimal", "samples/consumer"]
 FEEDS = {"samples/make_scene": "convert"}
 
 CUDA = r"cuda|cub/|thrust/|cooperative_groups|curand|mma\.h|nv/|device_|vector_types|.*\.cuh?$"
-BANNED = {"format": CUDA, "math": CUDA, "formats": r"CLI/|CLI11|OpenImageIO/"}
+# What a scheduler without input, output, threads and locks does not need.
+WORLD = r"thread|mutex|shared_mutex|condition_variable|future|atomic|[io]?f?stream|iostream|cstdio|filesystem|curl/|tbb/"
+BANNED = {"format": CUDA, "math": CUDA, "pages": f"{CUDA}|{WORLD}", "formats": r"CLI/|CLI11|OpenImageIO/"}
 
 SOURCE = {".hpp", ".cpp", ".cuh", ".cu", ".inc"}
 HEADER = {".hpp", ".cuh", ".inc"}

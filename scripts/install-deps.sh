@@ -2,7 +2,7 @@
 # install-deps.sh - installs the Debian 12 packages that RoofGS is built with; silent when all are there.
 # `install-deps.sh packaging` adds those that packages are made and tested with.
 # `install-deps.sh python` adds those that the Python module and its tests need.
-# `install-deps.sh page` adds those that the viewer's page is built with: clang 19 for WebAssembly, and npm where there is none.
+# `install-deps.sh page` adds those that the viewer's page is built with: clang 19 and binaryen for WebAssembly, and npm where there is none.
 # `install-deps.sh test` adds those that only tests need, a browser among them; `install-deps.sh web` adds both.
 # Set RGS_SKIP_INSTALL=1 where the dependencies come from elsewhere.
 # SPDX-License-Identifier: Apache-2.0
@@ -11,7 +11,7 @@ set -eu
 packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-build ccache git ca-certificates
   libexpected-dev libfmt-dev libcli11-dev nlohmann-json3-dev libxxhash-dev libzstd-dev libdraco-dev libglm-dev
   zlib1g-dev libwebp-dev libzip-dev libopenimageio-dev libtbb-dev libhwy-dev
-  libcurl4-openssl-dev pkgconf libcpp-httplib-dev libturbojpeg0-dev doctest-dev libbenchmark-dev
+  libcurl4-openssl-dev libssl-dev pkgconf libboost-dev libturbojpeg0-dev doctest-dev libbenchmark-dev
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
 
 [ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf
@@ -21,7 +21,8 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
 case ${1:-} in test | web) packages="$packages chromium pkgconf nginx-light openssl valgrind" ;; esac
 case ${1:-} in
   page | web)
-    packages="$packages clang-19 lld-19 libc++-19-dev-wasm32 libc++abi-19-dev-wasm32 wasi-libc libclang-rt-19-dev-wasm32"
+    packages="$packages clang-19 lld-19 libc++-19-dev-wasm32 libc++abi-19-dev-wasm32 wasi-libc libclang-rt-19-dev-wasm32
+      binaryen"
     command -v npm >/dev/null || packages="$packages npm" # a newer one need not be a package
     ;;
 esac

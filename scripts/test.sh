@@ -14,7 +14,8 @@ quiet packages sh scripts/install-deps.sh test
 quiet configure cmake --preset "$preset"
 # shellcheck disable=SC2086  # a list of targets
 quiet build cmake --build "build/$preset" --parallel "$jobs" ${RGS_TARGETS:+--target $RGS_TARGETS}
-set -- ctest --preset "$preset" --parallel "$jobs" "$@"
+# One more than processors: many tests wait for disks and programs.
+set -- ctest --preset "$preset" --parallel "$((jobs + 1))" "$@"
 # ThreadSanitizer of gcc 12 and clang 14 needs fewer random address bits than Linux 6 uses.
 [ "$preset" != tsan ] || set -- setarch "$(uname -m)" --addr-no-randomize "$@"
 # What the first failed tests said and the counts, also where the end of the log holds neither.

@@ -1,16 +1,13 @@
-// audit_encoding.hpp - encodings for HTML pages: base64, SHA-256, URL.
+// audit_encoding.hpp - encodings for HTML pages: SHA-256, URL.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
 #include <array>
 #include <cstddef>
-#include <span>
 #include <string>
 #include <string_view>
 
 namespace rgs::audit {
-
-std::string base64(std::span<const std::byte> bytes);
 
 /// FIPS 180-4. A page's policy admits a style or script by this hash.
 std::array<std::byte, 32> sha256(std::string_view text);

@@ -3,6 +3,7 @@
 #include "audit_page.hpp"
 
 #include "audit_encoding.hpp"
+#include "base64.hpp"
 #include "info_escape.hpp"
 
 namespace rgs::audit {
@@ -191,7 +192,7 @@ addEventListener('load', () => { if (location.hash === '#self-test') selfTest();
 
 // The source expression of a policy that admits exactly this text.
 std::string allowed(std::string_view text) {
-  return "'sha256-" + base64(sha256(text)) + "'";
+  return "'sha256-" + tool::base64(sha256(text)) + "'";
 }
 
 }  // namespace

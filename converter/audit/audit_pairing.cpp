@@ -25,7 +25,7 @@ constexpr std::size_t kAtOnce = 64;
 struct KeyedRow {
   std::uint64_t key;
   std::uint32_t row;
-  // Rows with equal means stay in order: Morton sorting is stable, so both files have them in source order.
+  // Rows with equal means stay in order: Morton order keeps it, so both files have them in source order.
   bool operator<(const KeyedRow& other) const { return key != other.key ? key < other.key : row < other.row; }
 };
 

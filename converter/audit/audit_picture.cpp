@@ -8,7 +8,7 @@
 #include <cstdint>
 #include <utility>
 
-#include "audit_encoding.hpp"
+#include "base64.hpp"
 #include "image_file.hpp"
 
 namespace rgs::audit {
@@ -219,7 +219,7 @@ std::vector<Region> worst_regions(std::span<const Image> levels, int width, int 
 std::string picture_uri(const Image& image, std::size_t max_bytes, bool* lossless) {
   if (lossless != nullptr) *lossless = true;
   if (const auto png = encode_image(image, ImageFormat::png); png && png->size() <= max_bytes)
-    return "data:image/png;base64," + base64(*png);
+    return "data:image/png;base64," + tool::base64(*png);
   if (lossless != nullptr) *lossless = false;
   ImageFileOptions options;
   for (int width = image.width; width >= 64; width = width * 2 / 3) {
@@ -227,7 +227,7 @@ std::string picture_uri(const Image& image, std::size_t max_bytes, bool* lossles
     for (const int quality : {95, 88, 75}) {
       options.jpeg_quality = quality;
       if (const auto jpeg = encode_image(small, ImageFormat::jpeg, options); jpeg && jpeg->size() <= max_bytes)
-        return "data:image/jpeg;base64," + base64(*jpeg);
+        return "data:image/jpeg;base64," + tool::base64(*jpeg);
     }
   }
   return "data:,";

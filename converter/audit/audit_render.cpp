@@ -15,6 +15,7 @@
 #include "audit_picture.hpp"
 #include "audit_scenes.hpp"
 #include "audit_search.hpp"
+#include "rgs/ablation.hpp"
 #include "rgs/image_metrics.hpp"
 #include "scene_file.hpp"
 

@@ -53,7 +53,7 @@ Json error_json(const std::string& file, const Error& error) {
           {"hint", tool::hint(error)}};
 }
 
-Json failure_json(const BatchFailure& failure) {
+Json failure_json(const Failure& failure) {
   return {{"status", "failed"},
           {"exit_code", exit_code(failure.error.code)},
           {"error", error_json(failure.file, failure.error)}};

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "convert.hpp"
+#include "failure.hpp"
 #include "rgs/interchange.hpp"
 #include "rgs/result.hpp"
 
@@ -21,11 +22,6 @@ struct BatchScene {
   std::uint64_t bytes = 0;
   bool named = false;  ///< from a list: it is an error if it is not a scene
   Status readable;
-};
-
-struct BatchFailure {
-  std::string file;
-  Error error;
 };
 
 struct BatchOptions {
@@ -49,8 +45,7 @@ struct BatchShare {
 };
 
 /// Converts one scene to scene.output_path. Called in a child process, which then ends.
-using BatchConvert =
-    std::function<tl::expected<ConvertSummary, BatchFailure>(const BatchScene& scene, const BatchShare& share)>;
+using BatchConvert = std::function<Outcome<ConvertSummary>(const BatchScene& scene, const BatchShare& share)>;
 
 /// The scenes of one shard: each scene, largest first, goes to the shard with the least so far. Every machine splits
 /// the same list the same way.

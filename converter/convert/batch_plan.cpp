@@ -14,6 +14,7 @@
 #include <utility>
 
 #include "batch_state.hpp"
+#include "console.hpp"
 #include "input_files.hpp"
 #include "rgs/checksum.hpp"
 #include "scene_list.hpp"
@@ -23,12 +24,12 @@ namespace {
 
 namespace fs = std::filesystem;
 
-tl::unexpected<PlanFailure> usage(std::string message) {
-  return tl::unexpected(PlanFailure{std::move(message)});
+tl::unexpected<int> usage(const std::string& message) {
+  return tl::unexpected(tool::report_usage(message));
 }
 
-tl::unexpected<PlanFailure> failed(const std::string& file, const Error& error) {
-  return tl::unexpected(PlanFailure{{}, file, error});
+tl::unexpected<int> unusable(const std::string& file, const Error& error) {
+  return tl::unexpected(tool::report(file, error));
 }
 
 // Relative to the output folder, so that an output has one name in the state.
@@ -77,10 +78,10 @@ std::uint64_t bytes_of(const std::string& input) {
   return bytes;
 }
 
-tl::expected<BatchPlan, PlanFailure> plan_list(const std::string& list, const std::string& folder,
-                                               const std::string& out, SplatFormat to) {
+tl::expected<BatchPlan, int> plan_list(const std::string& list, const std::string& folder, const std::string& out,
+                                       SplatFormat to) {
   const auto lines = lines_of(list);
-  if (!lines) return failed(list, lines.error());
+  if (!lines) return unusable(list, lines.error());
   BatchPlan plan;
   for (std::size_t number = 1; number <= lines->size(); ++number) {
     const std::string_view line = (*lines)[number - 1];
@@ -125,16 +126,16 @@ Result<std::vector<std::string>> lines_of(const std::string& list) {
   return lines;
 }
 
-tl::expected<BatchPlan, PlanFailure> plan_batch(const std::string& list, const std::string& folder,
-                                                const std::string& out, SplatFormat to) {
+tl::expected<BatchPlan, int> plan_batch(const std::string& list, const std::string& folder, const std::string& out,
+                                        SplatFormat to) {
   std::error_code ignored;
   if (fs::exists(out, ignored) && !fs::is_directory(out, ignored))
-    return failed(out, {Errc::output_unusable, Error::kNone, "many scenes need an output folder"});
+    return unusable(out, {Errc::output_unusable, Error::kNone, "many scenes need an output folder"});
   if (!list.empty()) return plan_list(list, folder, out, to);
   if (fs::equivalent(folder, out, ignored))
     return usage("the input folder is also the output folder; name another, which may lie inside it");
   auto listed = tool::list_scenes(folder, {out});
-  if (!listed) return failed(folder, listed.error());
+  if (!listed) return unusable(folder, listed.error());
   BatchPlan plan;
   plan.n_others = listed->n_others;
   plan.refused = std::move(listed->refused);

@@ -18,21 +18,15 @@ struct BatchPlan {
   std::vector<std::string> refused;  ///< links to folders that contain them
 };
 
-/// A usage error, or the error of a file.
-struct PlanFailure {
-  std::string usage;  ///< the message; empty: see `error` of `file`
-  std::string file = {};
-  Error error = {};
-};
-
 /// The lines of a file, "-" for standard input, empty lines included. Errors: open_failed, read_failed.
 Result<std::vector<std::string>> lines_of(const std::string& list);
 
 /// The scenes below `folder`, or those named in the file `list` ("-": standard input), relative to `folder` if given
 /// (one of the two may be empty). A folder's a/b.ply becomes out/a/b.ENDING with the ending of format `to`; so does a
 /// relative path in a list, other paths lose their folders. A line of a list may name its output after a tab.
-tl::expected<BatchPlan, PlanFailure> plan_batch(const std::string& list, const std::string& folder,
-                                                const std::string& out, SplatFormat to);
+/// Prints errors and returns the exit code instead.
+tl::expected<BatchPlan, int> plan_batch(const std::string& list, const std::string& folder, const std::string& out,
+                                        SplatFormat to);
 
 /// A sentence with all three names if two scenes would have the same output; empty otherwise.
 std::string outputs_that_clash(const BatchPlan& plan, const std::string& out);

@@ -119,6 +119,14 @@ struct StretchRange {
 };
 StretchRange stretches_of_range(std::size_t n_stretches, std::size_t range, std::size_t n_ranges);
 
+/// The inputs or ranges of one process: "all", "none", "K" or "K-M". None if the text is not valid.
+struct Selection {
+  std::size_t first = 0, last = ~std::size_t{0};  ///< `first` to `last` inclusive; none if last < first
+  bool is_part = false;
+  std::string text = "all";
+};
+std::optional<Selection> parse_selection(const std::string& text);
+
 /// The state of the work as JSON: inputs and ranges, and whether each is done; see docs/user/CLUSTER.md.
 Outcome<std::string> list_parts(const PartsRun& run);
 

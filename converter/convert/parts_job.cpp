@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cerrno>
+#include <charconv>
 #include <filesystem>
 #include <string_view>
 #include <utility>
@@ -416,6 +417,21 @@ std::vector<std::uint64_t> stretches_of(const PartsRun& run, const PartsJob& job
 
 StretchRange stretches_of_range(std::size_t n_stretches, std::size_t range, std::size_t n_ranges) {
   return {n_stretches * range / n_ranges, n_stretches * (range + 1) / n_ranges};
+}
+
+std::optional<Selection> parse_selection(const std::string& text) {
+  if (text == "all") return Selection{};
+  if (text == "none") return Selection{1, 0, false, text};
+  Selection selection{0, 0, true, text};
+  const char *first = text.data(), *last = first + text.size();
+  const auto begin = std::from_chars(first, last, selection.first);
+  if (begin.ec != std::errc()) return std::nullopt;
+  selection.last = selection.first;
+  if (begin.ptr == last) return selection;
+  if (*begin.ptr != '-') return std::nullopt;
+  const auto end = std::from_chars(begin.ptr + 1, last, selection.last);
+  if (end.ec != std::errc() || end.ptr != last || selection.last < selection.first) return std::nullopt;
+  return selection;
 }
 
 Outcome<std::string> list_parts(const PartsRun& run) {

@@ -133,7 +133,7 @@ std::vector<std::uint64_t> cut_bins(const PartsJob& job, const SceneScan& scan, 
   const std::uint64_t n_bins = (scan.n_kept() + job.bin_rows - 1) / job.bin_rows;
   std::vector<std::uint64_t> bins{0};
   for (std::uint64_t i = 1; i < n_bins && !keys.empty(); ++i) {
-    const std::uint64_t begin = keys[i * keys.size() / n_bins];
+    const std::uint64_t begin = keys[i * keys.size() / n_bins] >> (63 - kCellKeyBits) << (63 - kCellKeyBits);
     if (begin > bins.back()) bins.push_back(begin);
   }
   return bins;

@@ -24,8 +24,9 @@ static_assert(std::endian::native == std::endian::little, "numbers are stored as
 using Head = std::array<std::uint64_t, kWorkHeadBytes / 8>;
 constexpr std::uint64_t kMagic = 0x316B726F77736772;  // "rgswork1"
 
+// What all files of a folder agree on: the program's version, and the order of leaves.
 std::uint64_t version_hash() {
-  return xxh3(std::as_bytes(std::span(std::string_view(RGS_VERSION))));
+  return xxh3(std::as_bytes(std::span(std::string_view(RGS_VERSION ", cells of the curve"))));
 }
 
 std::uint64_t hash_of(const Head& head) {

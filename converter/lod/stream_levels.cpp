@@ -27,7 +27,6 @@ namespace {
 
 constexpr std::size_t kValues = 11;                             // of a Gaussian without its harmonics
 constexpr std::uint64_t kGroupBytes = std::uint64_t{64} << 20;  // memory of a group while it is simplified
-constexpr int kMostCellBits = 24;                               // of the upper bits of a Morton key
 
 Error source_changed() {
   return {Errc::read_failed, Error::kNone, "the source changed while it was read", Error::kNone, Error::kNone, 0};
@@ -172,7 +171,7 @@ Result<Ranges> cut_ranges(const SplatStream& stream, const SceneScan& scan, cons
     return ranges;
   }
   options.begin("cut", stream.n, "Gaussians");
-  ranges.cell_bits = std::min(kMostCellBits, static_cast<int>(std::bit_width(options.memory_bytes / 128)) - 1);
+  ranges.cell_bits = std::min(kCellKeyBits, static_cast<int>(std::bit_width(options.memory_bytes / 128)) - 1);
   std::vector<std::uint32_t> counts(std::size_t{1} << ranges.cell_bits);
   const MortonKey key(scan.robust());
   const Status counted = each_kept(stream, scan.sh_degree(), encode.on_bad,
@@ -190,7 +189,7 @@ Result<Ranges> cut_ranges(const SplatStream& stream, const SceneScan& scan, cons
     if (end > ranges.first.back() && end + of_cell > ranges.first.back() + most_rows) ranges.first.push_back(end);
     if (of_cell > most_rows) {
       return make_error(Errc::limit_exceeded, Error::kNone,
-                        "too many Gaussians lie in one cell of the Morton curve to sort them in this memory; "
+                        "too many Gaussians are adjacent on the Morton curve to sort them in this memory; "
                         "raise --memory",
                         most_rows, of_cell);
     }

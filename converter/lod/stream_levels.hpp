@@ -86,8 +86,8 @@ using VisitKept = std::function<Status(std::span<const std::uint32_t> positions,
 Status each_kept(const SplatStream& stream, int sh_degree, BadPolicy on_bad, const VisitKept& visit);
 /// Morton keys of all means.
 std::vector<std::uint64_t> keys_of(std::span<const Splat> rows, const MortonKey& key);
-/// Sorts rows of `row_bytes`, which begin with their means, along the curve; stable. Memory: the rows again and 24
-/// bytes each.
+/// Sorts rows of `row_bytes`, which begin with their means and come in the source's order, as sort_by_key() does.
+/// Memory: the rows again and 24 bytes each.
 void sort_rows(std::vector<std::byte>& rows, std::uint64_t row_bytes, const MortonKey& key);
 /// Adds rows of the leaves, from `first` on, to the boxes of their chunks.
 void add_to_chunks(const LevelRows& leaves, std::uint64_t first, std::span<const std::byte> rows,

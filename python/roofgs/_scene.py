@@ -484,13 +484,13 @@ def _count_or_none(value: Optional[int], name: str) -> Optional[int]:
 
 
 def _html(scene: Union[Scene, StreamedScene], facts: str) -> str:
-    from . import cameras
-    from ._render import Renderer
-
     picture = ""
     if len(scene):
-        camera = cameras.default_view(scene, width=480, height=270)
+        low, high = scene.bounds
+        view = _roofgs.orbit(low, high, 1, scene.up, 480, 270, 60.0)
         on_device = isinstance(scene, StreamedScene) and scene.pool.device_memory > 0
-        data = png(Renderer(device="cuda" if on_device else "cpu").render(scene, camera, dtype="uint8"))
-        picture = f'<img alt="" width="480" height="270" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
+        options = _roofgs.RenderOptions((0.0, 0.0, 0.0), None, 0.0, 3, None, None, None, "automatic")
+        image = _roofgs.Renderer("cuda" if on_device else "cpu", 0).render(scene._native, view, False, None, None, None, True,
+                                                                           False, False, options)[0]
+        picture = f'<img alt="" width="480" height="270" src="data:image/png;base64,{base64.b64encode(png(image)).decode()}">'
     return f"<figure>{picture}<figcaption>{html.escape(facts)}</figcaption></figure>"

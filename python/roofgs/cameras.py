@@ -8,7 +8,7 @@ camera axes; gsplat calls it a view matrix. Pixel (i, j) covers [i, i + 1) x [j,
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any, Iterable, List, Sequence, Tuple, Union
+from typing import Any, Iterable, List, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -17,9 +17,7 @@ from ._arrays import host_array
 from ._errors import argument_error, local_name
 from ._paths import Path
 from ._roofgs import Camera
-
-if TYPE_CHECKING:
-    from ._scene import Scene, StreamedScene
+from ._scene import Scene, StreamedScene
 
 __all__ = ["Camera", "CameraList", "default_view", "from_matrices", "load", "look_at", "orbit", "path", "save"]
 
@@ -98,14 +96,14 @@ def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 
     return _roofgs.look_at(_vector(eye), _vector(target), _vector(up), width, height, float(horizontal_fov))
 
 
-def orbit(scene: "Union[Scene, StreamedScene]", n: int, *, width: int = 1280, height: int = 720,
+def orbit(scene: Union[Scene, StreamedScene], n: int, *, width: int = 1280, height: int = 720,
           horizontal_fov: float = 60.0) -> List[Camera]:
     """`n` cameras all around the scene's subject, each as near as shows it."""
     low, high = scene.bounds
     return _roofgs.orbit(low, high, int(n), scene.up, width, height, float(horizontal_fov))
 
 
-def default_view(scene: "Union[Scene, StreamedScene]", *, width: int = 1280, height: int = 720,
+def default_view(scene: Union[Scene, StreamedScene], *, width: int = 1280, height: int = 720,
                  horizontal_fov: float = 60.0) -> Camera:
     """A view of a scene without cameras, from the front and a little above."""
     return orbit(scene, 1, width=width, height=height, horizontal_fov=horizontal_fov)[0]

@@ -31,7 +31,7 @@ namespace {
 const Scene& drawn(const PyScene& scene) {
   return scene.file.scene;
 }
-const StreamedScene& drawn(const PyStream& scene) {
+const Scene& drawn(const PyStream& scene) {
   return scene.scene();
 }
 const std::string& name_of(const PyScene& scene) {
@@ -226,9 +226,9 @@ class PyRenderer {
     constexpr double kStep = 0.1;
     begin_work();
     if (!(seconds >= 0)) refuse(Errc::bad_argument, "seconds to wait are 0 or more");
-    StreamedScene copy = stream.scene();
+    Scene copy = stream.scene();
     const Unlocked unlocked;
-    const StreamedScene held = std::move(copy);
+    const Scene held = std::move(copy);
     const std::scoped_lock lock(mutex_);
     const auto since = [](Clock::time_point start) {
       return std::chrono::duration<double>(Clock::now() - start).count();
@@ -273,12 +273,14 @@ class PyRenderer {
   }
 
  private:
-  // In parts, with signals handled between them. The scene is a copy: another thread may close it.
+  // In parts, with signals handled between them. The scene as in asked().
   void draw(const Scene& scene, const std::string& name, std::span<const Camera> cameras, const PictureArrays& arrays,
             const RenderOptions& options) {
-    const std::size_t n_pixels = pixels_of(cameras), part = renderer_->backend() == Backend::cuda ? 64 : 1;
-    const Scene held = scene;
+    const bool is_in_parts = renderer_->backend() == Backend::cpu || scene.is_streamed();
+    const std::size_t n_pixels = pixels_of(cameras), part = is_in_parts ? 1 : 64;
+    Scene copy = scene;
     const Unlocked unlocked;
+    const Scene held = std::move(copy);
     const std::scoped_lock lock(mutex_);
     stats_.clear();
     for (std::size_t i = 0; i < cameras.size(); i += part) {
@@ -286,26 +288,6 @@ class PyRenderer {
       const auto stats = take(renderer_->render_all(held, some, from(arrays, i, n_pixels), options), name);
       stats_.insert(stats_.end(), stats.begin(), stats.end());
       check_signals(i + some.size() == cameras.size());
-    }
-  }
-  void draw(const StreamedScene& scene, const std::string& name, std::span<const Camera> cameras,
-            const PictureArrays& arrays, const RenderOptions& options) {
-    const std::size_t n_pixels = pixels_of(cameras);
-    StreamedScene copy = scene;
-    const Unlocked unlocked;
-    const StreamedScene held = std::move(copy);
-    const std::scoped_lock lock(mutex_);
-    stats_.clear();
-    if (arrays.codes != nullptr) scratch_.resize(3 * n_pixels);
-    for (std::size_t i = 0; i < cameras.size(); ++i) {
-      const PictureArrays at = from(arrays, i, n_pixels);
-      RenderTarget target;
-      target.rgb = {at.rgb != nullptr ? at.rgb : scratch_.data(), 3 * n_pixels};
-      if (at.alpha != nullptr) target.alpha = {at.alpha, n_pixels};
-      if (at.depth != nullptr) target.depth = {at.depth, n_pixels};
-      stats_.push_back(take(renderer_->render(held, cameras[i], target, options), name));
-      if (at.codes != nullptr) std::ranges::transform(target.rgb, at.codes, to_8bit);
-      check_signals(i + 1 == cameras.size());
     }
   }
   static std::size_t pixels_of(std::span<const Camera> cameras) {
@@ -322,7 +304,6 @@ class PyRenderer {
 
   std::mutex mutex_;  // of all below
   std::optional<Renderer> renderer_;
-  std::vector<float> scratch_;
   std::vector<FrameStats> stats_;
 };
 

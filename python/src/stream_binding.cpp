@@ -27,14 +27,14 @@ StreamPool make_pool(std::uint64_t host_memory, std::uint64_t device_memory) {
 PyStream open(const std::string& name, const StreamPool& pool, bool prefetch,
               std::optional<std::uint64_t> max_expansion, double open_seconds) {
   const std::stop_source stop;
-  const auto work = [=]() -> Result<StreamedScene> {
-    StreamOptions options;
+  const auto work = [=]() -> Result<Scene> {
+    OpenOptions options;
     options.pool = pool;
     options.prefetch = prefetch;
     options.url.stop = stop.get_token();
     options.url.open_seconds = open_seconds;
     if (max_expansion) options.limits.max_expansion = *max_expansion;
-    return StreamedScene::open(name, options);
+    return Scene::open(name, options);
   };
   return {take(run_stoppable(work, nullptr, stop), name), name};
 }
@@ -42,16 +42,16 @@ PyStream open(const std::string& name, const StreamPool& pool, bool prefetch,
 // A query under the pool's lock, which a thread lost in a fork may hold. The scene is a copy, because another thread may close it; the
 // last copy waits for threads, so it is destroyed first.
 template <class Value>
-Value asked(const PyStream& stream, Value (StreamedScene::*question)() const) {
+Value asked(const PyStream& stream, Value (Scene::*question)() const) {
   begin_work();
-  StreamedScene copy = stream.scene();
+  Scene copy = stream.scene();
   const Unlocked unlocked;
-  const StreamedScene held = std::move(copy);
+  const Scene held = std::move(copy);
   return (held.*question)();
 }
 
 py::dict stats(const PyStream& stream) {
-  const StreamStats s = asked(stream, &StreamedScene::stats);
+  const StreamStats s = asked(stream, &Scene::stats);
   return py::dict("pages_resident"_a = s.pages_resident, "pages_missing"_a = s.pages_missing,
                   "bytes_read"_a = s.bytes_read, "bytes_decoded"_a = s.bytes_decoded,
                   "bytes_uploaded"_a = s.bytes_uploaded, "bytes_evicted"_a = s.bytes_evicted,
@@ -82,7 +82,7 @@ void bind_stream(py::module_& module) {
       .def_property_readonly("origin", [](const PyStream& s) { return s.scene().origin(); })
       .def_property_readonly("bounds",
                              [](const PyStream& s) {
-                               const auto [low, high] = s.scene().subject_bounds();
+                               const auto [low, high] = take(subject_bounds(s.scene()), s.name());
                                return py::make_tuple(py::make_tuple(low.x, low.y, low.z),
                                                      py::make_tuple(high.x, high.y, high.z));
                              })
@@ -93,7 +93,7 @@ void bind_stream(py::module_& module) {
                              })
       .def_property_readonly("closed", &PyStream::closed)
       .def("stats", &stats)
-      .def("check", [](const PyStream& s) { take(asked(s, &StreamedScene::status), s.name()); })
+      .def("check", [](const PyStream& s) { take(asked(s, &Scene::status), s.name()); })
       .def("close", &PyStream::close);
   module.def("open_stream", &open, "name"_a, "pool"_a, "prefetch"_a, "max_expansion"_a, "open_seconds"_a);
 }

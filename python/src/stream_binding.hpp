@@ -8,21 +8,20 @@
 #include <string>
 #include <utility>
 
-#include "rgs/streamed_scene.hpp"
+#include "rgs/scene.hpp"
 #include "work.hpp"
 
 namespace rgs::python {
 
 class PyStream {
  public:
-  PyStream(StreamedScene scene, std::string name)
-      : scene_(std::make_unique<StreamedScene>(std::move(scene))), name_(std::move(name)) {}
+  PyStream(Scene scene, std::string name) : scene_(std::make_unique<Scene>(std::move(scene))), name_(std::move(name)) {}
   PyStream(PyStream&&) = default;
   PyStream& operator=(PyStream&&) = delete;
   ~PyStream() { close(); }
 
   /// Failure (bad_argument) once it is closed.
-  const StreamedScene& scene() const {
+  const Scene& scene() const {
     if (!scene_) refuse(Errc::bad_argument, "the scene is closed", name_);
     return *scene_;
   }
@@ -41,7 +40,7 @@ class PyStream {
   }
 
  private:
-  std::unique_ptr<StreamedScene> scene_;
+  std::unique_ptr<Scene> scene_;
   std::string name_;
 };
 

@@ -45,7 +45,7 @@ Result<float> detail::drawn_detail(const RenderOptions& options, bool has_levels
 }
 
 Result<float> drawn_detail(const RenderOptions& options, const Scene& scene) {
-  return detail::drawn_detail(options, scene.levels() != nullptr);
+  return detail::drawn_detail(options, scene.levels() != nullptr || scene.is_streamed());
 }
 
 RenderOptions detail::with_levels(RenderOptions options, float detail_px) {

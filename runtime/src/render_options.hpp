@@ -5,6 +5,7 @@
 #include <array>
 #include <optional>
 
+#include "rgs/ablation.hpp"
 #include "rgs/camera.hpp"
 #include "rgs/math/camera.hpp"
 #include "rgs/page.hpp"

@@ -20,19 +20,16 @@ namespace {
 
 constexpr std::uint64_t kMaxDrawn = std::uint64_t{1} << 31;
 
+tl::unexpected<Error> too_many(std::uint64_t n) {
+  return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index", kMaxDrawn - 1, n);
+}
+
 }  // namespace
 
 struct Renderer::Impl {
   std::optional<detail::ReferenceRenderer> reference;  // null if CUDA draws
   std::optional<detail::CudaBackend> cuda;
   std::string name;
-  // On the CPU: the last frame's pages of a scene with levels of detail, kept while they stay the same.
-  struct Cut {
-    std::uint64_t of = 0;  // Scene::identity()
-    std::vector<std::uint32_t> pages = {};
-    Scene scene = {};
-  } cut;
-
   std::vector<float> scratch;  // for a picture whose codes alone are wanted
 
   // Identifies this renderer's view of streamed scenes.
@@ -40,12 +37,13 @@ struct Renderer::Impl {
 
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
-  Result<FrameStats> render(const detail::StreamFrame& frame, const StreamedScene& scene, const Camera& camera,
+  Result<FrameStats> draw_on_cpu(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                                 const RenderOptions& options, const detail::FrameSettings& settings);
+  Result<FrameStats> render(const detail::StreamFrame& frame, const Scene& scene, const Camera& camera,
                             const RenderTarget& target, const RenderOptions& options);
   Result<std::vector<FrameStats>> render_on_device(const Scene& scene, std::span<const Camera> cameras,
                                                    const PictureArrays& pictures, const RenderOptions& options);
-  Result<detail::StreamRule> rule_of(const StreamedScene& scene, const Camera& camera,
-                                     const RenderOptions& options) const;
+  Result<detail::StreamRule> rule_of(const Scene& scene, const Camera& camera, const RenderOptions& options) const;
   std::uint64_t n_missing(const Scene& scene, const Camera& camera, const RenderOptions& options) const;
   static std::uint64_t next_identity() {
     static std::atomic<std::uint64_t> last{0};
@@ -86,6 +84,7 @@ Status Renderer::prepare(const Scene& scene) {
 
 Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                     const RenderOptions& options) {
+  if (scene.is_streamed()) return render_streamed(scene, camera, target, options);
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
   RenderOptions drawn = options;
   if (!drawn.detail_px && !target.contributions.empty()) drawn.detail_px = 0;
@@ -96,24 +95,8 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
     return make_error(Errc::bad_argument, Error::kNone, "contributions are counted for the leaves alone: set detail 0");
   }
   return detail::guard_memory([&]() -> Result<FrameStats> {
-    const std::uint64_t missing = impl_->n_missing(scene, camera, drawn);
-    // A device has all pages and chooses the cut itself.
-    if (*detail == 0 || impl_->cuda) {
-      auto stats = impl_->render(scene, camera, target, drawn);
-      if (stats) stats->stream.pages_missing = missing;
-      return stats;
-    }
-    auto pages = drawn_pages(scene, camera, *detail);
-    if (!pages) return tl::unexpected(pages.error());
-    Impl::Cut& cut = impl_->cut;
-    if (cut.of != scene.identity() || cut.pages != *pages) {
-      cut = {};
-      auto chosen = scene.pages(*pages);
-      if (!chosen) return tl::unexpected(chosen.error());
-      cut = {scene.identity(), *std::move(pages), *std::move(chosen)};
-    }
-    auto stats = impl_->render(cut.scene, camera, target, drawn);
-    if (stats) stats->pages = cut.pages.size(), stats->stream.pages_missing = missing;
+    auto stats = impl_->render(scene, camera, target, drawn);
+    if (stats) stats->stream.pages_missing = impl_->n_missing(scene, camera, drawn);
     return stats;
   });
 }
@@ -124,13 +107,16 @@ Result<std::vector<FrameStats>> Renderer::render_all(const Scene& scene, std::sp
     return make_error(Errc::unavailable, Error::kNone,
                       "only CUDA draws pictures into device memory: use Backend::cuda");
   }
+  if (pictures.on_device && scene.is_streamed()) {
+    return make_error(Errc::bad_argument, Error::kNone, "streamed scenes are drawn into the host's memory");
+  }
   for (const Camera& camera : cameras) {
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
     if (camera.width != cameras.front().width || camera.height != cameras.front().height)
       return make_error(Errc::bad_argument, Error::kNone, "the cameras of one call have different image sizes");
   }
   return detail::guard_memory([&] {
-    return impl_->cuda && (pictures.on_device || cameras.size() > 1)
+    return impl_->cuda && !scene.is_streamed() && (pictures.on_device || cameras.size() > 1)
                ? impl_->render_on_device(scene, cameras, pictures, options)
                : render_each(scene, cameras, pictures, options);
   });
@@ -186,7 +172,6 @@ Result<DeviceBlock> Renderer::allocate_on_device(std::uint64_t bytes) const {
   return detail::guard_memory([&] { return detail::CudaBackend::allocate(bytes); });
 }
 
-// A scene without levels, or the leaves of one with levels; on CUDA any scene.
 Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                           const RenderOptions& options) {
   const Backend backend = cuda ? Backend::cuda : Backend::cpu;
@@ -200,12 +185,36 @@ Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& came
                         scene.size(), target.contributions.size());
   }
   auto stats = cuda ? cuda->render(scene, camera, target, with_declarations(options, scene.declarations()))
-                    : scene.view().and_then(
-                          [&](const SceneView& view) { return reference->render(view, camera, target, *settings); });
+                    : draw_on_cpu(scene, camera, target, options, *settings);
   // Here for CUDA too, where FP32 arrays carry no declarations.
   if (stats) {
     stats->depth_resolution = detail::depth_resolution(*settings, stats->depth_bits, camera, scene.declarations());
   }
+  return stats;
+}
+
+Result<FrameStats> Renderer::Impl::draw_on_cpu(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                                               const RenderOptions& options, const detail::FrameSettings& settings) {
+  const bool is_cut = *options.detail_px > 0;
+  const auto gaussians = is_cut ? scene.all_pages() : scene.view();
+  if (!gaussians) return tl::unexpected(gaussians.error());
+  std::vector<detail::ScenePart> parts;
+  std::uint64_t n = 0;
+  const auto add = [&](std::uint64_t first, std::uint64_t count) {
+    parts.push_back(detail::part_of(*gaussians, first, count));
+    n += count;
+  };
+  if (is_cut) {
+    const auto cut = drawn_pages(scene, camera, *options.detail_px);
+    if (!cut) return tl::unexpected(cut.error());
+    parts.reserve(cut->size());
+    for (const std::uint32_t page : *cut) add(scene.levels()->pages()[page].first, scene.levels()->pages()[page].count);
+  } else {
+    add(0, gaussians->n);
+  }
+  if (n >= kMaxDrawn) return too_many(n);
+  auto stats = reference->render({scene.sh_degree(), scene.origin(), parts}, camera, target, settings);
+  if (stats && is_cut) stats->pages = parts.size();
   return stats;
 }
 
@@ -215,18 +224,19 @@ std::uint64_t Renderer::Impl::n_missing(const Scene& scene, const Camera& camera
   if (file == nullptr || file->n_present() == file->n_pages()) return 0;
   const auto settings = detail::resolve(options, scene.declarations(), cuda ? Backend::cuda : Backend::cpu);
   if (!settings) return 0;  // drawing refuses them
-  const auto eye =
-      detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, *options.detail_px}.eye(camera);
-  const auto wanted = lod::drawn_pages(file->pages(), eye.eye, eye.detail_px);
+  const auto look =
+      detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, *options.detail_px}.look(camera);
+  const pages::ViewVolume volume(look.view, look.low_pass);
+  const auto wanted = lod::drawn_pages(file->pages(), look.eye, look.detail_px);
   return static_cast<std::uint64_t>(std::ranges::count_if(wanted, [&](std::uint32_t page) {
-    return page >= file->n_present() && eye.volume.may_show(file->pages()[page].bounds);
+    return page >= file->n_present() && volume.may_show(file->pages()[page].bounds);
   }));
 }
 
 // Draws a streamed scene like one with levels that is entirely in memory.
-Result<detail::StreamRule> Renderer::Impl::rule_of(const StreamedScene& scene, const Camera& camera,
+Result<detail::StreamRule> Renderer::Impl::rule_of(const Scene& scene, const Camera& camera,
                                                    const RenderOptions& options) const {
-  const bool is_on_device = scene.state_->store->is_on_device();
+  const bool is_on_device = scene.streamed()->store->is_on_device();
   if (cuda && !is_on_device) {
     return make_error(
         Errc::unavailable, Error::kNone,
@@ -247,9 +257,8 @@ Result<detail::StreamRule> Renderer::Impl::rule_of(const StreamedScene& scene, c
   return detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, *detail};
 }
 
-Result<FrameStats> Renderer::Impl::render(const detail::StreamFrame& frame, const StreamedScene& scene,
-                                          const Camera& camera, const RenderTarget& target,
-                                          const RenderOptions& options) {
+Result<FrameStats> Renderer::Impl::render(const detail::StreamFrame& frame, const Scene& scene, const Camera& camera,
+                                          const RenderTarget& target, const RenderOptions& options) {
   return cuda->render({.slots = *frame.slots(),
                        .chunks = frame.chunks(),
                        .gaussians = frame.cut().gaussians,
@@ -258,22 +267,21 @@ Result<FrameStats> Renderer::Impl::render(const detail::StreamFrame& frame, cons
                       camera, target, options);
 }
 
-Result<FrameStats> Renderer::render(const StreamedScene& scene, const Camera& camera, const RenderTarget& target,
-                                    const RenderOptions& options) {
+Result<FrameStats> Renderer::render_streamed(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                                             const RenderOptions& options) {
   const auto rule = impl_->rule_of(scene, camera, options);
   if (!rule) return tl::unexpected(rule.error());
   if (const auto ok = detail::validate(target, camera); !ok) return tl::unexpected(ok.error());
   if (!target.contributions.empty()) {
     return make_error(Errc::bad_argument, Error::kNone,
-                      "contributions are not counted for streamed scenes: open the file as a Scene");
+                      "contributions are not counted for streamed scenes: open the file without a pool");
   }
   return detail::guard_memory([&]() -> Result<FrameStats> {
     for (;;) {
-      const auto frame = detail::StreamFrame::begin(scene.state_, impl_->identity, camera, *rule);
+      auto frame = detail::StreamFrame::begin(scene.streamed(), impl_->identity, camera, *rule);
       if (!frame) return tl::unexpected(frame.error());
       if (frame->cut().gaussians >= kMaxDrawn) {
-        return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index",
-                          kMaxDrawn - 1, frame->cut().gaussians);
+        return too_many(frame->cut().gaussians);
       }
       auto stats = impl_->cuda ? impl_->render(*frame, scene, camera, target, options)
                                : impl_->reference->render({scene.sh_degree(), scene.origin(), frame->parts()}, camera,
@@ -296,12 +304,12 @@ Result<FrameStats> Renderer::render(const StreamedScene& scene, const Camera& ca
   });
 }
 
-Result<bool> Renderer::refine(const StreamedScene& scene, const Camera& camera, double seconds,
-                              const RenderOptions& options) {
+Result<bool> Renderer::refine(const Scene& scene, const Camera& camera, double seconds, const RenderOptions& options) {
+  if (!scene.is_streamed()) return true;
   const auto rule = impl_->rule_of(scene, camera, options);
   if (!rule) return tl::unexpected(rule.error());
   return detail::guard_memory(
-      [&] { return detail::refine_view(*scene.state_, impl_->identity, camera, *rule, seconds); });
+      [&] { return detail::refine_view(*scene.streamed(), impl_->identity, camera, *rule, seconds); });
 }
 
 Backend Renderer::backend() const {

@@ -22,6 +22,7 @@
 #include "rgs/quantize.hpp"
 #include "rgs/subject_box.hpp"
 #include "splat_arrays.hpp"
+#include "stream/streamed_state.hpp"
 
 namespace rgs {
 namespace {
@@ -168,6 +169,7 @@ struct Scene::Storage {
   // For a file with levels of detail; its bytes are `file` or `copy`.
   std::vector<std::byte> copy;
   std::optional<PagedFile> levels;
+  std::shared_ptr<detail::StreamedState> streamed;  // nothing else is used then
 
   mutable std::mutex mutex;                   // of all below
   mutable bool is_validated = false;          // `file`, on the host
@@ -187,6 +189,9 @@ struct Scene::Storage {
   Status expand_pages() const;
   Status expand_leaves() const;
   std::vector<std::uint32_t> finest_present() const;
+  SceneView view_of_pages(std::uint64_t first, std::uint64_t count) const {
+    return view_of(Arrays(paged.get(), n_paged, sh_degree), first, count, sh_degree, origin());
+  }
   Status open_levels(const DecodeLimits& limits, std::span<const std::byte> bytes);
 };
 
@@ -268,7 +273,7 @@ std::vector<std::uint32_t> Scene::Storage::finest_present() const {
 Status Scene::Storage::expand_leaves() const {
   if (const auto ok = expand_pages(); !ok) return ok;
   if (levels->n_present() == levels->n_pages()) {
-    arrays = view_of(Arrays(paged.get(), n_paged, sh_degree), n_paged - n, n, sh_degree, origin());
+    arrays = view_of_pages(n_paged - n, n);
     return {};
   }
   expanded = Arrays::memory(n, sh_degree);
@@ -429,12 +434,6 @@ Result<Scene> Scene::load(MappedFile&& file, const DecodeLimits& limits) {
   });
 }
 
-Result<Scene> Scene::open(const std::string& path, const DecodeLimits& limits) {
-  auto file = MappedFile::open(path);
-  if (!file) return tl::unexpected(file.error());
-  return open(*std::move(file), limits);
-}
-
 Result<Scene> Scene::open(MappedFile&& file, const DecodeLimits& limits) {
   return detail::guard_memory([&]() -> Result<Scene> {
     if (has_levels(file.bytes())) return open_levels(std::move(file), limits);
@@ -448,6 +447,20 @@ Result<Scene> Scene::open(MappedFile&& file, const DecodeLimits& limits) {
     scene.storage_ = std::move(storage);
     return scene;
   });
+}
+
+Scene::Scene(std::shared_ptr<detail::StreamedState> state) {
+  auto storage = std::make_shared<Storage>();
+  storage->n = state->file->head().header().n_gaussians;
+  storage->sh_degree = state->file->head().header().sh_degree;
+  storage->declarations = state->file->head().declarations();
+  storage->streamed = std::move(state);
+  storage_ = std::move(storage);
+}
+
+const std::shared_ptr<detail::StreamedState>& Scene::streamed() const {
+  static const std::shared_ptr<detail::StreamedState> kNone;
+  return storage_ ? storage_->streamed : kNone;
 }
 
 std::uint64_t Scene::size() const {
@@ -474,36 +487,12 @@ const PagedFile* Scene::levels() const {
   return storage_ && storage_->levels ? &*storage_->levels : nullptr;
 }
 
-Result<Scene> Scene::pages(std::span<const std::uint32_t> pages) const {
-  return detail::guard_memory([&]() -> Result<Scene> {
-    if (levels() == nullptr) return make_error(Errc::bad_argument, Error::kNone, "the scene has no levels of detail");
-    const std::vector<lod::Page>& all = levels()->pages();
-    std::uint64_t n = 0;
-    for (const std::uint32_t page : pages) {
-      if (page >= levels()->n_present())
-        return make_error(Errc::bad_argument, Error::kNone, "the scene has no page of this number",
-                          levels()->n_present(), page);
-      n += all[page].count;
-    }
-    if (n >= kMaxGaussians) {
-      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index",
-                        kMaxGaussians - 1, n);
-    }
-    auto storage = std::make_shared<Storage>();
-    {
-      const std::scoped_lock lock(storage_->mutex);
-      if (const auto ok = storage_->expand_pages(); !ok) return tl::unexpected(ok.error());
-    }
-    storage->n = n;
-    storage->sh_degree = sh_degree();
-    storage->declarations = declarations();
-    storage->expanded = Arrays::memory(n, sh_degree());
-    const Arrays to(storage->expanded.get(), n, sh_degree());
-    gather(to, Arrays(storage_->paged.get(), storage_->n_paged, sh_degree()), all, pages);
-    storage->arrays = view_of(to, 0, n, sh_degree(), origin());
-    Scene scene;
-    scene.storage_ = std::move(storage);
-    return scene;
+Result<SceneView> Scene::all_pages() const {
+  if (levels() == nullptr) return make_error(Errc::bad_argument, Error::kNone, "the scene has no levels of detail");
+  return detail::guard_memory([&]() -> Result<SceneView> {
+    const std::scoped_lock lock(storage_->mutex);
+    if (const auto ok = storage_->expand_pages(); !ok) return tl::unexpected(ok.error());
+    return storage_->view_of_pages(0, storage_->n_paged);
   });
 }
 
@@ -544,6 +533,8 @@ std::uint64_t Scene::bytes() const {
 
 Result<SceneView> Scene::view() const {
   if (!storage_) return SceneView();
+  if (is_streamed())
+    return make_error(Errc::bad_argument, Error::kNone, "a streamed scene has no arrays: open it without a pool");
   return detail::guard_memory([&]() -> Result<SceneView> {
     const std::scoped_lock lock(storage_->mutex);
     if (const auto ok = storage_->expand(); !ok) return tl::unexpected(ok.error());
@@ -560,6 +551,7 @@ Result<DirectData> Scene::direct() const {
 }
 
 Result<SceneBounds> subject_bounds(const Scene& scene) {
+  if (scene.is_streamed()) return scene.streamed()->subject;
   if (!scene.has_file()) {
     const auto view = scene.view();
     if (!view) return tl::unexpected(view.error());

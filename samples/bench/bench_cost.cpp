@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "common/frame.hpp"
+#include "rgs/ablation.hpp"
 #include "rgs/math/coverage.hpp"
 #include "turbo/turbo.hpp"
 

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "bench_report.hpp"
+#include "rgs/ablation.hpp"
 
 namespace rgs::bench {
 namespace {

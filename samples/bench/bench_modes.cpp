@@ -1,6 +1,7 @@
 // bench_modes.cpp - the configurations that rgs-bench compares.
 // SPDX-License-Identifier: Apache-2.0
 #include "bench_modes.hpp"
+#include "rgs/ablation.hpp"
 
 #include <algorithm>
 #include <cassert>

@@ -32,7 +32,7 @@
 #include "rgs/file.hpp"
 #include "rgs/image_metrics.hpp"
 #include "rgs/renderer.hpp"
-#include "rgs/streamed_scene.hpp"
+#include "rgs/scene.hpp"
 #include "rgs/version.hpp"
 #ifdef RGS_STREAM_TIMES
 #include "stream/stream_times.hpp"
@@ -170,10 +170,10 @@ struct Bench {
   Pictures pictures = {};
   std::optional<Picture> shown = {};  ///< target of frames that are not compared
 
-  Result<rgs::StreamedScene> open(const rgs::StreamPool& pool) const {
+  Result<rgs::Scene> open(const rgs::StreamPool& pool) const {
     rgs::UrlOptions way;
     if (options.wait > 0) way.open_seconds = std::min(options.wait, 86400.);
-    return rgs::StreamedScene::open(options.scene, {.pool = pool, .url = way});
+    return rgs::Scene::open(options.scene, {.pool = pool, .url = way});
   }
   Result<rgs::StreamPool> pool() const {
     return rgs::StreamPool::create(
@@ -181,7 +181,7 @@ struct Bench {
   }
   rgs::Status forget_file() const { return options.is_cold ? forget(options.scene) : rgs::Status(); }
   /// A frame of the resident pages.
-  Result<rgs::FrameStats> draw(const rgs::StreamedScene& scene, const rgs::Camera& camera, Picture* picture) {
+  Result<rgs::FrameStats> draw(const rgs::Scene& scene, const rgs::Camera& camera, Picture* picture) {
     rgs::RenderTarget target;
     target.rgb = (picture != nullptr ? *picture : *shown).image().pixels;
     return renderer.render(scene, camera, target, options.render);
@@ -189,8 +189,7 @@ struct Bench {
 };
 
 // The complete picture of a view; absent if it is not complete in time.
-Result<std::optional<Picture>> complete_picture(Bench& bench, const rgs::StreamedScene& scene,
-                                                const rgs::Camera& camera) {
+Result<std::optional<Picture>> complete_picture(Bench& bench, const rgs::Scene& scene, const rgs::Camera& camera) {
   const auto refined = bench.renderer.refine(scene, camera, bench.options.wait, bench.options.render);
   if (!refined) return tl::unexpected(refined.error());
   if (!*refined) return std::nullopt;
@@ -280,8 +279,8 @@ struct Arrival {
 
 // Draws until nothing is missing and keeps some pictures, fewer and fewer, to compare with the last one. Needs a stock in
 // Bench::pictures. `before`: the scene's counts at `start`.
-Result<Arrival> arrive(Bench& bench, const rgs::StreamedScene& scene, const rgs::Camera& camera,
-                       Clock::time_point start, const rgs::StreamStats& before) {
+Result<Arrival> arrive(Bench& bench, const rgs::Scene& scene, const rgs::Camera& camera, Clock::time_point start,
+                       const rgs::StreamStats& before) {
   struct Kept {
     double ms;
     Picture picture;
@@ -368,7 +367,7 @@ Json frame_json(const Frame& f) {
 using Print = void (*)(std::string_view);
 
 // The flight in real time, with some pictures compared with complete ones.
-Result<Json> fly(Bench& bench, const rgs::StreamedScene& scene, Print print) {
+Result<Json> fly(Bench& bench, const rgs::Scene& scene, Print print) {
   const Options& o = bench.options;
   std::vector<Frame> frames;
   std::vector<std::pair<std::size_t, Picture>> kept;
@@ -545,7 +544,7 @@ int bench_flight(const Options& o) {
   auto opened = bench.open(*pool);
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!opened) return report(opened.error());
-  std::optional<rgs::StreamedScene> scene(*std::move(opened));
+  std::optional<rgs::Scene> scene(*std::move(opened));
   const double open_ms = ms_since(start);
   const std::uint64_t open_bytes = scene->stats().bytes_read;
   print(fmt::format("{}: {} Gaussians, {} {}x{}\n", tool::printable(name), tool::format_count(scene->size()),

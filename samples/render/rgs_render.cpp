@@ -22,11 +22,11 @@
 #include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "pace.hpp"
+#include "rgs/ablation.hpp"
 #include "rgs/byte_source.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
-#include "rgs/streamed_scene.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
 #include "spz_axes.hpp"
@@ -201,9 +201,7 @@ struct Picture {
   rgs::Image colour, depth;
 };
 
-// `scene`: rgs::Scene or rgs::StreamedScene.
-template <class AnyScene>
-rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const AnyScene& scene, const Shot& shot,
+rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const rgs::Scene& scene, const Shot& shot,
                                  const rgs::RenderOptions& options, bool with_alpha, rgs::FrameStats& stats) {
   Picture picture;
   const int width = shot.camera.width, height = shot.camera.height;
@@ -417,9 +415,10 @@ void warn_of_coarse_depths(const std::vector<Frame>& frames) {
 
 // Draws and writes every shot, between begin(frame, options) and is_complete(frame). A picture is encoded while the next frame is
 // rendered; at most two are in memory. Returns an exit code.
-template <class AnyScene, class Begin, class IsComplete>
-int draw_frames(const Options& options, rgs::Renderer& renderer, const AnyScene& scene, const std::vector<Shot>& shots,
-                Clock::time_point opened, const Begin& begin, const IsComplete& is_complete, Drawn& drawn) {
+template <class Begin, class IsComplete>
+int draw_frames(const Options& options, rgs::Renderer& renderer, const rgs::Scene& scene,
+                const std::vector<Shot>& shots, Clock::time_point opened, const Begin& begin,
+                const IsComplete& is_complete, Drawn& drawn) {
   rgs::RenderOptions how = render_options(options);
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   progress.begin("rendering", shots.size(), "frames");
@@ -557,14 +556,13 @@ int render_streamed(const Options& options) {
   if (!source) return tool::report(shown_scene(options), source.error());
   const std::uint64_t file_bytes = (*source)->size();
   way.open_seconds -= seconds_since(opened);
-  const auto scene =
-      rgs::StreamedScene::open(*std::move(source), {.pool = *pool, .limits = options.read.limits, .url = way});
+  const auto scene = rgs::Scene::open(*std::move(source), {.pool = *pool, .limits = options.read.limits, .url = way});
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scene) return report_not_streamed(options, scene.error());
   const double load_seconds = seconds_since(start);
 
   std::vector<Shot> shots;
-  const auto bounds = [&] { return scene->subject_bounds(); };
+  const auto bounds = [&] { return rgs::subject_bounds(*scene); };
   const glm::dvec3 up = rgs::declared_up(*scene->declarations());
   if (const int code = make_shots(options, bounds, up, shots); code != tool::kSuccess) return code;
   std::vector<std::string> outputs{options.json || !options.quiet ? "-" : ""};

@@ -10,7 +10,6 @@
 #include <chrono>
 #include <mutex>
 #include <utility>
-#include <variant>
 
 #include "image_file.hpp"
 #include "input_files.hpp"
@@ -24,7 +23,6 @@ namespace {
 using Clock = std::chrono::steady_clock;
 constexpr int kPngLevel = 1;  // speed matters, not size
 constexpr std::size_t kCodesOfTask = 100'000;
-using AnyScene = std::variant<Scene, StreamedScene>;
 
 double ms_since(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
@@ -85,7 +83,7 @@ struct FrameMaker::Impl {
   Renderer renderer;
   tbb::task_arena threads;
   std::optional<StreamPool> pool;
-  std::vector<AnyScene> scenes;
+  std::vector<Scene> scenes;
   tool::InputFiles inputs;
   std::mutex drawing, spare_lock;
   std::vector<Workspace> spare;
@@ -117,7 +115,7 @@ tl::expected<FrameMaker, SceneError> FrameMaker::create(const std::vector<std::s
       return fail(path, impl->inputs.changed() ? tool::kFileChanged : error);
     };
     if (impl->pool) {
-      auto streamed = StreamedScene::open(path, {.pool = impl->pool, .limits = settings.read.limits});
+      auto streamed = Scene::open(path, {.pool = impl->pool, .limits = settings.read.limits});
       if (streamed) {
         is_any_streamed = true;
         impl->scenes.emplace_back(*std::move(streamed));
@@ -157,17 +155,14 @@ Result<Frame> FrameMaker::make(const FrameRequest& request) {
   {
     const std::scoped_lock lock(impl_->drawing);
     const auto start = Clock::now();
-    const auto drawn = std::visit(
-        [&](const auto& scene) {
-          return impl_->renderer.render(scene, request.camera, {.rgb = workspace.image.pixels}, request.options);
-        },
-        impl_->scenes.at(request.scene));
+    const Scene& scene = impl_->scenes.at(request.scene);
+    const auto drawn = impl_->renderer.render(scene, request.camera, {.rgb = workspace.image.pixels}, request.options);
     frame.render_ms = ms_since(start);
     if (impl_->inputs.changed()) return tl::unexpected(tool::kFileChanged);
     if (!drawn) return tl::unexpected(drawn.error());
-    if (const auto* streamed = std::get_if<StreamedScene>(&impl_->scenes[request.scene])) {
+    if (scene.is_streamed()) {
       frame.stream = drawn->stream;
-      if (const Status status = streamed->status(); !status) frame.stream_error = status.error();
+      if (const Status status = scene.status(); !status) frame.stream_error = status.error();
     }
   }
   const auto start = Clock::now();

@@ -13,7 +13,7 @@
 #include "rgs/interchange.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/result.hpp"
-#include "rgs/streamed_scene.hpp"
+#include "rgs/stream_pool.hpp"
 
 namespace rgs::view {
 
@@ -40,7 +40,7 @@ struct Frame {
 
 class FrameMaker {
  public:
-  /// Opens and prepares the scenes. Errors: those of Renderer::create(), open_scene_file(), StreamedScene::open() and
+  /// Opens and prepares the scenes. Errors: those of Renderer::create(), open_scene_file(), Scene::open() and
   /// Renderer::prepare(); bad_argument (a budget, but no file with levels of detail).
   static tl::expected<FrameMaker, SceneError> create(const std::vector<std::string>& paths,
                                                      const FrameSettings& settings);

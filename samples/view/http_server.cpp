@@ -1,431 +1,296 @@
-// http_server.cpp - cpp-httplib behind limits.
+// http_server.cpp - Boost.Asio waits and Boost.Beast parses: one thread reads and writes, others make answers and read files.
 // SPDX-License-Identifier: Apache-2.0
 #include "http_server.hpp"
 
-#include <httplib.h>
-#include <netinet/in.h>
-#include <netinet/tcp.h>
-#include <poll.h>
-#include <sys/eventfd.h>
-#include <sys/socket.h>
-#include <unistd.h>
+#include <fmt/format.h>
 
 #include <algorithm>
 #include <array>
-#include <cerrno>
-#include <deque>
-#include <mutex>
-#include <span>
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/asio/thread_pool.hpp>
+#include <boost/beast/core/string.hpp>
+#include <boost/beast/http/empty_body.hpp>
+#include <boost/beast/http/parser.hpp>
+#include <boost/beast/http/status.hpp>
+#include <boost/beast/http/verb.hpp>
+#include <charconv>
+#include <exception>
+#include <limits>
+#include <list>
 #include <string_view>
-#include <thread>
 #include <utility>
-#include <vector>
 
 namespace rgs::view {
 namespace {
 
-using Clock = std::chrono::steady_clock;
+namespace asio = boost::asio;
+namespace http = boost::beast::http;
+using asio::ip::tcp;
+using boost::system::error_code;
 
 // A browser opens six connections to a server, and two pages may be open.
 constexpr std::size_t kThreads = 16;
 constexpr std::size_t kMostWaiting = 128;  // connections without a whole request; of more the oldest are closed
-constexpr std::size_t kRequestsOfConnection = 10'000;
-constexpr std::size_t kFileBlock = 256 * 1024;
+constexpr std::size_t kReceiveBlock = 16 * 1024, kFileBlock = 256 * 1024;
 // Bytes that are read from a refused client before the connection closes, so that it can read the answer.
 constexpr std::size_t kLingerBytes = 1 << 20;
 constexpr std::chrono::milliseconds kLingerTime{500};
-
-// Replaces the name Range, so that httplib does not handle ranges itself: it answers 416 to numbers beyond 2^63, and copies each of
-// several ranges into memory.
-constexpr std::string_view kRange = "Range", kSeenRange = "Bytes";
-static_assert(kRange.size() == kSeenRange.size());
+constexpr std::chrono::milliseconds kAcceptAgain{10};  // when no more files can be open
+constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
 
 bool equal_names(std::string_view a, std::string_view b) {
-  const auto lower = [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; };
-  return a.size() == b.size() &&
-         std::equal(a.begin(), a.end(), b.begin(), [&](char x, char y) { return lower(x) == lower(y); });
+  return boost::beast::iequals({a.data(), a.size()}, {b.data(), b.size()});
 }
 
-// Waits until the socket can be read or written. False at time `until`.
-bool wait_for(int socket, short event, Clock::time_point until) {
-  for (;;) {
-    const auto left = std::chrono::ceil<std::chrono::milliseconds>(until - Clock::now()).count();
-    if (left <= 0) return false;
-    pollfd wanted{socket, event, 0};
-    const int n = ::poll(&wanted, 1, static_cast<int>(std::min<std::int64_t>(left, 1 << 30)));
-    if (n > 0) return true;
-    if (n < 0 && errno != EINTR) return false;
+class Connection;
+
+struct Server {
+  HttpLimits limits;
+  HttpHandlers handlers = {};
+  std::list<Connection*> waiting = {};  // the oldest first
+  asio::io_context io{1};
+  tcp::acceptor acceptor{io};
+  asio::steady_timer accept_again{io};
+  asio::thread_pool pool{kThreads};
+
+  error_code listen(int port);
+  void accept();
+  HttpAnswer answer(const HttpRequest& request) const;
+};
+
+// "%2f" becomes "/"; what is no such code stays.
+std::string percent_decoded(std::string_view text) {
+  std::string decoded;
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const char* const at = text.data() + i;
+    unsigned code = 0;
+    if (*at == '%' && text.size() - i > 2 && std::from_chars(at + 1, at + 3, code, 16).ptr == at + 3) {
+      decoded += static_cast<char>(code);
+      i += 2;
+    } else {
+      decoded += *at;
+    }
   }
+  return decoded;
 }
 
-// A connection that httplib reads and writes, one request after the other.
-class Connection final : public httplib::Stream {
- public:
-  enum class Head { incomplete, complete, malformed, too_large, too_slow };
-
-  Connection(int socket, const HttpLimits& limits) : socket_(socket), limits_(limits) {}
-  ~Connection() override { ::close(socket_); }
-  Connection(const Connection&) = delete;
-  Connection& operator=(const Connection&) = delete;
-
-  // What has come of the next head. Only whole ones go to httplib, so that it never waits for one.
-  Head head() {
-    if (is_too_slow_) return Head::too_slow;
-    const std::size_t end = buffer_.find("\r\n\r\n");
-    if (end == buffer_.npos || end + 4 > limits_.head_bytes)
-      return buffer_.size() >= limits_.head_bytes ? Head::too_large : Head::incomplete;
-    begin_ = 0;
-    bytes_read_ = 0;
-    head_bytes_ = end + 4;
-    until_ = Clock::now() + limits_.request_time;
-    if (!has_plain_lines()) return Head::malformed;
-    hide_ranges();
-    return Head::complete;
-  }
-
-  // While it waits for a request, or for the client to close. False: it has closed, or sent too much.
-  void begin_wait() { until_ = Clock::now() + (has_begun() ? limits_.request_time : limits_.idle_time); }
-  Clock::time_point waits_until() const { return until_; }
-  bool take_what_has_come() {
-    const bool had_begun = has_begun();
-    if (!receive()) return false;
-    if (lingers_) {
-      linger_bytes_ += buffer_.size();
-      buffer_.clear();
-      return linger_bytes_ < kLingerBytes;
-    }
-    if (!had_begun && has_begun()) begin_wait();
-    return true;
-  }
-  // The time is over. True: a request has begun, and is to be refused.
-  bool ends_too_slow() { return is_too_slow_ = has_begun(); }
-
-  // No more is sent; what still comes is thrown away for a while, so that the client can read the answer.
-  void begin_linger() {
-    ::shutdown(socket_, SHUT_WR);
-    lingers_ = true;
-    buffer_.clear();
-    until_ = Clock::now() + kLingerTime;
-  }
-  bool lingers() const { return lingers_; }
-
-  bool is_readable() const override { return true; }
-  bool is_writable() const override { return true; }
-  int socket() const override { return socket_; }
-  // Unused: every client is on this machine.
-  void get_remote_ip_and_port(std::string&, int&) const override {}
-  void get_local_ip_and_port(std::string&, int&) const override {}
-
-  ssize_t read(char* out, std::size_t size) override {
-    if (bytes_read_ >= head_bytes_ + limits_.body_bytes) return -1;
-    if (begin_ == buffer_.size()) {
-      buffer_.clear();
-      begin_ = 0;
-      if (!wait_for(socket_, POLLIN, until_) || !receive() || buffer_.empty()) return -1;
-    }
-    const std::size_t n = std::min(size, buffer_.size() - begin_);
-    std::copy_n(buffer_.data() + begin_, n, out);
-    begin_ += n;
-    bytes_read_ += n;
-    return static_cast<ssize_t>(n);
-  }
-
-  ssize_t write(const char* data, std::size_t size) override {
-    for (;;) {
-      const ssize_t n = ::send(socket_, data, size, MSG_NOSIGNAL | MSG_DONTWAIT);
-      if (n >= 0) return n;
-      if (errno == EINTR) continue;
-      if (errno != EAGAIN || !wait_for(socket_, POLLOUT, Clock::now() + limits_.stall_time)) return -1;
-    }
-  }
-
-  // Whether a body of this size has been read to its end.
-  bool is_consumed(std::size_t body_bytes) const { return bytes_read_ == head_bytes_ + body_bytes; }
-  void forget_request() { buffer_.erase(0, begin_); }
-  std::size_t count_request() { return ++n_requests_; }
-
- private:
-  bool has_begun() const { return !buffer_.empty(); }
-
-  // Never waits. False: the client has closed.
-  bool receive() {
-    std::array<char, 16384> bytes;
-    for (;;) {
-      const ssize_t n = ::recv(socket_, bytes.data(), bytes.size(), MSG_DONTWAIT);
-      if (n < 0 && errno == EINTR) continue;
-      if (n < 0 && errno == EAGAIN) return true;
-      if (n <= 0) return false;
-      buffer_.append(bytes.data(), static_cast<std::size_t>(n));
-      return true;
-    }
-  }
-
-  // httplib ends a line at a bare line feed, and a text at a zero.
-  bool has_plain_lines() const {
-    for (std::size_t i = 0; i < head_bytes_; ++i)
-      if (buffer_[i] == '\0' || (buffer_[i] == '\n' && (i == 0 || buffer_[i - 1] != '\r'))) return false;
-    return true;
-  }
-
-  void hide_ranges() {
-    for (std::size_t at = buffer_.find("\r\n"); at + 2 < head_bytes_; at = buffer_.find("\r\n", at + 2)) {
-      const std::string_view line(buffer_.data() + at + 2, head_bytes_ - at - 2);
-      if (line.size() > kRange.size() && line[kRange.size()] == ':' &&
-          equal_names(line.substr(0, kRange.size()), kRange))
-        buffer_.replace(at + 2, kSeenRange.size(), kSeenRange);
-    }
-  }
-
-  int socket_;
-  HttpLimits limits_;
-  std::string buffer_;  // received; begin_ bytes of it have been read
-  std::size_t begin_ = 0, head_bytes_ = 0, bytes_read_ = 0, n_requests_ = 0, linger_bytes_ = 0;
-  bool is_too_slow_ = false, lingers_ = false;
-  Clock::time_point until_{};
-};
-
-// Connections without a whole request. One thread watches them all, so that no number of them keeps others from being
-// served.
-class WaitingRoom {
- public:
-  using Serve = std::function<void(std::unique_ptr<Connection>)>;
-
-  // `serve` gets connections whose next request has come, or is to be refused.
-  explicit WaitingRoom(Serve serve) : serve_(std::move(serve)), thread_([this] { work(); }) {}
-  ~WaitingRoom() { ::close(wake_); }
-  WaitingRoom(const WaitingRoom&) = delete;
-  WaitingRoom& operator=(const WaitingRoom&) = delete;
-
-  void add(std::unique_ptr<Connection> connection) {
-    {
-      const std::scoped_lock lock(mutex_);
-      if (is_stopping_) return;
-      arrived_.push_back(std::move(connection));
-    }
-    ::eventfd_write(wake_, 1);
-  }
-  void stop() {
-    {
-      const std::scoped_lock lock(mutex_);
-      is_stopping_ = true;
-    }
-    ::eventfd_write(wake_, 1);
-    thread_.join();
-    arrived_.clear();
-  }
-
- private:
-  void work() {
-    std::deque<std::unique_ptr<Connection>> waiting;  // the oldest first
-    std::vector<pollfd> wanted;
-    for (;;) {
-      {
-        const std::scoped_lock lock(mutex_);
-        if (is_stopping_) return;
-        std::ranges::move(arrived_, std::back_inserter(waiting));
-        arrived_.clear();
-      }
-      wanted.assign(1, {wake_, POLLIN, 0});
-      // Too many are looked at once, at what they have sent, before the oldest are closed.
-      auto until = Clock::now() + std::chrono::hours(waiting.size() > kMostWaiting ? 0 : 1);
-      for (const auto& connection : waiting) {
-        wanted.push_back({connection->socket(), POLLIN, 0});
-        until = std::min(until, connection->waits_until());
-      }
-      const auto left = std::chrono::ceil<std::chrono::milliseconds>(until - Clock::now()).count();
-      ::poll(wanted.data(), wanted.size(), static_cast<int>(std::max<std::int64_t>(left, 0)));
-      const auto now = Clock::now();
-      eventfd_t count = 0;
-      ::eventfd_read(wake_, &count);
-      for (std::size_t i = 0; i < waiting.size(); ++i) look(waiting[i], wanted[i + 1].revents != 0, now);
-      std::erase(waiting, nullptr);
-      while (waiting.size() > kMostWaiting) waiting.pop_front();
-    }
-  }
-
-  // Keeps the connection, closes it or gives it away.
-  void look(std::unique_ptr<Connection>& connection, bool has_come, Clock::time_point now) const {
-    if (has_come && !connection->take_what_has_come()) return connection.reset();
-    if (!connection->lingers() && connection->head() != Connection::Head::incomplete)
-      return serve_(std::move(connection));
-    if (connection->waits_until() > now) return;
-    if (connection->lingers() || !connection->ends_too_slow()) return connection.reset();
-    serve_(std::move(connection));
-  }
-
-  const int wake_ = ::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-  Serve serve_;
-  std::mutex mutex_;  // of these two
-  std::vector<std::unique_ptr<Connection>> arrived_;
-  bool is_stopping_ = false;
-  std::thread thread_;
-};
-
-HttpRequest request_of(const httplib::Request& from) {
-  HttpRequest to{from.method, from.path, {}, {}};
-  for (const auto& [name, value] : from.headers) to.fields.emplace_back(name == kSeenRange ? kRange : name, value);
+HttpRequest request_of(const http::request_header<>& from) {
+  const std::string target(from.target());
+  HttpRequest to{
+      std::string(from.method_string()), percent_decoded(target.substr(0, target.find_first_of("?#"))), {}, {}};
+  for (const auto& field : from) to.fields.emplace_back(field.name_string(), field.value());
   return to;
 }
 
-void fill(const HttpAnswer& from, httplib::Response& to) {
-  to.status = from.status;
-  for (const auto& [name, value] : from.fields) {
-    to.headers.erase(name);
-    to.set_header(name, value);
-  }
-  if (from.file == nullptr) {
-    if (!from.type.empty()) to.set_content(from.body, from.type);
-    return;
-  }
-  if (from.count == 0) return to.set_content("", from.type);
-  to.set_content_provider(from.count, from.type,
-                          [file = from.file, first = from.first, block = std::make_shared<std::string>()](
-                              std::size_t offset, std::size_t length, httplib::DataSink& sink) {
-                            block->resize(std::min(length, kFileBlock));
-                            return file->read_at(first + offset, *block) && sink.write(block->data(), block->size());
-                          });
+std::string head_of(const HttpAnswer& answer, bool is_last) {
+  const std::string reason(http::obsolete_reason(static_cast<http::status>(answer.status)));
+  std::string head = fmt::format("HTTP/1.1 {} {}\r\nContent-Length: {}\r\nConnection: {}\r\n", answer.status, reason,
+                                 answer.count, is_last ? "close" : "keep-alive");
+  if (!answer.type.empty()) head += fmt::format("Content-Type: {}\r\n", answer.type);
+  for (const auto& [name, value] : answer.fields) head += fmt::format("{}: {}\r\n", name, value);
+  return head + "\r\n";
 }
 
-// Content-Length.
-std::size_t stated_body(const httplib::Request& request) {
-  if (!request.has_header("Content-Length")) return 0;
-  return static_cast<std::size_t>(std::strtoull(request.get_header_value("Content-Length").c_str(), nullptr, 10));
-}
-
-class Server final : public httplib::Server {
+// Answers one request after the other. What it waits for owns it: without that it closes.
+class Connection : public std::enable_shared_from_this<Connection> {
  public:
-  explicit Server(const HttpLimits& limits) : limits_(limits) {
-    new_task_queue = [this] { return new Threads(*this); };
-    // Not SO_REUSEPORT as in httplib, which lets two programs share a port.
-    set_socket_options([](int socket) {
-      const int yes = 1;
-      ::setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
-    });
-    set_keep_alive_max_count(kRequestsOfConnection);
-    set_keep_alive_timeout(std::chrono::duration_cast<std::chrono::seconds>(limits.idle_time).count());
-    set_payload_max_length(limits.body_bytes);
-  }
+  Connection(Server& server, tcp::socket socket) : server_(server), socket_(std::move(socket)), timer_(server.io) {}
+  ~Connection() { leave_waiting(); }
+  Connection(const Connection&) = delete;
+  Connection& operator=(const Connection&) = delete;
 
-  void use(const HttpHandlers& handlers) {
-    ::listen(svr_sock_, SOMAXCONN);  // httplib's 5 would make clients of a busy server try again after a second
-    handlers_ = handlers;
-    set_pre_routing_handler([this](const httplib::Request& request, httplib::Response& response) {
-      const HttpRequest head = request_of(request);
-      if (const auto refusal = handlers_.refuse(head)) {
-        fill(*refusal, response);
-        response.set_header("Connection", "close");
-        return HandlerResponse::Handled;
-      }
-      is_accepted_ = true;
-      if (request.method == "POST") return HandlerResponse::Unhandled;
-      fill(handlers_.answer(head), response);
-      return HandlerResponse::Handled;
-    });
-    Post("(?:/[-\\w]{1,64}){1,4}",
-         [this](const httplib::Request& request, httplib::Response& response, const httplib::ContentReader& reader) {
-           HttpRequest whole = request_of(request);
-           const bool complete = reader([&](const char* bytes, std::size_t n) {
-             if (n > limits_.body_bytes - whole.body.size()) return false;
-             whole.body.append(bytes, n);
-             return true;
-           });
-           fill(complete ? handlers_.answer(whole) : handlers_.fail(400), response);
-         });
-    set_exception_handler([this](const httplib::Request&, httplib::Response& response, const std::exception_ptr&) {
-      fill(handlers_.fail(500), response);
-    });
-    // httplib refuses heads that it cannot parse.
-    set_error_handler(HandlerWithResponse([this](const httplib::Request&, httplib::Response& response) {
-      if (!response.body.empty()) return HandlerResponse::Unhandled;
-      fill(handlers_.fail(response.status), response);
-      return HandlerResponse::Handled;
-    }));
+  void next_request() {
+    request_ = {};
+    begin(Stage::idle, server_.limits.idle_time);
+    enter_waiting();
+    buffer_.empty() ? receive() : received();
   }
 
  private:
-  // httplib's thread that accepts only brings connections to the waiting room, from where others serve them.
-  class Threads final : public httplib::TaskQueue {
-   public:
-    explicit Threads(Server& server) {
-      server.room_.emplace([this, &server](std::unique_ptr<Connection> connection) {
-        pool_.enqueue([&server, shared = std::make_shared<std::unique_ptr<Connection>>(std::move(connection))] {
-          server.serve(std::move(*shared));
-        });
-      });
-      room_ = &*server.room_;
-    }
-    void enqueue(std::function<void()> accepted) override { accepted(); }
-    void shutdown() override {
-      room_->stop();
-      pool_.shutdown();
-    }
+  enum class Stage { idle, head, body, lingering };
 
-   private:
-    httplib::ThreadPool pool_{kThreads};
-    WaitingRoom* room_;
-  };
-
-  bool process_and_close_socket(int socket) override {
-    const int yes = 1;
-    ::setsockopt(socket, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
-    auto connection = std::make_unique<Connection>(socket, limits_);
-    connection->begin_wait();
-    room_->add(std::move(connection));
-    return true;
+  void begin(Stage stage, std::chrono::milliseconds time) {
+    stage_ = stage;
+    limit(time);
   }
 
-  void serve(std::unique_ptr<Connection> connection) {
-    if (answer(*connection)) {
-      connection->begin_wait();
-    } else {
-      connection->begin_linger();
-    }
-    room_->add(std::move(connection));
+  // The time of what is waited for next.
+  void limit(std::chrono::milliseconds time) {
+    timer_.expires_after(time);
+    timer_.async_wait([weak = weak_from_this()](error_code) {
+      const auto self = weak.lock();
+      error_code ignored;
+      if (self && self->is_late()) self->socket_.cancel(ignored);
+    });
+  }
+  bool is_late() const { return timer_.expiry() <= asio::steady_timer::clock_type::now(); }
+
+  void enter_waiting() {
+    place_ = server_.waiting.insert(server_.waiting.end(), this);
+    if (server_.waiting.size() <= kMostWaiting) return;
+    Connection& oldest = *server_.waiting.front();
+    oldest.leave_waiting();
+    error_code ignored;
+    oldest.socket_.close(ignored);
+  }
+  void leave_waiting() {
+    if (place_) server_.waiting.erase(*place_);
+    place_.reset();
   }
 
-  // Whether another request may follow.
-  bool answer(Connection& connection) {
-    for (;;) {
-      switch (connection.head()) {
-        case Connection::Head::complete: break;
-        case Connection::Head::incomplete: return true;
-        case Connection::Head::malformed: return refuse(connection, 400, "Bad Request");
-        case Connection::Head::too_large: return refuse(connection, 431, "Request Header Fields Too Large");
-        case Connection::Head::too_slow: return refuse(connection, 408, "Request Timeout");
-      }
-      bool is_last = connection.count_request() == kRequestsOfConnection || svr_sock_ < 0;
-      std::size_t body_bytes = 0;
-      const auto look = [&](httplib::Request& request) {
-        body_bytes = stated_body(request);
-        request.headers.erase("Accept-Encoding");  // compression takes longer than sending
-      };
-      is_accepted_ = false;
-      if (!process_request(connection, is_last, is_last, look) || is_last || !is_accepted_ ||
-          !connection.is_consumed(body_bytes))
-        return false;
-      connection.forget_request();
+  void receive() {
+    socket_.async_read_some(asio::buffer(block_), [self = shared_from_this()](error_code failed, std::size_t n) {
+      self->buffer_.append(self->block_.data(), n);
+      if (!failed && !self->is_late()) return self->received();
+      if (self->stage_ == Stage::head || self->stage_ == Stage::body) self->refuse(self->is_late() ? 408 : 400);
+    });
+  }
+
+  void received() {
+    switch (stage_) {
+      case Stage::idle: begin(Stage::head, server_.limits.request_time); [[fallthrough]];
+      case Stage::head: return read_head();
+      case Stage::body: return read_body();
+      case Stage::lingering:
+        lingered_ += std::exchange(buffer_, {}).size();
+        if (lingered_ < kLingerBytes) receive();
     }
   }
 
-  static bool refuse(Connection& connection, int status, std::string_view reason) {
-    const std::string answer = "HTTP/1.1 " + std::to_string(status) + ' ' + std::string(reason) +
-                               "\r\nContent-Length: 0\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n";
-    for (std::span<const char> rest(answer); !rest.empty();) {
-      const ssize_t n = connection.write(rest.data(), rest.size());
-      if (n < 0) break;
-      rest = rest.subspan(static_cast<std::size_t>(n));
-    }
-    return false;
+  void read_head() {
+    // Beast gets whole heads only: it does not limit those that come in parts.
+    const std::size_t end = buffer_.find("\r\n\r\n"), most = server_.limits.head_bytes;
+    if (end == buffer_.npos || end + 4 > most) return buffer_.size() >= most ? refuse(431) : receive();
+    leave_waiting();
+    http::request_parser<http::empty_body> parser;
+    parser.header_limit(std::numeric_limits<std::uint32_t>::max());
+    parser.body_limit(std::numeric_limits<std::uint64_t>::max());
+    error_code failed;
+    parser.put(asio::buffer(buffer_.data(), end + 4), failed);
+    if (failed || parser.get().method() == http::verb::unknown) return refuse(400);
+    request_ = request_of(parser.get());
+    if (auto refusal = server_.handlers.refuse(request_)) return send(*std::move(refusal), true);
+    const std::uint64_t body_bytes = parser.content_length().value_or(0);
+    if (body_bytes > server_.limits.body_bytes || request_.count("Transfer-Encoding") > 0) return refuse(413);
+
+    buffer_.erase(0, end + 4);
+    body_bytes_ = static_cast<std::size_t>(body_bytes);
+    is_last_ = !parser.keep_alive();
+    begin(Stage::body, server_.limits.request_time);
+    if (!equal_names(request_.field("Expect"), "100-continue")) return read_body();
+    socket_.async_write_some(asio::buffer(kContinue), [self = shared_from_this()](error_code broken, std::size_t) {
+      if (!broken) self->read_body();
+    });
   }
 
-  // The connection of this thread's request, which httplib does not pass to handlers. A refused request is the connection's last,
-  // because its body has not been read.
-  static inline thread_local bool is_accepted_ = false;
+  void read_body() {
+    if (buffer_.size() < body_bytes_) return receive();
+    request_.body = buffer_.substr(0, body_bytes_);
+    buffer_.erase(0, body_bytes_);
+    elsewhere([this] { return server_.answer(request_); },
+              [this](HttpAnswer answer) { send(std::move(answer), is_last_); });
+  }
 
-  HttpLimits limits_;
-  HttpHandlers handlers_;
-  std::optional<WaitingRoom> room_;
+  // Calls `work` on another thread, then `then` with its result on this one.
+  template <class Work, class Then>
+  void elsewhere(Work work, Then then) {
+    asio::post(server_.pool, [self = shared_from_this(), work, then]() mutable {
+      asio::io_context& io = self->server_.io;
+      asio::post(io, [then, result = work(), self = std::move(self)]() mutable { then(std::move(result)); });
+    });
+  }
+
+  // The end of such a request's body is unknown, so nothing may follow.
+  void refuse(int status) { send(server_.handlers.fail(status), true); }
+
+  void send(HttpAnswer answer, bool is_last) {
+    leave_waiting();
+    answer_ = std::move(answer);
+    is_last_ = is_last;
+    if (answer_.file == nullptr) answer_.count = answer_.body.size();
+    out_ = head_of(answer_, is_last);
+    if (request_.method != "HEAD") out_ += answer_.body;
+    if (request_.method == "HEAD" || answer_.file == nullptr) answer_.count = 0;
+    write(0);
+  }
+
+  void write(std::size_t sent) {
+    limit(server_.limits.stall_time);
+    socket_.async_write_some(asio::buffer(out_) + sent,
+                             [self = shared_from_this(), sent](error_code failed, std::size_t n) {
+                               if (failed) return;
+                               if (sent + n < self->out_.size()) return self->write(sent + n);
+                               if (self->answer_.count > 0) return self->read_block();
+                               self->answer_ = {};
+                               self->is_last_ ? self->linger() : self->next_request();
+                             });
+  }
+
+  void read_block() {
+    out_.resize(static_cast<std::size_t>(std::min<std::uint64_t>(kFileBlock, answer_.count)));
+    elsewhere([this] { return answer_.file->read_at(answer_.first, out_).has_value(); },
+              [this](bool is_read) {
+                if (!is_read) return;
+                answer_.first += out_.size();
+                answer_.count -= out_.size();
+                write(0);
+              });
+  }
+
+  // No more is sent; what still comes is thrown away for a while.
+  void linger() {
+    error_code ignored;
+    socket_.shutdown(tcp::socket::shutdown_send, ignored);
+    begin(Stage::lingering, kLingerTime);
+    enter_waiting();
+    received();
+  }
+
+  Server& server_;
+  tcp::socket socket_;
+  asio::steady_timer timer_;
+  std::optional<std::list<Connection*>::iterator> place_;  // among those that wait
+  Stage stage_ = Stage::idle;
+  std::array<char, kReceiveBlock> block_;
+  std::string buffer_, out_;  // received and not yet read; to be sent
+  HttpRequest request_;
+  HttpAnswer answer_;  // of a file: its part that is not yet read
+  std::size_t body_bytes_ = 0, lingered_ = 0;
+  bool is_last_ = false;
 };
+
+error_code Server::listen(int port) {
+  const tcp::endpoint loopback(asio::ip::address_v4::loopback(), static_cast<std::uint16_t>(port));
+  error_code failed;
+  acceptor.open(loopback.protocol(), failed);
+  if (!failed) acceptor.set_option(tcp::acceptor::reuse_address(true), failed);
+  if (!failed) acceptor.bind(loopback, failed);
+  if (!failed) acceptor.listen(tcp::acceptor::max_listen_connections, failed);
+  return failed;
+}
+
+void Server::accept() {
+  acceptor.async_accept([this](error_code failed, tcp::socket socket) {
+    if (failed) {
+      accept_again.expires_after(kAcceptAgain);
+      return accept_again.async_wait([this](error_code) { accept(); });
+    }
+    accept();
+    socket.set_option(tcp::no_delay(true), failed);
+    std::make_shared<Connection>(*this, std::move(socket))->next_request();
+  });
+}
+
+HttpAnswer Server::answer(const HttpRequest& request) const {
+  try {
+    return handlers.answer(request);
+  } catch (const std::exception&) {
+    return handlers.fail(500);
+  }
+}
 
 }  // namespace
 
@@ -439,11 +304,7 @@ std::size_t HttpRequest::count(std::string_view name) const {
       std::ranges::count_if(fields, [&](const auto& field) { return equal_names(field.first, name); }));
 }
 
-struct HttpServer::Impl {
-  explicit Impl(const HttpLimits& limits) : server(limits) {}
-  Server server;
-  int port = 0;
-};
+struct HttpServer::Impl : Server {};
 
 HttpServer::HttpServer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 HttpServer::HttpServer(HttpServer&&) noexcept = default;
@@ -451,15 +312,9 @@ HttpServer& HttpServer::operator=(HttpServer&&) noexcept = default;
 HttpServer::~HttpServer() = default;
 
 Result<HttpServer> HttpServer::listen(int port, const HttpLimits& limits) {
-  auto impl = std::make_unique<Impl>(limits);
-  constexpr const char* kLoopback = "127.0.0.1";
-  impl->port = port;
-  if (port == 0) {
-    impl->port = impl->server.bind_to_any_port(kLoopback);
-  } else if (!impl->server.bind_to_port(kLoopback, port)) {
-    impl->port = -1;
-  }
-  if (impl->port < 0) {
+  auto impl = std::make_unique<Impl>();
+  impl->limits = limits;
+  if (impl->listen(port)) {
     return make_error(Errc::open_failed, Error::kNone,
                       "cannot listen on this port; another program may use it: choose another --port");
   }
@@ -467,16 +322,25 @@ Result<HttpServer> HttpServer::listen(int port, const HttpLimits& limits) {
 }
 
 int HttpServer::port() const {
-  return impl_->port;
+  return impl_->acceptor.local_endpoint().port();
 }
 
 void HttpServer::serve(const HttpHandlers& handlers) {
-  impl_->server.use(handlers);
-  impl_->server.listen_after_bind();
+  impl_->handlers = handlers;
+  impl_->accept();
+  while (!impl_->io.stopped()) {
+    try {
+      impl_->io.run();
+    } catch (const std::exception&) {
+      // No memory: the connection that met it has closed.
+    }
+  }
+  impl_->pool.stop();
+  impl_->pool.join();
 }
 
 void HttpServer::stop() {
-  impl_->server.stop();
+  impl_->io.stop();
 }
 
 }  // namespace rgs::view

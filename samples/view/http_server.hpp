@@ -1,8 +1,5 @@
-// http_server.hpp - an HTTP server on the loopback address, with limits on requests.
+// http_server.hpp - an HTTP server on the loopback address, with limits on requests; ranges are for the handlers.
 // SPDX-License-Identifier: Apache-2.0
-//
-// cpp-httplib parses and writes. This file adds what its version 0.11 lacks: limits on the size and time of a request's head and body,
-// byte ranges, closing the connection after a refused request, and that clients take a thread only once a whole head has come.
 #pragma once
 
 #include <chrono>
@@ -65,7 +62,7 @@ class HttpServer {
   ~HttpServer();
 
   int port() const;
-  /// Serves until stop(), which another thread may call. Returns when all connections are closed.
+  /// Serves until stop(), which another thread may call. Then no handler is called, and connections close with the server.
   void serve(const HttpHandlers& handlers);
   void stop();
 

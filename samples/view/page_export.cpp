@@ -4,8 +4,9 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <span>
+
+#include "base64.hpp"
 
 namespace rgs::view {
 namespace {
@@ -23,17 +24,6 @@ std::string_view text_of(std::span<const std::byte> bytes) {
 
 std::uint64_t base64_size(std::uint64_t bytes) {
   return (bytes + 2) / 3 * 4;
-}
-
-// RFC 4648, section 4.
-void append_base64(std::string_view bytes, std::string& out) {
-  constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  const auto at = [&](std::size_t i) { return i < bytes.size() ? static_cast<unsigned char>(bytes[i]) : 0U; };
-  for (std::size_t i = 0; i < bytes.size(); i += 3) {
-    const unsigned group = at(i) << 16 | at(i + 1) << 8 | at(i + 2);
-    const std::size_t n_digits = std::min<std::size_t>(4, bytes.size() - i + 1);
-    for (std::size_t k = 0; k < 4; ++k) out += k < n_digits ? kDigits[group >> (18 - 6 * k) & 63] : '=';
-  }
 }
 
 // Writes to a file from its beginning on.
@@ -110,14 +100,11 @@ Status PageExport::write(AtomicFile& out) const {
   const std::string_view page = text_of(page_.bytes());
   for (const std::string_view text : {page.substr(0, mark_), kViewTag, std::string_view(view_), kEndTag})
     if (Status s = to.add(text); !s) return s;
-  std::string coded;
   for (std::size_t i = 0; i < parts_.size(); ++i) {
     if (Status s = to.add(file_tag(i)); !s) return s;
     const std::string_view bytes = content(parts_[i]);
     for (std::size_t at = 0; at < bytes.size(); at += kBlock) {
-      coded.clear();
-      append_base64(bytes.substr(at, kBlock), coded);
-      if (Status s = to.add(coded); !s) return s;
+      if (Status s = to.add(tool::base64(std::as_bytes(std::span(bytes.substr(at, kBlock))))); !s) return s;
     }
     if (Status s = to.add(kEndTag); !s) return s;
   }

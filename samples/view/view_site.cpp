@@ -88,7 +88,9 @@ bool is_size(std::string_view text, std::uint64_t limit) {
 const char* reason(int status) {
   switch (status) {
     case 400: return "the request is malformed";
-    case 414: return "the address is too long";
+    case 408: return "the request takes too long";
+    case 413: return "the request's body is too large";
+    case 431: return "the request's address and header are too long";
     case 500: return "rgs-view failed to answer; its terminal may say more";
     default: return "refused";
   }

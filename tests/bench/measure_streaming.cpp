@@ -25,7 +25,7 @@
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
-#include "rgs/streamed_scene.hpp"
+#include "rgs/scene.hpp"
 #include "town_generator.hpp"
 #include "value_or_stop.hpp"
 
@@ -135,7 +135,7 @@ Seen measure_streaming(const std::string& path, const Camera& camera) {
     RenderOptions how;
     how.detail_px = 1;
     const auto began = Clock::now();
-    const auto scene = value_or_stop(StreamedScene::open(path), path.c_str());
+    const auto scene = value_or_stop(Scene::open(path, {.pool = *StreamPool::create()}), path.c_str());
     best.open_s = std::min(best.open_s, seconds_since(began));
     const auto first = value_or_stop(renderer.render(scene, camera, target, how), "first frame");
     if (const double seconds = seconds_since(began); seconds < best.first_s) {

@@ -33,6 +33,6 @@ fi
 export RGS_BIN
 cmake -S tests/cluster -B build/cluster >/dev/null
 status=0
-ctest --test-dir build/cluster --no-tests=error --output-on-failure "$@" || status=$?
+ctest --test-dir build/cluster --no-tests=error --output-on-failure --parallel "${RGS_JOBS:-$(nproc)}" "$@" || status=$?
 grep -a '^skipped: ' build/cluster/Testing/Temporary/LastTest.log | sort | uniq -c || :
 exit "$status"

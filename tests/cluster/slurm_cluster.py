@@ -50,14 +50,13 @@ def missing():
     return None if os.geteuid() == 0 else "Slurm's daemons need root"
 
 
-def free_ports(n):
+def reserved_ports(n):
+    """Sockets of n free ports. While they are open no other cluster gets these ports, but daemons can listen there."""
     sockets = [socket.socket() for _ in range(n)]
     for s in sockets:
         s.bind(("127.0.0.1", 0))
-    ports = [s.getsockname()[1] for s in sockets]
-    for s in sockets:
-        s.close()
-    return ports
+        s.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    return sockets
 
 
 def wait_for(condition):
@@ -95,6 +94,7 @@ class SlurmCluster:
         self.folder, self.nodes, self.slurmd_timeout = os.path.abspath(folder), nodes, slurmd_timeout
         self.environment = dict(os.environ, SLURM_CONF=f"{self.folder}/slurm.conf")
         self._daemons = {}  # name: process; stopped in reverse order
+        self._reserved = []
 
     def __enter__(self):
         try:
@@ -111,13 +111,16 @@ class SlurmCluster:
             self.stop(name)
         for pid in self.processes():  # jobs outlive the daemons that started them
             end(pid)
+        for s in self._reserved:
+            s.close()
 
     def _start(self):
         os.makedirs(self.folder + "/state")
         with open(self.folder + "/munge.key", "wb", opener=lambda p, f: os.open(p, f, 0o400)) as key:
             key.write(os.urandom(128))
         host = socket.gethostname()
-        ports = free_ports(1 + len(self.nodes))
+        self._reserved = reserved_ports(1 + len(self.nodes))
+        ports = [s.getsockname()[1] for s in self._reserved]
         with open(self.folder + "/slurm.conf", "w", encoding="utf-8") as conf:
             conf.write(SLURM_CONF.format(host=host, port=ports[0], folder=self.folder,
                                          slurmd_timeout=self.slurmd_timeout))

@@ -12,7 +12,7 @@
 #include "rgs/decode.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
-#include "rgs/streamed_scene.hpp"
+#include "rgs/scene.hpp"
 
 #if defined(RGS_LIBFUZZER)
 #include "rgs_mutator.hpp"
@@ -79,7 +79,7 @@ struct Picture {
 void draw_streamed(std::span<const std::byte> bytes, const rgs::PagedFile& file, bool valid) {
   [[maybe_unused]] const UncountedCode uncounted;
   static rgs::Renderer renderer = *rgs::Renderer::create({.backend = rgs::Backend::cpu, .threads = 1});
-  const auto streamed = rgs::StreamedScene::open(std::make_unique<MemorySource>(bytes));
+  const auto streamed = rgs::Scene::open(std::make_unique<MemorySource>(bytes), {.pool = *rgs::StreamPool::create()});
   if (!streamed) {
     if (valid && file.n_present() > 0) std::abort();
     return;

@@ -20,6 +20,7 @@
 #include "rgs/footprint.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
+#include "scene_of_pages.hpp"
 #include "trivial_levels.hpp"
 
 using namespace rgs;
@@ -375,7 +376,7 @@ TEST_CASE("the device draws a cut like the same pages as a scene of FP32 arrays"
     const Camera camera = camera_at(back);
     const auto chosen = drawn_pages(scene, camera, detail_px);
     require_ok(chosen);
-    const auto as_scene = scene.pages(*chosen);
+    const auto as_scene = scene_of_pages(scene, *chosen);
     require_ok(as_scene);
     const DeviceScene expected_scene = upload(as_scene->view().value());
     for (const RenderOptions& mode : level_modes()) {
@@ -443,7 +444,7 @@ TEST_CASE("equal depths of a scene with levels are drawn in the order of leaves"
     const Camera camera = camera_at(back, 64, 48);
     const auto chosen = drawn_pages(scene, camera, 0.05F);
     require_ok(chosen);
-    const auto as_scene = scene.pages(*chosen);
+    const auto as_scene = scene_of_pages(scene, *chosen);
     require_ok(as_scene);
     const DeviceScene expected_scene = upload(as_scene->view().value());
     for (const RenderOptions& mode : {turbo_options(), paper_options()}) {

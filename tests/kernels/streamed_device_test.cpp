@@ -35,7 +35,7 @@ StreamPool device_pool(std::uint64_t page_memory, std::uint64_t host_memory = st
   return *std::move(pool);
 }
 
-StreamedScene streamed_in(const StreamPool& pool, const Bytes& bytes) {
+Scene streamed_in(const StreamPool& pool, const Bytes& bytes) {
   return streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
 }
 
@@ -123,7 +123,7 @@ TEST_CASE("on the device a complete picture equals the whole file's, byte for by
       const Bytes bytes = town({.profile = profile, .n = sized(20000, 6000, 1000), .sh_degree = sh_degree});
       const Scene all = whole(bytes);
       const StreamPool pool = device_pool(32 << 20);
-      const StreamedScene scene = streamed_in(pool, bytes);
+      const Scene scene = streamed_in(pool, bytes);
       Renderer renderer = device_renderer(), reference = device_renderer();
       for (const Way& way : ways()) {
         for (const float detail : way.details) {
@@ -158,7 +158,7 @@ TEST_CASE("pages that many threads send at once, in rings of any size, equal the
       CAPTURE(host_memory);
       for (int turn = 0; turn < sized(10, 2, 1); ++turn) {
         const StreamPool pool = device_pool(std::uint64_t{32} << 20, host_memory);
-        const StreamedScene scene = streamed(
+        const Scene scene = streamed(
             bytes, std::make_shared<Script>(),
             {.pool = pool, .traits = {.reads_at_once = reads_at_once, .most_bytes = 256 << 10, .gap_bytes = 4096}});
         Renderer renderer = device_renderer();
@@ -192,7 +192,7 @@ TEST_CASE("equal depths are drawn in the order of the file, whatever slots they 
     for (int i = 0; i < 3; ++i) {
       CAPTURE(way.name);
       const StreamPool pool = device_pool(16 << 20);
-      const StreamedScene scene = streamed_in(pool, bytes);
+      const Scene scene = streamed_in(pool, bytes);
       Renderer renderer = device_renderer();
       REQUIRE(renderer.refine(scene, camera, kLong, leaves) == true);
       CHECK(colours(renderer, scene, camera, leaves) == expected);
@@ -210,7 +210,7 @@ TEST_CASE("equal depths of a streamed frame: pairs, a grid, and more in a tile t
   Renderer renderer = device_renderer(), reference = device_renderer();
   for (const auto& splats : {pairs(6, n), grid_splats(6, n / 2), wall(6, std::max(n, 3000)), pairs(7, n)}) {
     const Bytes bytes = in_pages(splats);
-    const StreamedScene scene = streamed_in(pool, bytes);
+    const Scene scene = streamed_in(pool, bytes);
     const Scene all = whole(bytes);
     for (int i = 0; i < 2; ++i) {
       CAPTURE(i);
@@ -226,7 +226,7 @@ TEST_CASE("what a streamed cut has out of view takes no workspace") {
   if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const Bytes bytes = town({.n = 400000, .sh_degree = 0});
   const StreamPool pool = device_pool(64 << 20);
-  const StreamedScene scene = streamed_in(pool, bytes);
+  const Scene scene = streamed_in(pool, bytes);
   const Camera towards = camera_at({0, 30, 40}, {0, 0, 0});
   Renderer renderer = device_renderer();
   REQUIRE(renderer.refine(scene, towards, kLong, at_detail(0)) == true);  // all pages are resident from here on
@@ -246,7 +246,7 @@ TEST_CASE("a small pool: coarser pictures, evicted pages, and never more device 
     CAPTURE(page_memory);
     const StreamPool pool = device_pool(page_memory);
     {
-      const StreamedScene scene = streamed_in(pool, bytes);
+      const Scene scene = streamed_in(pool, bytes);
       CHECK(pool.device_bytes() <= page_memory);
       double coarsest = 0;
       for (std::size_t i = 0; i < views.size(); ++i) {
@@ -274,7 +274,7 @@ TEST_CASE("what does not fit the workspace of a pool is drawn coarser, within th
   std::uint64_t needed = 0, n_all = 0;
   {
     const StreamPool pool = device_pool(std::uint64_t{64} << 20);
-    const StreamedScene scene = streamed_in(pool, bytes);
+    const Scene scene = streamed_in(pool, bytes);
     Renderer renderer = device_renderer();
     const std::uint64_t of_pages = pool.device_bytes();
     REQUIRE(renderer.refine(scene, camera, kLong, leaves) == true);
@@ -288,7 +288,7 @@ TEST_CASE("what does not fit the workspace of a pool is drawn coarser, within th
   for (std::uint64_t workspace = needed; !is_too_small; workspace = workspace / 10 * 9) {
     CAPTURE(workspace);
     const StreamPool pool = device_pool(std::uint64_t{64} << 20, std::uint64_t{64} << 20, workspace);
-    const StreamedScene scene = streamed_in(pool, bytes);
+    const Scene scene = streamed_in(pool, bytes);
     Renderer renderer = device_renderer();
     require_ok(renderer.refine(scene, camera, kLong, leaves));
     Frame frame = Frame::of(camera);
@@ -314,7 +314,7 @@ TEST_CASE("two scenes in one pool, each with its own renderers, at once") {
   if (!device_answers() || race_sizes()) return;
   const Bytes bytes[2] = {town({.n = sized(40000, 10000, 3000)}), town({.n = sized(40000, 10000, 3000), .seed = 18})};
   const StreamPool pool = device_pool(1 << 20);
-  const StreamedScene scenes[2] = {streamed_in(pool, bytes[0]), streamed_in(pool, bytes[1])};
+  const Scene scenes[2] = {streamed_in(pool, bytes[0]), streamed_in(pool, bytes[1])};
   std::atomic<int> n_failed{0};
   std::vector<std::thread> threads;
   for (unsigned t = 0; t < 4; ++t) {
@@ -361,7 +361,7 @@ TEST_CASE("a scene whose pool has no device memory is not drawn on the device") 
   if (!device_answers()) return;
   const Bytes bytes = town({.n = 3000});
   Renderer renderer = device_renderer();
-  const StreamedScene on_host = streamed(bytes);
+  const Scene on_host = streamed(bytes);
   Frame frame = Frame::of(front_camera(64, 48));
   CHECK(renderer.render(on_host, front_camera(64, 48), frame.target()).error().code == Errc::unavailable);
 }

@@ -10,6 +10,7 @@
 #include "rgs/encode.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
+#include "scene_of_pages.hpp"
 #include "trivial_levels.hpp"
 
 using namespace rgs;
@@ -121,7 +122,7 @@ TEST_CASE("a view of a file with levels equals its pages drawn as a scene, with 
   camera.world_to_camera[3][2] += 40;
   const auto drawn = drawn_pages(scene, camera, 2);
   REQUIRE(drawn);
-  const auto of_pages = scene.pages(*drawn);
+  const auto of_pages = scene_of_pages(scene, *drawn);
   REQUIRE(of_pages);
   RenderOptions mip;
   mip.anti_aliasing = math::AntiAliasing::mip_splatting;
@@ -136,9 +137,7 @@ TEST_CASE("a view of a file with levels equals its pages drawn as a scene, with 
     REQUIRE(renderer->render(scene, camera, frame.target(), at_detail(detail)));
     if (detail == 2) CHECK(frame.rgb == expected.rgb);
   }
-  const std::vector<std::uint32_t> none{static_cast<std::uint32_t>(scene.levels()->n_pages())};
-  CHECK(scene.pages(none).error().code == Errc::bad_argument);
-  CHECK(load(files().plain).pages(*drawn).error().code == Errc::bad_argument);
+  CHECK(load(files().plain).all_pages().error().code == Errc::bad_argument);
 }
 
 TEST_CASE("a prefix of a file with levels is drawn as far as it goes") {

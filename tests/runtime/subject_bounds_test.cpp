@@ -14,7 +14,6 @@
 #include "rgs/encode.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/scene.hpp"
-#include "rgs/streamed_scene.hpp"
 #include "temporary_folder.hpp"
 #include "text_file.hpp"
 #include "trivial_levels.hpp"
@@ -99,7 +98,7 @@ TEST_CASE("the default view of a scene is that of its .rgs in every profile, wit
     const std::string path = kept(levels, "levels.rgs");
     CHECK(moved_px(source, bounds_of(Scene::open(path).value())) < allowed);
     // Known from the table of pages alone, here of 26 leaves: within a sixth of the longest side.
-    const SceneBounds streamed = StreamedScene::open(path).value().subject_bounds();
+    const SceneBounds streamed = bounds_of(Scene::open(path, {.pool = StreamPool::create().value()}).value());
     for (int k = 0; k < 3; ++k) {
       CHECK(std::abs(streamed.low[k] - source.low[k]) < 1);
       CHECK(std::abs(streamed.high[k] - source.high[k]) < 1);

@@ -25,7 +25,7 @@
 #include "rgs/encode.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
-#include "rgs/streamed_scene.hpp"
+#include "rgs/scene.hpp"
 #include "trivial_levels.hpp"
 
 namespace rgs::test {
@@ -166,16 +166,15 @@ class ScriptedSource final : public ByteSource {
   Traits traits_;
 };
 
-struct OpenOptions {
+struct Streaming {
   std::uint64_t memory = std::uint64_t{256} << 20;
   std::optional<StreamPool> pool = {};
   bool prefetch = true;
   ByteSource::Traits traits = {};
 };
 
-inline Result<StreamedScene> try_streaming(const Bytes& bytes, std::shared_ptr<Script> script,
-                                           const OpenOptions& o = {}) {
-  StreamOptions options;
+inline Result<Scene> try_streaming(const Bytes& bytes, std::shared_ptr<Script> script, const Streaming& o = {}) {
+  OpenOptions options;
   options.prefetch = o.prefetch;
   options.pool = o.pool;
   if (!options.pool) {
@@ -183,10 +182,10 @@ inline Result<StreamedScene> try_streaming(const Bytes& bytes, std::shared_ptr<S
     REQUIRE(pool);
     options.pool = *pool;
   }
-  return StreamedScene::open(std::make_unique<ScriptedSource>(bytes, std::move(script), o.traits), options);
+  return Scene::open(std::make_unique<ScriptedSource>(bytes, std::move(script), o.traits), options);
 }
-inline StreamedScene streamed(const Bytes& bytes, std::shared_ptr<Script> script = std::make_shared<Script>(),
-                              const OpenOptions& o = {}) {
+inline Scene streamed(const Bytes& bytes, std::shared_ptr<Script> script = std::make_shared<Script>(),
+                      const Streaming& o = {}) {
   auto scene = try_streaming(bytes, std::move(script), o);
   if (!scene) MESSAGE(std::string(scene.error().what), " ", scene.error().expected);
   REQUIRE(scene);
@@ -232,15 +231,7 @@ inline RenderOptions at_detail(float px) {
   return options;
 }
 
-/// A frame of the resident pages.
-inline Frame draw(Renderer& renderer, const StreamedScene& scene, const Camera& camera,
-                  const RenderOptions& options = {}) {
-  Frame frame = Frame::of(camera);
-  const auto stats = renderer.render(scene, camera, frame.target(), options);
-  REQUIRE(stats);
-  frame.stats = *stats;
-  return frame;
-}
+/// Of a streamed scene, a frame of the resident pages.
 inline Frame draw(Renderer& renderer, const Scene& scene, const Camera& camera, const RenderOptions& options = {}) {
   Frame frame = Frame::of(camera);
   const auto stats = renderer.render(scene, camera, frame.target(), options);

@@ -1,7 +1,7 @@
 #!/bin/sh
 # build-wasm.sh - builds the format library for WebAssembly: sh build-wasm.sh [OUT], by default dist/rgs.wasm beside this file.
-# Debian's clang-19 compiles RGS_FORMAT_PORTABLE of format/CMakeLists.txt, wasm/reader.cpp and the decoder of Zstandard. Its sources
-# are not in Debian's packages; they come with the npm package zstd-napi.
+# Debian's clang-19 compiles RGS_FORMAT_PORTABLE of format/CMakeLists.txt, the scheduler of pages in runtime/pages, the .cpp files in
+# wasm/ and the decoder of Zstandard. Its sources are not in Debian's packages; they come with the npm package zstd-napi.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
@@ -12,7 +12,7 @@ zstd=$root/web/node_modules/zstd-napi/deps/zstd/lib
 llvm=/usr/lib/llvm-19
 mkdir -p "$build/include" "$(dirname "$out")"
 
-for needed in clang-19 clang++-19 wasm-ld-19 ninja; do
+for needed in clang-19 clang++-19 wasm-ld-19 wasm-opt ninja; do
   command -v $needed >/dev/null || { echo "build-wasm.sh: no $needed: sh scripts/install-deps.sh page" >&2; exit 1; }
 done
 [ -d "$zstd" ] || { echo "build-wasm.sh: no $zstd: npm ci in web/" >&2; exit 1; }
@@ -25,19 +25,21 @@ done
 # The same sources as in CMake.
 portable=$(sed -nE '/^set\(RGS_FORMAT_PORTABLE/,/^\)/s/^ +(src.*\.cpp)$/\1/p' "$root/format/CMakeLists.txt")
 stand_ins=$(sed -nE 's/^set\(RGS_FORMAT_STAND_INS (.*)\)$/\1/p' "$root/format/CMakeLists.txt")
-# The package's size is limited: these need not be fast, so they are compiled for size.
-small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/open.cpp src/file/subject_box.cpp src/file/validate.cpp \
-src/levels/page.cpp src/levels/page_table.cpp src/levels/paged_file.cpp "
+# The package's size is limited: what decodes Gaussians is compiled for speed, all else for size.
+fast=" src/archive/archive_decode.cpp src/archive/archive_kernels.cpp src/archive/point_decode.cpp src/archive/rans.cpp \
+src/file/row_kernels.cpp src/packed/codec_kernels.cpp src/packed/codec_sh.cpp src/packed/frame_decoder.cpp src/packed/inflater.cpp "
 decoder="common/debug common/entropy_common common/error_private common/fse_decompress common/xxhash common/zstd_common
   decompress/huf_decompress decompress/zstd_ddict decompress/zstd_decompress_block decompress/zstd_decompress"
 
 # Without errno a square root is one instruction. Debian's headers of libc++ and of the C library are for wasm32-wasi.
 {
   echo "launcher = $(command -v ccache || :)"
-  echo "flags = --target=wasm32-wasi -O3 -msimd128 -mbulk-memory -mnontrapping-fptoint -msign-ext -fno-math-errno $
+  echo "size = -Os"
+  echo "flags = --target=wasm32-wasi -msimd128 -mbulk-memory -mnontrapping-fptoint -msign-ext -fno-math-errno $
     -ffp-contract=off -fno-exceptions -ffunction-sections -fdata-sections -DNDEBUG -Wall -Wextra -Werror"
   echo "cxx_flags = -std=c++20 -fno-rtti -fno-threadsafe-statics -nostdinc++ -isystem $llvm/include/wasm32-wasi/c++/v1 $
     -isystem /usr/include/wasm32-wasi -isystem $build/include -DXXH_INLINE_ALL -I$root/format/include -I$root/format/src $
+    -I$root/kernels/math/include -I$root/runtime $
     -isystem $zstd"
   echo "c_flags = -std=c11 -isystem /usr/include/wasm32-wasi -I$zstd -DZSTD_DISABLE_ASM -DZSTD_LEGACY_SUPPORT=0 $
     -DZSTD_STRIP_ERROR_STRINGS -DXXH_NAMESPACE=ZSTD_ -DDEBUGLEVEL=0 -Wno-unused-parameter -Wno-unused-function"
@@ -46,20 +48,26 @@ decoder="common/debug common/entropy_common common/error_private common/fse_deco
   depfile = \$out.d
   deps = gcc
 rule c
-  command = \$launcher clang-19 \$flags \$c_flags -MMD -MF \$out.d -c \$in -o \$out
+  command = \$launcher clang-19 \$flags \$c_flags \$size -MMD -MF \$out.d -c \$in -o \$out
   depfile = \$out.d
   deps = gcc
 rule link
   command = wasm-ld-19 --no-entry --gc-sections --strip-all -O2 --export=_initialize -z stack-size=262144 $
     --max-memory=4294967296 -L/usr/lib/wasm32-wasi -L$llvm/lib/wasm32-wasi /usr/lib/wasm32-wasi/crt1-reactor.o \$in $
-    -lc++ -lc++abi -lc $llvm/lib/clang/19/lib/wasi/libclang_rt.builtins-wasm32.a -o \$out"
+    -lc++ -lc++abi -lc $llvm/lib/clang/19/lib/wasi/libclang_rt.builtins-wasm32.a $
+    -o $build/linked.wasm && wasm-opt -O3 --enable-simd --enable-bulk-memory --enable-nontrapping-float-to-int $
+    --enable-sign-ext $build/linked.wasm -o \$out"
   objects=
   for source in $portable $stand_ins; do
     echo "build $build/$source.o: cxx $root/format/$source"
-    case $small in *" $source "*) echo "  size = -Os" ;; esac
+    case $fast in *" $source "*) echo "  size = -O3" ;; esac
     objects="$objects $build/$source.o"
   done
-  for source in reader no_console; do
+  for source in "$root"/runtime/pages/*.cpp; do
+    echo "build $build/pages/$(basename "$source").o: cxx $source"
+    objects="$objects $build/pages/$(basename "$source").o"
+  done
+  for source in reader pages no_console; do
     echo "build $build/$source.o: cxx $here/wasm/$source.cpp"
     objects="$objects $build/$source.o"
   done

@@ -47,7 +47,7 @@ struct WrittenScene {
 
 /// Writes one file. The steps:
 ///   1. SceneScan::add() for every Gaussian of the source, in any split.                          (first pass)
-///   2. The order of the kept ones, for Order::morton by MortonKey(scan.robust()).
+///   2. The order of the kept ones, for Order::morton by sort_by_key() of MortonKey(scan.robust()).
 ///   3. create().
 ///   4. Batches, filled on threads of their own if you like, and add()ed in order.                (second pass)
 ///   5. finish().

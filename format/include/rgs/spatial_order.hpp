@@ -22,9 +22,13 @@ class MortonKey {
   double centre_[3], inverse_half_width_[3];
 };
 
-/// Sorts `indices` and `keys` (same length) by key, stable, in place. Scratch memory: 12 bytes an element, 16 if most
-/// keys are alike.
+/// Sorts `indices` and `keys` (same length) along the curve, in place: by key, but those of one cell (FORMAT.md,
+/// "Morton order") keep their order. Scratch memory: 12 bytes an element, 16 if most keys are alike.
 void sort_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices);
+
+/// Upper bits of a key that agree within a cell: where they change, the curve may be cut and its parts sorted each on
+/// its own.
+inline constexpr int kCellKeyBits = 24;
 
 /// The two steps of sort_by_key, for several threads. partition_by_key moves elements into buckets by the keys' upper
 /// bits, stable, and returns where each bucket starts, then the end; each bucket is then sorted on its own, on any

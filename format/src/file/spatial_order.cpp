@@ -20,6 +20,27 @@ std::uint64_t spread(std::uint64_t x) {
   return x;
 }
 
+struct Element {
+  std::uint64_t key;
+  std::uint32_t position;  // makes the order total
+  std::uint32_t index;
+};
+
+// Puts cells of sorted elements, whose keys agree above their last `bits` bits, back into the order in which they came:
+// equal depths are drawn in the order of the file, and the more of it is the source's, the more of the picture is.
+void keep_order_in_cells(std::span<Element> elements, int bits) {
+  constexpr std::size_t kMostInCell = 1024;
+  if (bits == 0 || elements.size() < 2) return;
+  if (bits <= 63 - kCellKeyBits && elements.size() <= kMostInCell) {
+    std::ranges::sort(elements, {}, &Element::position);
+    return;
+  }
+  const std::uint64_t next = std::uint64_t{1} << (bits - 1);
+  const auto upper = std::ranges::partition_point(elements, [next](const Element& e) { return (e.key & next) == 0; });
+  keep_order_in_cells({elements.begin(), upper}, bits - 1);
+  keep_order_in_cells({upper, elements.end()}, bits - 1);
+}
+
 }  // namespace
 
 MortonKey::MortonKey(const Box& robust) {
@@ -67,16 +88,12 @@ std::vector<std::size_t> partition_by_key(std::span<std::uint64_t> keys, std::sp
 }
 
 void sort_bucket(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices) {
-  struct Element {
-    std::uint64_t key;
-    std::uint32_t position;  // makes the order total, hence stable
-    std::uint32_t index;
-  };
   std::vector<Element> elements(keys.size());
   for (std::size_t i = 0; i < keys.size(); ++i) elements[i] = {keys[i], static_cast<std::uint32_t>(i), indices[i]};
   std::ranges::sort(elements, [](const Element& a, const Element& b) {
     return a.key != b.key ? a.key < b.key : a.position < b.position;
   });
+  keep_order_in_cells(elements, 63);
   for (std::size_t i = 0; i < keys.size(); ++i) {
     keys[i] = elements[i].key;
     indices[i] = elements[i].index;

@@ -47,7 +47,7 @@ Result<std::unique_ptr<ByteSource>> open_file_source(const std::string& path);
 struct UrlOptions {
   int reads_at_once = 6;  ///< requests in flight, 1 to 64; over one connection with HTTP/2
   int retries = 6;        ///< of one read, in a row without a byte; pauses of 0.25 s, doubled up to 8 s
-  /// To open, with all requests, redirects and retries; for a StreamedScene until its coarsest page has come.
+  /// To open, with all requests, redirects and retries; of a streamed scene until its coarsest page has come.
   double open_seconds = 60;
   double connect_seconds = 10;  ///< to establish a connection
   double stall_seconds = 20;    ///< without a byte, or without the response's head; then the request is repeated

@@ -9,13 +9,13 @@
 #include <span>
 #include <vector>
 
+#include "rgs/ablation.hpp"
 #include "rgs/camera.hpp"
 #include "rgs/image.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/math/options.hpp"
 #include "rgs/result.hpp"
 #include "rgs/scene.hpp"
-#include "rgs/streamed_scene.hpp"
 
 namespace RGS_API rgs {
 
@@ -38,31 +38,6 @@ enum class Pipeline : std::uint8_t {
   /// as equal. FrameStats counts lists as bin_ms, their order as sort_ms. The CPU uses its arithmetic: ellipses, exact
   /// order, folded exponents.
   turbo,
-};
-
-/// Steps of the paper's method, which can be switched one by one; the defaults are the paper. Only Pipeline::paper
-/// reads them. docs/format/RENDERING.md has the equations and the measured effects.
-struct PaperSteps {
-  enum class FrontEnd : std::uint8_t {
-    separate,  ///< one kernel each for projection, sum and duplication: the original
-    fused,     ///< one kernel: the paper
-  };
-  math::Extent extent = math::Extent::ellipse;
-  math::DepthOrder depth_order = math::DepthOrder::quantized;
-  std::optional<DepthMapping> depth_mapping = std::nullopt;  ///< of the quantised key; absent: as declared, else linear
-  /// Of the quantised key: 1..32, or 0 = 32 - ceil(log2 tiles); if that is below math::kMinDepthBits, as at 7680x4320,
-  /// the order is exact (FrameStats::depth_bits is 0).
-  int depth_bits = 0;
-  /// Of the quantised key; depths outside it share the end bins. Absent: as declared, else 0.2 to 100.
-  std::optional<std::array<float, 2>> depth_range = std::nullopt;
-  math::Exponent exponent = math::Exponent::folded;
-  math::Exp exp = math::Exp::paper;
-  FrontEnd front_end = FrontEnd::fused;  ///< CUDA
-  int pixels_per_thread = 2;             ///< CUDA: 1 (the original) or 2 (the paper)
-  /// CUDA: the same bytes on every run: Gaussians that share a depth bin are drawn in the order of the scene
-  /// (docs/format/RENDERING.md), as in every other pipeline. Otherwise the fused front end lists them in the order in
-  /// which its blocks run, as the paper does, which is a little faster.
-  bool deterministic = true;
 };
 
 /// For Pipeline::turbo on CUDA.
@@ -105,7 +80,7 @@ struct RenderOptions {
   /// Other scenes ignore it.
   std::optional<float> detail_px = std::nullopt;
   Pipeline pipeline = Pipeline::automatic;
-  PaperSteps paper = {};
+  PaperSteps paper = {};  ///< for Pipeline::paper: rgs/ablation.hpp
   TurboOptions turbo = {};
   MeasureOptions measure = {};
 };
@@ -120,10 +95,6 @@ RenderOptions with_declarations(RenderOptions options, const std::optional<Decla
 Result<float> drawn_detail(const RenderOptions& options, const Scene& scene);
 /// The cut of scene.levels() for a camera at a detail, in the order of leaves. Errors: bad_argument (no levels).
 Result<std::vector<std::uint32_t>> drawn_pages(const Scene& scene, const Camera& camera, float detail_px);
-
-/// The settings of options.pipeline on a backend (not automatic), as steps: for ablations that start at baseline; for
-/// turbo its arithmetic.
-PaperSteps steps_of(const RenderOptions& options, Backend backend);
 
 /// FrameStats::depth_resolution above which programs warn: Gaussians nearer to each other than this share of their
 /// depth may swap. On a trained scene a logarithmic key gives 66 dB at 1.3e-5, 57 dB here, and 51 dB at 4e-4, where
@@ -151,7 +122,7 @@ struct FrameStats {
   /// the scene's declared box lies in front of the camera and outside the range, at least that of its end bin, which
   /// then extends to the box's end. 0: exact order. FP32's own steps, 6e-8, do not count.
   double depth_resolution = 0;
-  StreamStats stream;  ///< of a StreamedScene; pages_missing also of a Scene whose file lacks its end
+  StreamStats stream;  ///< of a streamed scene; pages_missing also of one whose file lacks its end
 };
 
 /// Memory of a device. Copies share it; the last one waits for the device and frees it.
@@ -177,29 +148,28 @@ class Renderer {
   /// Scene::view() and DeviceScene::upload().
   Status prepare(const Scene& scene);
 
-  /// Fills `target` and returns what it cost. Errors: bad_camera (see validate()), bad_argument (an option, the size of
-  /// a target span, or contributions on CUDA), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31),
-  /// device_out_of_memory, device_failed; before the scene is prepared, also those of prepare().
+  /// Fills `target` and returns what it cost. Of a streamed scene draws the resident pages: the frame waits for no
+  /// input, and FrameStats::stream says what is missing. Errors: bad_camera (see validate()), bad_argument (an option,
+  /// the size of a target span, or contributions on CUDA or of a streamed scene), limit_exceeded (2^32 (tile, Gaussian)
+  /// pairs or more, on CUDA 2^31), device_out_of_memory, device_failed; before the scene is prepared, also those of
+  /// prepare(); of a streamed scene also unavailable (on CUDA if the pool lacks StreamPoolOptions::device_memory, on the
+  /// CPU if it has it).
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
 
   /// Pictures of several cameras of one size, each as by render(). CUDA keeps several in flight, which pays for small
   /// pictures. Complete on return; stage times are those of a single picture. Errors: those of render(); bad_argument
-  /// (sizes differ, an array is not in the device's memory), unavailable (device arrays, but the CPU draws).
+  /// (sizes differ, an array is not in the device's memory, or the scene is streamed and arrays are), unavailable
+  /// (device arrays, but the CPU draws).
   Result<std::vector<FrameStats>> render_all(const Scene& scene, std::span<const Camera> cameras,
                                              const PictureArrays& pictures, const RenderOptions& options = {});
 
-  /// Draws the resident pages of a streamed scene: the frame waits for no input, and FrameStats::stream says what is
-  /// missing. Errors: also unavailable (on CUDA if the pool lacks StreamPoolOptions::device_memory, on the CPU if it
-  /// has it).
-  Result<FrameStats> render(const StreamedScene& scene, const Camera& camera, const RenderTarget& target,
-                            const RenderOptions& options = {});
-  /// Waits until no page is missing from this view and the file's table of pages is verified; then render() gives the
-  /// picture of the whole file, byte for byte. Waits for room that others are about to release. False: after `seconds`, or
-  /// if the pool has no room for the rest of the view. Errors: those of StreamedScene::status() that keep the view from
-  /// completing; limit_exceeded (the pool has no room for the view, and nobody will release any); those of render().
-  Result<bool> refine(const StreamedScene& scene, const Camera& camera, double seconds,
-                      const RenderOptions& options = {});
+  /// Waits until no page of a streamed scene is missing from this view and the file's table of pages is verified; then
+  /// render() gives the picture of the whole file, byte for byte. Other scenes are complete at once. Waits for room that
+  /// others are about to release. False: after `seconds`, or if the pool has no room for the rest of the view. Errors:
+  /// those of Scene::status() that keep the view from completing; limit_exceeded (the pool has no room for the view, and
+  /// nobody will release any); those of render().
+  Result<bool> refine(const Scene& scene, const Camera& camera, double seconds, const RenderOptions& options = {});
 
   /// Memory of the drawing device, for PictureArrays. Errors: unavailable (the CPU has none), bad_argument (0 bytes),
   /// device_out_of_memory, device_failed.
@@ -209,6 +179,8 @@ class Renderer {
   const char* backend_name() const;  ///< e.g. "cpu AVX3_SPR", "cpu scalar"
 
  private:
+  Result<FrameStats> render_streamed(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                                     const RenderOptions& options);
   Result<std::vector<FrameStats>> render_each(const Scene& scene, std::span<const Camera> cameras,
                                               const PictureArrays& pictures, const RenderOptions& options);
   struct Impl;

@@ -108,11 +108,12 @@ class Fields {
     return value->get<std::string>();
   }
 
-  // `rows` lists of `columns` numbers.
-  template <int rows, int columns>
+  // The first `rows` of up to `most_rows` lists of `columns` numbers.
+  template <int rows, int columns, int most_rows = rows>
   glm::mat<columns, rows, double> matrix(const json* value, const char* malformed) {
     glm::mat<rows, columns, double> transposed(0.0);
-    if (value == nullptr || !value->is_array() || value->size() < rows) refuse(Errc::bad_syntax, malformed);
+    if (value == nullptr || !value->is_array() || value->size() < rows || value->size() > most_rows)
+      refuse(Errc::bad_syntax, malformed);
     for (int r = 0; r < rows && ok(); ++r)
       list((*value)[static_cast<std::size_t>(r)], {glm::value_ptr(transposed[r]), columns}, malformed);
     return glm::transpose(transposed);
@@ -214,11 +215,10 @@ void read_transforms_entry(Fields& fields, Camera& camera) {
 
   constexpr const char* kShape = "the camera of this index has a transform_matrix that is not 3 or 4 rows of 4 numbers";
   const json* pose = fields.find("transform_matrix");
-  const glm::dmat4x3 m = fields.matrix<3, 4>(pose, kShape);
+  const glm::dmat4x3 m = fields.matrix<3, 4, 4>(pose, kShape);
   if (fields.ok() && pose->size() > 3) {
     glm::dvec4 last{0, 0, 0, 1};
     fields.list((*pose)[3], {glm::value_ptr(last), 4}, kShape);
-    if (pose->size() > 4) fields.refuse(Errc::bad_syntax, kShape);
     if (last != glm::dvec4(0, 0, 0, 1))
       fields.refuse(Errc::bad_value, "the camera of this index has a transform_matrix whose last row is not 0 0 0 1");
   }

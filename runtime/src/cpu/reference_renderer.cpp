@@ -434,13 +434,6 @@ const char* ReferenceRenderer::name() const {
   return simd_ ? simd_target_name() : "scalar";
 }
 
-Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camera& camera, const RenderTarget& target,
-                                             const FrameSettings& settings) {
-  const ScenePart whole{
-      scene.n, scene.mean.data(), scene.rotation.data(), scene.scale.data(), scene.opacity.data(), scene.sh.data()};
-  return render({scene.sh_degree, scene.origin, std::span(&whole, 1)}, camera, target, settings);
-}
-
 Result<FrameStats> ReferenceRenderer::render(const SceneParts& scene, const Camera& camera, const RenderTarget& target,
                                              const FrameSettings& settings) {
   FrameStats stats;

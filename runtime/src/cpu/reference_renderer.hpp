@@ -24,6 +24,16 @@ struct ScenePart {
   const float* opacity = nullptr;   ///< [n]
   const float* sh = nullptr;        ///< [n, sh_coefficients(sh_degree), 3]
 };
+/// Gaussians first .. first + n - 1.
+inline ScenePart part_of(const SceneView& scene, std::uint64_t first, std::uint64_t n) {
+  const std::uint64_t sh_floats = 3 * static_cast<std::uint64_t>(sh_coefficients(scene.sh_degree));
+  return {n,
+          scene.mean.data() + 3 * first,
+          scene.rotation.data() + 4 * first,
+          scene.scale.data() + 3 * first,
+          scene.opacity.data() + first,
+          scene.sh.data() + sh_floats * first};
+}
 /// A scene in pieces, drawn as if concatenated. Fewer than 2^31 Gaussians.
 struct SceneParts {
   int sh_degree = 0;
@@ -39,8 +49,6 @@ class ReferenceRenderer {
   ReferenceRenderer& operator=(const ReferenceRenderer&) = delete;
 
   /// The caller has checked camera, settings and target. Errors: limit_exceeded.
-  Result<FrameStats> render(const SceneView& scene, const Camera& camera, const RenderTarget& target,
-                            const FrameSettings& settings);
   Result<FrameStats> render(const SceneParts& scene, const Camera& camera, const RenderTarget& target,
                             const FrameSettings& settings);
   const char* name() const;

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <charconv>
+#include <cmath>
 #include <span>
 
 #include "rgs/checksum.hpp"
@@ -91,6 +92,12 @@ std::optional<ContentRange> parse_content_range(std::string_view text) {
   found.first = *first;
   found.last = *last;
   return found;
+}
+
+double retry_pause(int failures, double retry_after, double random) {
+  constexpr double kFirstPause = 0.25, kMostPause = 8, kMostRetryAfter = 30;
+  const double own = std::min(kMostPause, std::ldexp(kFirstPause, std::min(failures, 30))) * (0.75 + 0.25 * random);
+  return std::max(own, std::min(retry_after, kMostRetryAfter));
 }
 
 void HttpAnswer::add_line(std::string_view line) {

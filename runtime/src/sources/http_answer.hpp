@@ -22,6 +22,10 @@ struct ContentRange {
 /// Absent if malformed, if last < first, or if total <= last.
 std::optional<ContentRange> parse_content_range(std::string_view text);
 
+/// Seconds until a retry after so many failures in a row before, and after a Retry-After of the server's. `random`, of 0
+/// to 1, spreads the retries of requests that failed together.
+double retry_pause(int failures, double retry_after, double random);
+
 /// The head of a response, line by line.
 class HttpAnswer {
  public:

@@ -49,8 +49,7 @@ constexpr std::size_t kMostHeadBytes = 64 << 10;  // of a response, with those o
 constexpr long kBufferBytes = 64 << 10;           // of libcurl, for each slot
 constexpr const char* kLate = "the server takes longer than allowed to open the file";
 constexpr const char* kLongHead = "the head of the server's answer is too long";
-constexpr double kLongest = 86400;                                          // of all times, seconds
-constexpr double kFirstPause = 0.25, kMostPause = 8, kMostRetryAfter = 30;  // seconds
+constexpr double kLongest = 86400;  // of all times, seconds
 
 Clock::duration seconds(double s) {
   return duration_cast<Clock::duration>(std::chrono::duration<double>(s));
@@ -569,16 +568,13 @@ class UrlSource final : public ByteSource {
   }
 
   // Schedules a retry, or fails.
-  Status retry(Slot& slot, const Error& error, double least_seconds) {
+  Status retry(Slot& slot, const Error& error, double retry_after) {
     Request& request = *slot.request;
     if (request.done > request.most_done) request.failures = 0;
     request.most_done = std::max(request.most_done, request.done);
     if (request.failures >= options_.retries) return tl::unexpected(error);
-    // Spreads the retries of requests that failed together.
-    const double jitter = std::uniform_real_distribution<double>(0.75, 1)(random_);
-    const double pause = std::min(kMostPause, std::ldexp(kFirstPause, std::min(request.failures, 30))) * jitter;
-    ++request.failures;
-    requeue(slot, now_ + seconds(std::max(pause, std::min(least_seconds, kMostRetryAfter))));
+    const double random = std::uniform_real_distribution<double>()(random_);
+    requeue(slot, now_ + seconds(detail::retry_pause(request.failures++, retry_after, random)));
     return {};
   }
 

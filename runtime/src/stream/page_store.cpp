@@ -37,11 +37,11 @@ std::uint64_t PageStore::bytes(std::uint32_t n_pages, const DeviceSlots* slots) 
   return n_pages * sizeof(std::uint32_t) + DeviceSlots::host_bytes(slots->plan());
 }
 
-std::uint64_t PageStore::page_bytes(std::uint32_t page) const {
-  if (slots_ != nullptr) return slots_->plan().slot_bytes();
-  const std::uint64_t n =
-      file_.pages()[page].count * SplatArrays::floats(file_.head().header().sh_degree) * sizeof(float);
-  return n + kAllocationBytes + (n >= kLargeBlock ? kSystemPage : 0);
+PageStore::Cost PageStore::cost() const {
+  if (slots_ != nullptr) return {slots_->plan().slot_bytes(), 0};
+  const std::uint64_t row = SplatArrays::floats(file_.head().header().sh_degree) * sizeof(float);
+  const std::uint64_t most = row * file_.page_chunks() * file_.head().header().chunk_size;
+  return {kAllocationBytes + (most >= kLargeBlock ? kSystemPage : 0), row};
 }
 
 void PageStore::reserve(std::uint32_t page) {

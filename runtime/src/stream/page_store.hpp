@@ -26,8 +26,11 @@ class PageStore {
   const std::shared_ptr<DeviceSlots>& slots() const { return slots_; }
   /// Host memory of a store, without pages.
   static std::uint64_t bytes(std::uint32_t n_pages, const DeviceSlots* slots);
-  /// Of the host's budget, or of slots.
-  std::uint64_t page_bytes(std::uint32_t page) const;
+  /// Of the host's budget, or of slots: page + row bytes a Gaussian.
+  struct Cost {
+    std::uint64_t page, row;
+  };
+  Cost cost() const;
 
   // With the pool's lock, once the room is taken.
   void reserve(std::uint32_t page);  ///< before put()

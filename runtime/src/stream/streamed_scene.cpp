@@ -1,13 +1,12 @@
 // streamed_scene.cpp - opens a streamed scene (tables, root, threads) and closes it.
 // SPDX-License-Identifier: Apache-2.0
-#include "rgs/streamed_scene.hpp"
-
 #include <algorithm>
 #include <limits>
 #include <system_error>
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
+#include "rgs/scene.hpp"
 #include "rgs/subject_box.hpp"
 #include "stream/streamed_state.hpp"
 
@@ -33,7 +32,7 @@ tl::unexpected<Error> too_small(std::uint64_t needed, std::uint64_t budget) {
 
 Status StreamedState::take(std::uint64_t n) {
   const std::scoped_lock lock(pool->mutex);
-  if (pool->take(n, kNeeded) != StreamPoolState::Room::taken) return too_small(pool->held + n, pool->budget);
+  if (!pool->take(n)) return too_small(pool->held() + n, pool->budget);
   bytes += n;
   return {};
 }
@@ -73,14 +72,13 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
   const std::uint64_t whole = opened->whole_memory_bytes();
   if (Status taken = take(whole - std::min(whole, archive)); !taken) return taken;
   file = *std::move(opened);
-  declarations = file->head().declarations();
   if (Status reserved = file->reserve(); !reserved) return reserved;
   for (const FilePart& part : parts) {
     const FileRange unread = file->unread_table();
     if (unread.bytes == 0 || part.offset > unread.offset || part.offset + part.bytes.size() <= unread.offset) continue;
     if (Status extended = file->extend(part); !extended) return extended;
   }
-  subject = placed(subject_box(file->pages()), declarations->origin);
+  subject = placed(subject_box(file->pages()), file->head().declarations().origin);
   memory.clear();
   const std::scoped_lock lock(pool->mutex);
   const std::uint64_t given = part_bytes + archive - std::min(whole, archive);
@@ -90,7 +88,7 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
 }
 
 // Threads get a share of the budget, but at least what they need.
-Status StreamedState::make_room_for_pages() {
+Status StreamedState::make_room_for_pages(bool prefetches) {
   traits = source->traits();
   const std::uint32_t n_pages = file->n_pages_in_all();
   std::shared_ptr<DeviceSlots> slots;
@@ -100,8 +98,8 @@ Status StreamedState::make_room_for_pages() {
     if (!made) return tl::unexpected(made.error());
     slots = *std::move(made);
   }
-  if (Status taken = take(Residency::bytes(n_pages) + PageStore::bytes(n_pages, slots.get())); !taken) return taken;
-  residency.emplace(file->pages(), n_pages);
+  const std::uint64_t tables = pages::Scheduler::scene_bytes(n_pages) + PageStore::bytes(n_pages, slots.get());
+  if (Status taken = take(tables); !taken) return taken;
   store.emplace(*file, slots);
   const std::uint64_t least = PageReader::least_bytes(*file), share = pool->budget / kReadersShare;
   std::uint64_t read_bytes = std::max(least, traits.most_bytes);
@@ -131,15 +129,29 @@ Status StreamedState::make_room_for_pages() {
     }
     readers.push_back(std::make_unique<PageReader>(*file, table, *source, read_bytes, *store, std::move(writer)));
   }
+  const PageStore::Cost cost = store->cost();
+  const std::scoped_lock lock(pool->mutex);
+  id = pool->scheduler->add_scene({.pages = &file->pages(),
+                                   .stored = &file->stored(0),
+                                   .n_pages = n_pages,
+                                   .is_verified = file->is_verified(),
+                                   .page_bytes = cost.page,
+                                   .row_bytes = cost.row,
+                                   .n_readers = static_cast<std::uint32_t>(n),
+                                   .most_bytes = traits.most_bytes,
+                                   .gap_bytes = traits.gap_bytes,
+                                   .prefetches = prefetches});
+  is_scheduled = true;
+  pool->scenes.push_back(this);
   return {};
 }
 
 Status StreamedState::read_root() {
   {
     const std::scoped_lock lock(pool->mutex);
-    const std::uint64_t n = store->page_bytes(0);
-    if (pool->take_pages(n, kNeeded) != StreamPoolState::Room::taken) {
-      if (!pool->is_on_device()) return too_small(pool->held + n, pool->budget);
+    const std::uint64_t n = root_bytes();
+    if (!pool->take_for_pages(n)) {
+      if (!pool->is_on_device()) return too_small(pool->held() + n, pool->budget);
       return make_error(Errc::limit_exceeded, Error::kNone,
                         "the device's budget does not hold the scene's coarsest page", pool->device_memory + n,
                         pool->device_memory);
@@ -156,17 +168,12 @@ Status StreamedState::read_root() {
   if (pool->is_on_device()) stats.bytes_uploaded += file->decoded_bytes(0);
   // A view cannot be drawn without lists.
   const std::scoped_lock lock(pool->mutex);
-  if (pool->take(least_view_bytes(), kNeeded) != StreamPoolState::Room::taken)
-    return too_small(pool->held + least_view_bytes(), pool->budget);
+  if (!pool->take(least_view_bytes())) return too_small(pool->held() + least_view_bytes(), pool->budget);
   pool->release(least_view_bytes());
   return {};
 }
 
 Status StreamedState::start_threads() {
-  {
-    const std::scoped_lock lock(pool->mutex);
-    pool->scenes.push_back(this);
-  }
   try {
     for (const auto& reader : readers) threads.emplace_back([this, &reader] { work_until_stopped(*reader); });
   } catch (const std::system_error& failed) {
@@ -179,15 +186,14 @@ Status StreamedState::start_threads() {
 }
 
 Result<std::shared_ptr<StreamedState>> StreamedState::open(std::unique_ptr<ByteSource> source,
-                                                           const StreamOptions& options,
+                                                           const OpenOptions& options,
                                                            std::shared_ptr<StreamPoolState> pool) {
   auto state = std::make_shared<StreamedState>();
   state->pool = std::move(pool);
   state->source = std::move(source);
-  state->prefetches = options.prefetch;
   state->source->set_limit(options.url.open_seconds);
   Status ok = state->read_tables(options.limits);
-  if (ok) ok = state->make_room_for_pages();
+  if (ok) ok = state->make_room_for_pages(options.prefetch);
   if (ok) ok = state->read_root();
   state->source->set_limit(std::numeric_limits<double>::infinity());
   if (ok) ok = state->start_threads();
@@ -205,21 +211,20 @@ StreamedState::~StreamedState() {
   for (std::thread& thread : threads) thread.join();
   const std::scoped_lock lock(pool->mutex);
   // Others may use the memory once the lock is released, so everything is freed before.
-  std::uint64_t given = bytes, given_pages = has_root ? store->page_bytes(0) : 0;
-  for (const auto& view : views) {
-    given += view->bytes + view->lists.bytes;
-    if (pool->last_view == view.get()) pool->last_view = nullptr;
-  }
-  for (std::uint32_t group = 0; residency && group < residency->n_groups(); ++group) {
-    const Residency::State there = residency->state(group);
-    if (there == Residency::State::resident || there == Residency::State::arrived) given_pages += group_bytes(group);
-  }
+  std::uint64_t given = bytes;
+  for (const auto& view : views) given += view_bytes() + view->lists.bytes;
   views.clear(), readers.clear();
+  const std::uint64_t root = has_root ? root_bytes() : 0;
   store.reset();
-  residency.reset(), file.reset();
+  if (is_scheduled) {
+    std::erase(pool->scenes, this);
+    pool->scheduler->remove_scene(id);
+  }
+  file.reset();
+  if (root > 0) pool->tell(pages::event::Release{root});
   pool->release(given);
-  pool->release_pages(given_pages);
-  pool->forget(this);
+  pool->wake();
+  pool->news.notify_all();
 }
 
 StreamPool::StreamPool(std::shared_ptr<StreamPoolState> state) : state_(std::move(state)) {}
@@ -241,7 +246,7 @@ Result<StreamPool> StreamPool::create(const StreamPoolOptions& options) {
 
 std::uint64_t StreamPool::host_bytes() const {
   const std::scoped_lock lock(state_->mutex);
-  return state_->held;
+  return state_->held();
 }
 std::uint64_t StreamPool::host_memory() const {
   return state_->budget;
@@ -255,46 +260,40 @@ std::uint64_t StreamPool::device_memory() const {
   return state_->device_memory;
 }
 
-StreamedScene::StreamedScene(std::shared_ptr<StreamedState> state) : state_(std::move(state)) {}
+namespace {
 
-Result<StreamedScene> StreamedScene::open(std::unique_ptr<ByteSource> source, const StreamOptions& options) {
-  return guard_memory([&]() -> Result<StreamedScene> {
+Result<Scene> read_whole(ByteSource& source, const OpenOptions& options) {
+  source.set_limit(options.url.open_seconds);
+  std::vector<std::byte> bytes(source.size());
+  const std::uint64_t most = source.traits().most_bytes;
+  for (std::uint64_t at = 0; at < bytes.size(); at += most) {
+    const auto part = std::span(bytes).subspan(at, std::min<std::uint64_t>(most, bytes.size() - at));
+    if (Status read = source.read(at, part); !read) return tl::unexpected(read.error());
+  }
+  return Scene::load(bytes, options.limits);
+}
+
+}  // namespace
+
+Result<Scene> Scene::open(std::unique_ptr<ByteSource> source, const OpenOptions& options) {
+  return guard_memory([&]() -> Result<Scene> {
     if (source == nullptr) return make_error(Errc::bad_argument, Error::kNone, "the source is null");
-    std::optional<StreamPool> pool = options.pool;
-    if (!pool) {
-      auto own = StreamPool::create();
-      if (!own) return tl::unexpected(own.error());
-      pool = *std::move(own);
-    }
-    auto state = StreamedState::open(std::move(source), options, pool->state_);
+    if (!options.pool) return read_whole(*source, options);
+    auto state = StreamedState::open(std::move(source), options, options.pool->state_);
     if (!state) return tl::unexpected(state.error());
-    return StreamedScene(*std::move(state));
+    return Scene(*std::move(state));
   });
 }
 
-std::uint64_t StreamedScene::size() const {
-  return state_->file->head().header().n_gaussians;
+Status Scene::status() const {
+  if (!is_streamed()) return {};
+  const std::scoped_lock lock(streamed()->pool->mutex);
+  return streamed()->status();
 }
-int StreamedScene::sh_degree() const {
-  return state_->file->head().header().sh_degree;
-}
-const std::optional<Declarations>& StreamedScene::declarations() const {
-  return state_->declarations;
-}
-const Origin& StreamedScene::origin() const {
-  return state_->declarations->origin;
-}
-const SceneBounds& StreamedScene::subject_bounds() const {
-  return state_->subject;
-}
-
-Status StreamedScene::status() const {
-  const std::scoped_lock lock(state_->pool->mutex);
-  return state_->status();
-}
-StreamStats StreamedScene::stats() const {
-  const std::scoped_lock lock(state_->pool->mutex);
-  return state_->stats_now();
+StreamStats Scene::stats() const {
+  if (!is_streamed()) return {};
+  const std::scoped_lock lock(streamed()->pool->mutex);
+  return streamed()->stats_now();
 }
 
 }  // namespace rgs

@@ -3,7 +3,6 @@
 #include "audit_page.hpp"
 
 #include <doctest/doctest.h>
-#include <fmt/format.h>
 
 #include <algorithm>
 #include <filesystem>
@@ -13,6 +12,7 @@
 
 #include "audit_encoding.hpp"
 #include "audit_program_fixture.hpp"
+#include "base64.hpp"
 #include "skip.hpp"
 
 namespace fs = std::filesystem;
@@ -41,12 +41,6 @@ const std::vector<std::string> kHostile{"javascript:alert(1)",
                                         "\\\\host",
                                         ".hidden"};
 
-std::string hex(std::span<const std::byte> bytes) {
-  std::string out;
-  for (const std::byte b : bytes) out += fmt::format("{:02x}", static_cast<unsigned>(b));
-  return out;
-}
-
 // The text between the first occurrence of two marks.
 std::string between(const std::string& text, const std::string& begin, const std::string& end) {
   const std::size_t at = text.find(begin);
@@ -70,7 +64,7 @@ std::string hash_of(const TemporaryFolder& folder, const std::string& text) {
   std::vector<std::byte> bytes;
   for (std::size_t i = 0; i < 64; i += 2)
     bytes.push_back(static_cast<std::byte>(std::stoi(run.out.substr(i, 2), nullptr, 16)));
-  return base64(bytes);
+  return tool::base64(bytes);
 }
 
 void check_policy(const TemporaryFolder& folder, const std::string& page) {
@@ -115,16 +109,11 @@ ProgramResult dump_in_browser(const TemporaryFolder& folder, const std::string& 
 
 }  // namespace
 
-TEST_CASE("SHA-256 agrees with the standard's examples and with another program") {
-  CHECK(hex(sha256("")) == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
-  CHECK(hex(sha256("abc")) == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
-  CHECK(hex(sha256("abcdbcdecdefdefgefghfghighijhijkijkljklmklmnlmnomnopnopq")) ==
-        "248d6a61d20638b8e5c026930c3e6039a33ce45964ff2167f6ecedd419db06c1");
-  CHECK(hex(sha256(std::string(1'000'000, 'a'))) == "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0");
+TEST_CASE("SHA-256 agrees with another program") {
   const TemporaryFolder folder;
   for (const std::size_t n : {1U, 54U, 55U, 56U, 63U, 64U, 65U, 119U, 120U, 128U}) {
     const std::string text(n, '\xe7');
-    CHECK(base64(sha256(text)) == hash_of(folder, text));
+    CHECK(tool::base64(sha256(text)) == hash_of(folder, text));
   }
 }
 

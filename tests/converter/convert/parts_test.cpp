@@ -18,7 +18,6 @@
 #include "counted_memory.hpp"
 #include "edit_file.hpp"
 #include "file_times.hpp"
-#include "parts_command.hpp"
 #include "parts_rows.hpp"
 #include "plausible_cloud.hpp"
 #include "rgs/camera_file.hpp"

@@ -221,5 +221,5 @@ TEST_CASE("sorting keeps rows and order in memory, but no keys") {
   CHECK(rgs::test::peak_bytes() - before < static_cast<std::int64_t>(kRows * (2 * kRowBytes + 4 + 6)));
   float last[3];
   std::memcpy(last, &rows[(kRows - 1) * kRowBytes], sizeof last);
-  CHECK(last[0] == kRows - 1);
+  CHECK(last[0] >= kRows - kRows / 128.0);  // in the last cell of the curve, which keeps the source's order
 }

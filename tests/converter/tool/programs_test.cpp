@@ -328,7 +328,9 @@ TEST_CASE("names and values from outside are printed without controlling a termi
     check({absent, absent});
     check({absent + "1", absent + "2", absent + "3"});
     const bool makes = fs::path(path).filename() == "rgs-make-scene";
+    int n_options = 0;
     for (const Option& option : options_of(path)) {
+      if (kSanitized && n_options++ % 4 != 0) continue;  // each run takes a second
       // Numbers share one check, and each run takes time.
       if (std::regex_search(option.text, std::regex("^U?INT|^FLOAT")) && option.name != "--threads") continue;
       CAPTURE(option.name);

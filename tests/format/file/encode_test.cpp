@@ -147,22 +147,33 @@ TEST_CASE("the robust box matches the specification") {
   }
 }
 
-TEST_CASE("sorting by key is a stable sort") {
+// The order of `part`, which comes in the source's order: halved at bit after bit of the keys, down to a cell.
+std::vector<std::uint32_t> along_curve(const std::vector<std::uint64_t>& keys, std::vector<std::uint32_t> part,
+                                       int bit) {
+  if (bit < 0 || part.size() < 2 || (bit < 63 - 24 && part.size() <= 1024)) return part;
+  const auto upper =
+      std::stable_partition(part.begin(), part.end(), [&](std::uint32_t i) { return (keys[i] >> bit & 1) == 0; });
+  std::vector<std::uint32_t> order = along_curve(keys, {part.begin(), upper}, bit - 1);
+  const std::vector<std::uint32_t> rest = along_curve(keys, {upper, part.end()}, bit - 1);
+  order.insert(order.end(), rest.begin(), rest.end());
+  return order;
+}
+
+TEST_CASE("sorting by key goes along the curve, and a cell keeps its order") {
   CAPTURE(kSeed);
   SplitMix random(kSeed);
   for (const std::uint64_t n : {0u, 1u, 2u, 255u, 256u, 5000u}) {
     for (const std::uint64_t mask :
-         {~std::uint64_t{0}, std::uint64_t{0xFF}, std::uint64_t{0x70000000000F00}, std::uint64_t{0}}) {
+         {~std::uint64_t{0} >> 1, std::uint64_t{0xFF}, std::uint64_t{0x70000000000F00}, std::uint64_t{0}}) {
       std::vector<std::uint64_t> keys(n);
       for (std::uint64_t& key : keys) key = random.bits() & mask;
       std::vector<std::uint32_t> indices(n);
       std::iota(indices.begin(), indices.end(), 0u);
-      std::vector<std::uint32_t> expected = indices;
-      std::ranges::stable_sort(expected, {}, [&](std::uint32_t i) { return keys[i]; });
+      const std::vector<std::uint32_t> expected = along_curve(keys, indices, 62);
       std::vector<std::uint64_t> sorted = keys;
       sort_by_key(sorted, indices);
       CHECK(indices == expected);
-      CHECK(std::ranges::is_sorted(sorted));
+      CHECK(std::ranges::is_sorted(sorted, {}, [](std::uint64_t key) { return key >> (63 - 24); }));
       for (std::size_t i = 0; i < n; ++i) REQUIRE(sorted[i] == keys[indices[i]]);
     }
   }

@@ -26,15 +26,17 @@
 
 namespace rgs::test {
 
-/// Stands still between two calls of advance(). Outlives its source.
+/// Stands still between two calls of advance(), or advances by so much with each turn of the source, so that nobody
+/// waits for its pauses. Outlives its source.
 class UrlTime {
  public:
+  explicit UrlTime(std::chrono::nanoseconds a_turn = {}) : a_turn_(a_turn) {}
   detail::UrlClock clock() {
     return {[this] {
               const std::scoped_lock lock(mutex_);
               ++n_turns_;
               turned_.notify_all();
-              return now_;
+              return now_ += a_turn_;
             },
             std::chrono::milliseconds(1)};
   }
@@ -54,6 +56,7 @@ class UrlTime {
  private:
   std::mutex mutex_;
   std::condition_variable turned_;
+  const std::chrono::nanoseconds a_turn_;
   std::chrono::steady_clock::time_point now_{std::chrono::hours(1)};
   std::uint64_t n_turns_ = 0;
 };

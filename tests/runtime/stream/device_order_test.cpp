@@ -20,7 +20,6 @@
 
 using namespace rgs;
 using namespace rgs::test;
-using detail::StreamedState;
 
 namespace {
 
@@ -73,7 +72,7 @@ TEST_CASE("on a device, too, a complete picture equals the whole file's, byte fo
         FakeCuda cuda(pace);
         {
           const StreamPool pool = device_pool(16 << 20);
-          const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+          const Scene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
           Renderer renderer = device_renderer(), reference = cpu_renderer(1);
           for (const Camera& camera : town_cameras(5, 4)) {
             for (const float detail : {2.0F, 0.0F}) {
@@ -107,7 +106,7 @@ TEST_CASE("frames of resident pages while others come and go: no page in flight 
       {
         const StreamPool pool = device_pool(device_memory);
         const auto script = std::make_shared<Script>();
-        const StreamedScene scene = streamed(bytes, script, {.pool = pool, .traits = kTraits});
+        const Scene scene = streamed(bytes, script, {.pool = pool, .traits = kTraits});
         CHECK(pool.device_bytes() <= device_memory);
         CHECK(pool.device_bytes() == cuda.device_bytes);
         Renderer renderer = device_renderer();
@@ -136,7 +135,7 @@ TEST_CASE("frames of resident pages while others come and go: no page in flight 
 
 TEST_CASE("pages and workspaces together stay within a device's budget, and what does not fit is drawn coarser") {
   const Bytes bytes = town({.n = 30000});
-  const std::vector<Camera> cameras = town_cameras(12, 40);
+  const std::vector<Camera> cameras = town_cameras(12, 12);
   // Enough for all; half of it for the workspace.
   for (const std::uint64_t device_memory : {std::uint64_t{64} << 20, std::uint64_t{6} << 20, std::uint64_t{3} << 20}) {
     CAPTURE(device_memory);
@@ -146,7 +145,7 @@ TEST_CASE("pages and workspaces together stay within a device's budget, and what
     {
       const auto pool = StreamPool::create({.device_memory = device_memory});
       REQUIRE(pool);
-      const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = *pool, .traits = kTraits});
+      const Scene scene = streamed(bytes, std::make_shared<Script>(), {.pool = *pool, .traits = kTraits});
       Renderer one = device_renderer(), two = device_renderer();
       int n_coarser = 0, n_in_a_row = 0;
       std::uint64_t most = 0;
@@ -172,7 +171,8 @@ TEST_CASE("pages and workspaces together stay within a device's budget, and what
       CHECK(n_in_a_row == 0);
       // Most of the workspace is used.
       if (!is_enough) CHECK(250 * most > device_memory / 2 * 6 / 10);
-      // Another renderer has as much.
+      // Another renderer has as much, once pages have come to rest.
+      for (Renderer* each : {&one, &two}) REQUIRE(each->refine(scene, cameras[0], kLong, at_detail(0)));
       const Frame frame = draw(one, scene, cameras[0], at_detail(0)), same = draw(two, scene, cameras[0], at_detail(0));
       CHECK(same.stats.gaussians > frame.stats.gaussians / 2);
       CHECK(pool->device_bytes() == cuda.device_bytes);
@@ -195,7 +195,7 @@ TEST_CASE("a pool smaller than a view gives a coarser picture, and the same one 
        {std::uint64_t{8} << 20, std::uint64_t{300} << 10, std::uint64_t{60} << 10}) {
     CAPTURE(device_memory);
     const StreamPool pool = device_pool(device_memory);
-    const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    const Scene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
     Renderer renderer = device_renderer();
     const auto complete = renderer.refine(scene, camera, kLong, at_detail(0));
     REQUIRE(complete);
@@ -215,8 +215,8 @@ TEST_CASE("two scenes share a pool's slots, and the last one frees the memory") 
     FakeCuda cuda(pace);
     {
       const StreamPool pool = device_pool(1800 << 10);
-      std::optional<StreamedScene> one = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
-      const StreamedScene two = streamed(others, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+      std::optional<Scene> one = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+      const Scene two = streamed(others, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
       const auto refused = try_streaming(unlike, std::make_shared<Script>(), {.pool = pool});
       REQUIRE(!refused);
       CHECK(refused.error().code == Errc::bad_argument);
@@ -225,7 +225,7 @@ TEST_CASE("two scenes share a pool's slots, and the last one frees the memory") 
       const Camera camera = camera_at({12, 2, 12}, {30, 0, 30});
       for (int i = 0; i < 4; ++i) {
         const bool is_first = i % 2 == 0;
-        const StreamedScene& scene = is_first ? *one : two;
+        const Scene& scene = is_first ? *one : two;
         Renderer& renderer = is_first ? a : b;
         REQUIRE(renderer.refine(scene, camera, kLong, at_detail(0.1F)) == true);
         CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0.1F)),
@@ -252,7 +252,7 @@ TEST_CASE("one scene serves several renderers at once on a device") {
     FakeCuda cuda(pace, std::uint64_t{1} << 30, 3);
     {
       const StreamPool pool = device_pool(400 << 10);
-      const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+      const Scene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
       std::atomic<int> n_failed{0};
       std::vector<std::thread> threads;
       for (unsigned t = 0; t < 3; ++t) {
@@ -287,14 +287,14 @@ TEST_CASE("a pool belongs to the device that was current for its first scene, an
     Renderer renderer = device_renderer();
     const StreamPool pool = device_pool(8 << 20);
     REQUIRE(cudaSetDevice(1) == cudaSuccess);
-    std::optional<StreamedScene> one = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    std::optional<Scene> one = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
     CHECK(current() == 1);
     CHECK(cuda.n_on_second == 1);
     // The caller now uses another device.
     REQUIRE(cudaSetDevice(0) == cudaSuccess);
     CHECK(renderer.refine(*one, camera, kLong, at_detail(0.5F)) == true);
     CHECK(current() == 0);
-    std::optional<StreamedScene> two = streamed(others, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    std::optional<Scene> two = streamed(others, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
     CHECK(current() == 0);
     const int n_set = cuda.n_set_device;
     CHECK(renderer.refine(*two, camera, kLong, at_detail(0.5F)) == true);
@@ -382,8 +382,8 @@ TEST_CASE("a page that only a frame in flight leaves no room for waits for it, o
       {
         // Fills the rest, except for another view's host memory.
         const std::scoped_lock lock(pool.mutex);
-        (pool.is_on_device() ? pool.slots_held : pool.held) +=
-            pool.left_for_pages() - (pool.is_on_device() ? 0 : opened.state->least_view_bytes());
+        CHECK(
+            pool.take_for_pages(pool.scheduler->left() - (pool.is_on_device() ? 0 : opened.state->least_view_bytes())));
       }
       // Close to the ground the view has fewer pages, and a larger error.
       const Camera near = camera_at({0, 1, 0}, {10, 1, 0});
@@ -394,12 +394,11 @@ TEST_CASE("a page that only a frame in flight leaves no room for waits for it, o
       }
       auto complete = std::async(std::launch::async, [&] { return opened.refine(near, detail, 2); });
       const auto is_over = [&] { return complete.wait_for(std::chrono::seconds(0)) == std::future_status::ready; };
-      opened.await([&] { return pool.waits_for_pins || is_over(); });
-      {
-        const std::scoped_lock lock(pool.mutex);
-        StreamedState::Run run;
-        CHECK(opened.state->choose(run) == StreamedState::Choice::pinned);
-      }
+      const detail::StreamedState& s = *opened.state;
+      opened.await([&] {
+        const bool waits = pool.scheduler->is_busy(s.views.back()->id) && !pool.scheduler->is_reading(s.id);
+        return waits || is_over();
+      });
       CHECK(!is_over());
       held.reset();
       CHECK(complete.get() == true);
@@ -424,7 +423,7 @@ TEST_CASE("a failed copy is repeated, a damaged page is not, and its slot is reu
       int most_sent = 0;
       for (const int n_before : {0, 12, 33, 70, 120}) {
         CAPTURE(n_before);
-        const StreamedScene scene =
+        const Scene scene =
             streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kLongRuns});
         cuda.passes_next = n_before;
         cuda.fails_next = 1;
@@ -445,7 +444,7 @@ TEST_CASE("a failed copy is repeated, a damaged page is not, and its slot is reu
       const StoredPage& stored = file->stored(above.first_child + above.n_children - 1);
       const auto script = std::make_shared<Script>();
       script->flip_from = stored.offset + 40, script->flip_to = stored.offset + 41;
-      const StreamedScene damaged = streamed(bytes, script, {.pool = pool, .traits = kTraits});
+      const Scene damaged = streamed(bytes, script, {.pool = pool, .traits = kTraits});
       CHECK(!renderer.refine(damaged, camera, kLong, at_detail(0)));
       CHECK(draw(renderer, damaged, camera, at_detail(0)).stats.stream.pages_missing > 0);
       CHECK(damaged.status().error().code == Errc::checksum_mismatch);
@@ -462,7 +461,7 @@ TEST_CASE("after a failed event query or wait, pages not known to be resident ar
   for (const bool is_asked : {true, false}) {
     CAPTURE(is_asked);
     FakeCuda cuda(FakeCuda::Pace::late);
-    const StreamedScene scene =
+    const Scene scene =
         streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kLongRuns});
     // The first run has one group.
     cuda.sync_passes_next = 1;
@@ -663,7 +662,7 @@ TEST_CASE("arrived groups of a run are drawn while the last one is still being r
   script->flip_from = last.offset + 40, script->flip_to = last.offset + 41, script->flips_once = true;
   FakeCuda cuda(FakeCuda::Pace::at_once);
   {
-    const StreamedScene scene = streamed(bytes, script, {.pool = device_pool(8 << 20), .traits = kLongRuns});
+    const Scene scene = streamed(bytes, script, {.pool = device_pool(8 << 20), .traits = kLongRuns});
     script->shut_from = last.offset, script->shut_to = last.offset + last.stored_bytes;
     script->is_shut = true;
     Renderer renderer = device_renderer();
@@ -689,7 +688,7 @@ TEST_CASE("each group is sent with one call, and drawn while its thread decodes 
   const Bytes bytes = town({.n = 60000});
   FakeCuda cuda(FakeCuda::Pace::any_time);
   {
-    const StreamedScene scene =
+    const Scene scene =
         streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kLongRuns});
     Renderer renderer = device_renderer();
     CHECK(renderer.refine(scene, camera_at({0, 30, 40}, {0, 0, 0}), kLong, at_detail(0)) == true);
@@ -712,7 +711,7 @@ TEST_CASE("pages that many threads send at once, in rings of any size, equal the
       CAPTURE(host_memory);
       FakeCuda cuda(FakeCuda::Pace::any_time);
       {
-        const StreamedScene scene =
+        const Scene scene =
             streamed(bytes, std::make_shared<Script>(),
                      {.pool = device_pool(std::uint64_t{32} << 20, host_memory),
                       .traits = {.reads_at_once = reads_at_once, .most_bytes = 256 << 10, .gap_bytes = 4096}});
@@ -735,7 +734,7 @@ TEST_CASE("evicted pages have nothing in flight: their slots can be reused") {
   script->flip_from = file->stored(file->n_pages() - 1).offset + 40, script->flip_to = script->flip_from + 1;
   FakeCuda cuda(FakeCuda::Pace::late);
   {
-    const StreamedScene scene = streamed(bytes, script, {.pool = device_pool(8 << 20), .traits = kTraits});
+    const Scene scene = streamed(bytes, script, {.pool = device_pool(8 << 20), .traits = kTraits});
     Renderer renderer = device_renderer();
     CHECK(!renderer.refine(scene, camera_at({0, 30, 40}, {0, 0, 0}), kLong, at_detail(0)));
     CHECK(cuda.n_pending() == 0);
@@ -762,7 +761,7 @@ TEST_CASE("a device's lack of memory is reported with the bytes required, and no
     CHECK(scene.error().code == Errc::limit_exceeded);
     CHECK(scene.error().found == 101);
     const StreamPool enough = device_pool(scene.error().expected);
-    const StreamedScene least = streamed(bytes, std::make_shared<Script>(), {.pool = enough});
+    const Scene least = streamed(bytes, std::make_shared<Script>(), {.pool = enough});
     Renderer renderer = device_renderer();
     const Frame frame = draw(renderer, least, camera_at({0, 12, 30}, {0, 0, 0}));
     CHECK(frame.stats.pages == 1);  // the root
@@ -787,8 +786,8 @@ TEST_CASE("a scene is drawn by the renderer of its pages' device, and the other 
   const Bytes bytes = town({.n = 3000});
   FakeCuda cuda(FakeCuda::Pace::late);
   {
-    const StreamedScene on_device = streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(1 << 20)});
-    const StreamedScene on_host = streamed(bytes);
+    const Scene on_device = streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(1 << 20)});
+    const Scene on_host = streamed(bytes);
     Renderer device = device_renderer(), host = cpu_renderer(1);
     const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
     Frame frame = Frame::of(camera);
@@ -827,7 +826,7 @@ TEST_CASE("a pool with a device holds no more host memory than its budget, count
       const std::int64_t before = live_bytes();
       reset_peak_bytes();
       {
-        const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+        const Scene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
         Renderer renderer = device_renderer();
         for (const Camera& camera : views) REQUIRE(renderer.refine(scene, camera, kLong, at_detail(0.02F)));
         CHECK(scene.stats().bytes_evicted > 0);
@@ -867,7 +866,7 @@ TEST_CASE("page-locked memory and tables count towards the host's budget") {
   {
     const std::uint64_t host_memory = 2 << 20;
     const StreamPool pool = device_pool(8 << 20, host_memory);
-    const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    const Scene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
     const auto file = PagedFile::open(bytes);
     REQUIRE(file);
     const std::uint64_t page = detail::staging_bytes(detail::SlotShape::of(*file), 1);
@@ -876,14 +875,14 @@ TEST_CASE("page-locked memory and tables count towards the host's budget") {
     {
       // With room for it each thread has the maximum.
       const std::uint64_t before = cuda.pinned_bytes;
-      const StreamedScene roomy = streamed(bytes, std::make_shared<Script>(),
-                                           {.pool = device_pool(8 << 20, std::uint64_t{1} << 30), .traits = kTraits});
+      const Scene roomy = streamed(bytes, std::make_shared<Script>(),
+                                   {.pool = device_pool(8 << 20, std::uint64_t{1} << 30), .traits = kTraits});
       CHECK(cuda.pinned_bytes - before == kTraits.reads_at_once * detail::kStagedPages * page);
     }
     // Without a device the scene's tables and threads take less, at least by the page-locked memory.
     const auto host_pool = StreamPool::create({.host_memory = host_memory});
     REQUIRE(host_pool);
-    const StreamedScene on_host = streamed(bytes, std::make_shared<Script>(), {.pool = *host_pool, .traits = kTraits});
+    const Scene on_host = streamed(bytes, std::make_shared<Script>(), {.pool = *host_pool, .traits = kTraits});
     const std::uint64_t root = on_host.stats().bytes_decoded * 2;  // at most: FP32 in place of the stored form
     CHECK(pool.host_bytes() + root >= host_pool->host_bytes() + cuda.pinned_bytes);
     const std::uint64_t before = pool.host_bytes();

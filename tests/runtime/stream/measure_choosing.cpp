@@ -101,13 +101,14 @@ struct Arrival {
 
 // Until a view is complete: waiting, or frame by frame.
 Arrival arrive(const std::shared_ptr<detail::StreamedState>& state, const Camera& camera, float detail_px, bool waits) {
-  const auto settings = value_or_stop(
-      detail::resolve(detail::with_levels({.detail_px = detail_px}, detail_px), state->declarations, Backend::cpu),
-      "settings");
-  const detail::StreamRule rule{settings, state->declarations->origin, state->declarations->z_near, detail_px};
+  const auto settings = value_or_stop(detail::resolve(detail::with_levels({.detail_px = detail_px}, detail_px),
+                                                      state->file->head().declarations(), Backend::cpu),
+                                      "settings");
+  const detail::StreamRule rule{settings, state->file->head().declarations().origin,
+                                state->file->head().declarations().z_near, detail_px};
   const auto resident = [&] {
     const std::scoped_lock lock(state->pool->mutex);
-    return static_cast<double>(state->residency->n_resident());
+    return static_cast<double>(state->residency().n_resident());
   };
   const double before = resident();
   const auto began = Clock::now();
@@ -141,23 +142,20 @@ int main(int argc, char** argv) {
     const int n_threads = std::atoi(argv[i]);
     std::printf("| %d |", n_threads);
     for (const bool waits : {true, false}) {
-      StreamOptions options;
+      OpenOptions options;
       options.prefetch = false;
       Arrival opening, jump;
       for (int turn = 0; turn < kTurns; ++turn) {
         const auto pool = std::make_shared<detail::StreamPoolState>(std::uint64_t{8} << 30);
         const ByteSource::Traits traits{
-            .reads_at_once = n_threads, .most_bytes = 1, .gap_bytes = static_cast<std::uint64_t>(page_bytes)};
+            .reads_at_once = n_threads,
+            .most_bytes = static_cast<std::uint64_t>(36 * page_bytes),  // as for a file of large pages
+            .gap_bytes = static_cast<std::uint64_t>(page_bytes)};
         const auto state = value_or_stop(
             detail::StreamedState::open(
                 std::make_unique<SlowSource>(bytes, file.stored(0).offset, us_a_page / page_bytes, traits), options,
                 pool),
             "open");
-        {
-          // Reads as for a file of large pages, a few pages at a time: the sleeps replace decoding.
-          const std::scoped_lock lock(pool->mutex);
-          state->traits.most_bytes = static_cast<std::uint64_t>(36 * page_bytes);
-        }
         const auto better = [](Arrival& best, const Arrival& now) { best = now.ms < best.ms ? now : best; };
         arrive(state, inside, 1e9F, true);  // reads the table
         better(opening, arrive(state, inside, kDetail, waits));

@@ -19,8 +19,7 @@ namespace rgs::test {
 
 struct Opened {
   /// The time of the pool's stopped clock; 0: it runs.
-  std::shared_ptr<std::atomic<detail::StreamClock::rep>> stopped =
-      std::make_shared<std::atomic<detail::StreamClock::rep>>(0);
+  std::shared_ptr<std::atomic<pages::Time::rep>> stopped = std::make_shared<std::atomic<pages::Time::rep>>(0);
   std::shared_ptr<detail::StreamPoolState> pool;
   std::shared_ptr<Script> script = std::make_shared<Script>();
   std::shared_ptr<detail::StreamedState> state;
@@ -30,13 +29,12 @@ struct Opened {
       : pool(shared ? std::move(shared)
                     : std::make_shared<detail::StreamPoolState>(std::uint64_t{1} << 30, device_memory)) {
     if (pool->scenes.empty()) {
-      pool->now = [at = stopped] {
-        using Clock = detail::StreamClock;
-        const Clock::rep standing = *at;
-        return standing == 0 ? Clock::now() : Clock::time_point(Clock::duration(standing));
+      pool->now = [at = stopped, running = pool->now] {
+        const pages::Time standing(*at);
+        return standing == pages::Time() ? running() : standing;
       };
     }
-    StreamOptions options;
+    OpenOptions options;
     options.prefetch = prefetch;
     const ByteSource::Traits traits{.reads_at_once = reads_at_once, .most_bytes = most_bytes, .gap_bytes = 4096};
     auto opened = detail::StreamedState::open(std::make_unique<ScriptedSource>(bytes, script, traits), options, pool);
@@ -45,10 +43,10 @@ struct Opened {
   }
 
   detail::StreamRule rule(float detail_px) const {
-    const auto settings =
-        detail::resolve(detail::with_levels(at_detail(detail_px), detail_px), state->declarations, Backend::cpu);
+    const auto settings = detail::resolve(detail::with_levels(at_detail(detail_px), detail_px),
+                                          state->file->head().declarations(), Backend::cpu);
     REQUIRE(settings);
-    return {*settings, state->declarations->origin, state->declarations->z_near, detail_px};
+    return {*settings, state->file->head().declarations().origin, state->file->head().declarations().z_near, detail_px};
   }
   Result<bool> refine(const Camera& camera, float detail_px, std::uint64_t renderer = 1, double seconds = kLong) {
     return detail::refine_view(*state, renderer, camera, rule(detail_px), seconds);
@@ -66,14 +64,17 @@ struct Opened {
     });
   }
   /// The clock stops, this long ago.
-  void stop(detail::StreamClock::duration ago = {}) { *stopped = (pool->now() - ago).time_since_epoch().count(); }
-  /// The camera is at one position, and at another a quarter of a second later, when the clock stops.
-  void move(const Camera& from, const Camera& to, float detail_px) {
-    using namespace std::chrono_literals;
-    stop();
-    frame(from, detail_px);
-    stop(-250ms);
-    frame(to, detail_px);
+  void stop(pages::Time ago = {}) { *stopped = (pool->now() - ago).count(); }
+  /// Takes all of the host's memory that is left, but so much.
+  std::uint64_t use_up(std::uint64_t but = 0) {
+    const std::scoped_lock lock(pool->mutex);
+    const std::uint64_t n = pool->left() - but;
+    CHECK(pool->take(n));
+    return n;
+  }
+  void release(std::uint64_t bytes) {
+    const std::scoped_lock lock(pool->mutex);
+    pool->release(bytes);
   }
 };
 

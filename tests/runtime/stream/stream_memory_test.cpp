@@ -63,7 +63,7 @@ TEST_CASE("a pool never exceeds its budget, counting every allocation, on any fl
         reset_peak_bytes();
         std::uint64_t most = 0;
         {
-          const StreamedScene scene =
+          const Scene scene =
               streamed(bytes, script,
                        {.pool = *pool, .traits = {.reads_at_once = 3, .most_bytes = 256 << 10, .gap_bytes = 4096}});
           CHECK(peak_bytes() - before <= static_cast<std::int64_t>(memory) + kBeside);
@@ -101,8 +101,8 @@ TEST_CASE("a long random flight with a pool that is far too small: no growth, no
     {
       // Two scenes come and go in one pool; reads of one sometimes fail.
       const auto script = std::make_shared<Script>();
-      const StreamedScene scene = streamed(bytes, script, {.pool = *pool, .traits = traits});
-      const StreamedScene other = streamed(bytes, std::make_shared<Script>(), {.pool = *pool, .traits = traits});
+      const Scene scene = streamed(bytes, script, {.pool = *pool, .traits = traits});
+      const Scene other = streamed(bytes, std::make_shared<Script>(), {.pool = *pool, .traits = traits});
       script->fails_every = 501;
       for (const Camera& camera : flight(static_cast<unsigned>(80 * flown + 1), 80)) {
         const RenderOptions options = at_detail(n_frames % 7 == 0 ? 0.0F : 0.3F);

@@ -10,7 +10,8 @@
 #include <optional>
 #include <thread>
 
-#include "stream/streamed_state.hpp"
+#include "pages/scheduler.hpp"
+#include "scene_of_pages.hpp"
 #include "streamed_fixture.hpp"
 #include "temporary_folder.hpp"
 
@@ -22,7 +23,7 @@ TEST_CASE("a complete picture equals the whole file's, byte for byte, in every p
     CAPTURE(static_cast<int>(profile));
     const Bytes bytes = town({.profile = profile});
     const Scene all = whole(bytes);
-    const StreamedScene scene = streamed(bytes);
+    const Scene scene = streamed(bytes);
     CHECK(scene.size() == all.size());
     CHECK(scene.sh_degree() == all.sh_degree());
     Renderer one = cpu_renderer(1), two = cpu_renderer(2), reference = cpu_renderer();
@@ -56,13 +57,13 @@ TEST_CASE("the first picture is the root, and there are no holes until the pictu
   const Scene all = whole(bytes);
   const auto script = std::make_shared<Script>();
   const ByteSource::Traits slow{.reads_at_once = 1, .most_bytes = 16 << 10, .gap_bytes = 0};
-  const StreamedScene scene = streamed(bytes, script, {.prefetch = false, .traits = slow});
+  const Scene scene = streamed(bytes, script, {.prefetch = false, .traits = slow});
   script->is_shut = true;
   Renderer renderer = cpu_renderer(), reference = cpu_renderer();
   const Camera camera = camera_at({0, 3, 26}, {0, 0, 0});
   const RenderOptions options = at_detail(0.5F);
   const std::array<std::uint32_t, 1> root{0};
-  const auto coarsest = all.pages(root);
+  const auto coarsest = scene_of_pages(all, root);
   REQUIRE(coarsest);
   RenderOptions mip = options;
   mip.anti_aliasing = math::AntiAliasing::mip_splatting;
@@ -104,7 +105,7 @@ TEST_CASE("the largest projected error is read first, adjacent pages together, a
   const Bytes bytes = town({.n = 40000});
   const auto script = std::make_shared<Script>();
   const ByteSource::Traits traits{.reads_at_once = 3, .most_bytes = 64 << 10, .gap_bytes = 4096};
-  const StreamedScene scene = streamed(bytes, script, {.prefetch = false, .traits = traits});
+  const Scene scene = streamed(bytes, script, {.prefetch = false, .traits = traits});
   const int n_opening = script->n_reads;
   Renderer renderer = cpu_renderer();
   const Camera camera = camera_at({0, 30, 40}, {0, 0, 0});
@@ -138,7 +139,7 @@ TEST_CASE("a pool smaller than a view gives a coarser picture, reports its error
     const auto pool = StreamPool::create({.host_memory = memory});
     REQUIRE(pool);
     const auto script = std::make_shared<Script>();
-    const StreamedScene scene = streamed(
+    const Scene scene = streamed(
         bytes, script, {.pool = *pool, .traits = {.reads_at_once = 2, .most_bytes = 64 << 10, .gap_bytes = 4096}});
     Renderer renderer = cpu_renderer();
     const auto complete = renderer.refine(scene, camera, kLong, at_detail(0));
@@ -213,8 +214,12 @@ TEST_CASE("files without levels, and files damaged before their pages, do not op
   damaged[file->stored(0).offset + 100] ^= std::byte{1};
   CHECK(code_of(damaged) == Errc::checksum_mismatch);  // the root
   CHECK(code_of({bytes.begin(), bytes.begin() + 300}) == Errc::truncated);
-  CHECK(StreamedScene::open(std::unique_ptr<ByteSource>()).error().code == Errc::bad_argument);
-  CHECK(StreamedScene::open("/nowhere/to.rgs").error().code == Errc::open_failed);
+  for (const bool is_streamed : {false, true}) {
+    OpenOptions how;
+    if (is_streamed) how.pool = StreamPool::create().value();
+    CHECK(Scene::open(std::unique_ptr<ByteSource>(), how).error().code == Errc::bad_argument);
+    CHECK(Scene::open("/nowhere/to.rgs", how).error().code == Errc::open_failed);
+  }
   const auto script = std::make_shared<Script>();
   script->fails = true;
   CHECK(try_streaming(bytes, script).error().code == Errc::read_failed);
@@ -230,7 +235,7 @@ TEST_CASE("a damaged page is never drawn: its ancestor stays, status() names it,
   const StoredPage& stored = file->stored(page);
   const auto script = std::make_shared<Script>();
   script->flip_from = stored.offset + 40, script->flip_to = stored.offset + 41;
-  const StreamedScene scene = streamed(bytes, script);
+  const Scene scene = streamed(bytes, script);
   const auto complete = renderer.refine(scene, camera, kLong, at_detail(0));
   REQUIRE(!complete);
   CHECK(complete.error().code == Errc::checksum_mismatch);
@@ -241,9 +246,9 @@ TEST_CASE("a damaged page is never drawn: its ancestor stays, status() names it,
   const lod::Page& above = file->pages()[file->pages()[page].parent];
   CHECK(frame.stats.stream.pages_missing == above.n_children);
   CHECK(frame.stats.stream.detail_reached_px > 0);
-  CHECK(script->n_flipped == 2 * detail::StreamedState::kMostTries);  // each time twice, then never again
+  CHECK(script->n_flipped == 2 * pages::kMostTries);  // each time twice, then never again
   CHECK(!renderer.refine(scene, camera, kLong, at_detail(0)));
-  CHECK(script->n_flipped == 2 * detail::StreamedState::kMostTries);
+  CHECK(script->n_flipped == 2 * pages::kMostTries);
   // A view that does not need it is complete.
   CHECK(renderer.refine(scene, camera, kLong, at_detail(100)) == true);
 
@@ -251,7 +256,7 @@ TEST_CASE("a damaged page is never drawn: its ancestor stays, status() names it,
   const auto once = std::make_shared<Script>();
   once->flip_from = stored.offset + 40, once->flip_to = stored.offset + 41;
   once->flips_once = true;
-  const StreamedScene mended = streamed(bytes, once);
+  const Scene mended = streamed(bytes, once);
   CHECK(renderer.refine(mended, camera, kLong, at_detail(0)) == true);
   CHECK(once->n_flipped == 1);
   CHECK(mended.status());
@@ -265,7 +270,7 @@ TEST_CASE("a source that sometimes fails is retried, one that always fails is a 
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
   Renderer renderer = cpu_renderer(), reference = cpu_renderer();
   const auto sometimes = std::make_shared<Script>();
-  const StreamedScene scene =
+  const Scene scene =
       streamed(bytes, sometimes, {.traits = {.reads_at_once = 2, .most_bytes = 64 << 10, .gap_bytes = 4096}});
   sometimes->fails_every = 9;
   CHECK(renderer.refine(scene, camera, kLong, at_detail(0.5F)) == true);
@@ -273,7 +278,7 @@ TEST_CASE("a source that sometimes fails is retried, one that always fails is a 
   CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0.5F)), draw(reference, all, camera, at_detail(0.5F))));
 
   const auto never = std::make_shared<Script>();
-  const StreamedScene dead = streamed(bytes, never);
+  const Scene dead = streamed(bytes, never);
   never->fails = true;
   const auto complete = renderer.refine(dead, camera, kLong, at_detail(0.5F));  // long before that
   REQUIRE(!complete);
@@ -287,7 +292,7 @@ TEST_CASE("a source that sometimes fails is retried, one that always fails is a 
 TEST_CASE("refine() waits no longer than it is told to") {
   const Bytes bytes = town();
   const auto script = std::make_shared<Script>();
-  const StreamedScene scene = streamed(bytes, script);
+  const Scene scene = streamed(bytes, script);
   script->is_shut = true;
   Renderer renderer = cpu_renderer();
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
@@ -306,9 +311,9 @@ TEST_CASE("scenes close while their source reads, and release their memory") {
   Renderer renderer = cpu_renderer();
   for (int i = 0; i < 20; ++i) {
     const auto script = std::make_shared<Script>();
-    std::optional<StreamedScene> scene = streamed(bytes, script, {.pool = *pool});
+    std::optional<Scene> scene = streamed(bytes, script, {.pool = *pool});
     script->is_shut = i % 2 == 0;
-    std::optional<StreamedScene> copy = *scene;
+    std::optional<Scene> copy = *scene;
     draw(renderer, *scene, camera, at_detail(0.5F));
     scene.reset();
     CHECK(pool->host_bytes() > 0);
@@ -318,12 +323,32 @@ TEST_CASE("scenes close while their source reads, and release their memory") {
   }
 }
 
+TEST_CASE("without a pool the whole file is read from its source, and drawn like a loaded one") {
+  const Bytes bytes = town();
+  const auto script = std::make_shared<Script>();
+  const ByteSource::Traits small{.most_bytes = 10'000};
+  const auto scene = Scene::open(std::make_unique<ScriptedSource>(bytes, script, small));
+  REQUIRE(scene);
+  CHECK_FALSE(scene->is_streamed());
+  CHECK(scene->stats().bytes_read == 0);
+  Renderer renderer = cpu_renderer();
+  const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
+  CHECK(renderer.refine(*scene, camera, 0) == true);
+  for (const float detail : {0.0F, 4.0F})
+    CHECK(draw(renderer, *scene, camera, at_detail(detail)).rgb ==
+          draw(renderer, whole(bytes), camera, at_detail(detail)).rgb);
+  script->fails = true;
+  CHECK(Scene::open(std::make_unique<ScriptedSource>(bytes, script, small)).error().code == Errc::read_failed);
+  CHECK(streamed(bytes).view().error().code == Errc::bad_argument);
+}
+
 TEST_CASE("the source's reads of opening are limited in time, later ones are not") {
   const Bytes bytes = town();
   const auto script = std::make_shared<Script>();
-  StreamOptions options;
+  OpenOptions options;
+  options.pool = StreamPool::create().value();
   options.url.open_seconds = 7;
-  REQUIRE(StreamedScene::open(std::make_unique<ScriptedSource>(bytes, script), options));
+  REQUIRE(Scene::open(std::make_unique<ScriptedSource>(bytes, script), options));
   CHECK(script->limits == std::vector<double>{7, std::numeric_limits<double>::infinity()});
 }
 
@@ -332,7 +357,7 @@ TEST_CASE("cancelling the source gives a status, and the scene continues with it
   const auto script = std::make_shared<Script>();
   auto source = std::make_unique<ScriptedSource>(bytes, script);
   ByteSource* const held = source.get();
-  const auto scene = StreamedScene::open(std::move(source));
+  const auto scene = Scene::open(std::move(source), {.pool = StreamPool::create().value()});
   REQUIRE(scene);
   script->delay_us = 500;
   Renderer renderer = cpu_renderer();
@@ -354,7 +379,7 @@ TEST_CASE("a file that changes under a scene is a status, and old pages stay") {
         .write(reinterpret_cast<const char*>(content.data()), static_cast<std::streamsize>(content.size()));
   };
   write(bytes);
-  const auto scene = StreamedScene::open(path.string());
+  const auto scene = Scene::open(path.string(), {.pool = StreamPool::create().value()});
   REQUIRE(scene);
   Renderer renderer = cpu_renderer();
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
@@ -373,8 +398,8 @@ TEST_CASE("two scenes share a pool: the larger error has priority, and each gets
   const auto pool = StreamPool::create({.host_memory = std::uint64_t{3} << 20});
   REQUIRE(pool);
   const ByteSource::Traits traits{.reads_at_once = 2, .most_bytes = 64 << 10, .gap_bytes = 4096};
-  const StreamedScene a = streamed(first, std::make_shared<Script>(), {.pool = *pool, .traits = traits});
-  const StreamedScene b = streamed(second, std::make_shared<Script>(), {.pool = *pool, .traits = traits});
+  const Scene a = streamed(first, std::make_shared<Script>(), {.pool = *pool, .traits = traits});
+  const Scene b = streamed(second, std::make_shared<Script>(), {.pool = *pool, .traits = traits});
   Renderer renderer = cpu_renderer(), reference = cpu_renderer();
   const Camera near = camera_at({0, 6, 20}, {0, 0, 0}), far = camera_at({0, 60, 200}, {0, 0, 0});
   CHECK(renderer.refine(a, near, kLong, at_detail(0)) == false);  // all that it can get
@@ -396,7 +421,7 @@ TEST_CASE("several renderers draw one scene at once, each its own view, while it
   const Bytes bytes = town();
   const Scene all = whole(bytes);
   const auto script = std::make_shared<Script>();
-  const StreamedScene scene = streamed(bytes, script, {.memory = std::uint64_t{64} << 20});
+  const Scene scene = streamed(bytes, script, {.memory = std::uint64_t{64} << 20});
   script->delay_us = 200;
   std::atomic<int> n_wrong{0};
   std::vector<std::thread> threads;
@@ -422,7 +447,7 @@ TEST_CASE("several renderers draw one scene at once, each its own view, while it
 
 TEST_CASE("options that streaming does not support are refused before anything is read") {
   const Bytes bytes = town({.n = 3000});
-  const StreamedScene scene = streamed(bytes);
+  const Scene scene = streamed(bytes);
   Renderer renderer = cpu_renderer();
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
   Frame frame = Frame::of(camera);
@@ -473,7 +498,7 @@ TEST_CASE("a long table is read as far as views need it, and a damaged one ends 
   Renderer renderer = cpu_renderer(), reference = cpu_renderer();
   const auto script = std::make_shared<Script>();
   const ByteSource::Traits traits{.reads_at_once = 3, .most_bytes = 128 << 10, .gap_bytes = 4096};
-  const StreamedScene scene = streamed(bytes, script, {.traits = traits});
+  const Scene scene = streamed(bytes, script, {.traits = traits});
   CHECK(script->n_bytes < (64 << 10) + 8192);
   const Frame first = draw(renderer, scene, camera, at_detail(0));
   CHECK(first.stats.pages >= 1);
@@ -488,7 +513,7 @@ TEST_CASE("a long table is read as far as views need it, and a damaged one ends 
     CAPTURE(at - table.offset);
     const auto flipping = std::make_shared<Script>();
     flipping->flip_from = at, flipping->flip_to = at + 1;
-    const StreamedScene damaged = streamed(bytes, flipping, {.traits = traits});
+    const Scene damaged = streamed(bytes, flipping, {.traits = traits});
     const auto complete = renderer.refine(damaged, camera, kLong, at_detail(0));
     REQUIRE(!complete);  // wherever it is
     CHECK(exit_code(complete.error().code) == 4);
@@ -506,7 +531,7 @@ TEST_CASE("a file whose end is missing is drawn as far as it goes, and status() 
   REQUIRE(file);
   const std::uint32_t n = file->n_pages() / 2;
   const Bytes beginning(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(file->stored(n).offset + 10));
-  const StreamedScene scene = streamed(beginning);
+  const Scene scene = streamed(beginning);
   Renderer renderer = cpu_renderer();
   const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
   const auto complete = renderer.refine(scene, camera, kLong, at_detail(0));
@@ -530,7 +555,7 @@ TEST_CASE("a file whose end is missing is drawn as far as it goes, and status() 
       if (above.n_children == 0 || is_there[page] == 0 || above.first_child + above.n_children > cut) continue;
       std::fill_n(is_there.begin() + above.first_child, above.n_children, char{1});
     }
-    const StreamedScene part = streamed(prefix);
+    const Scene part = streamed(prefix);
     CHECK(!renderer.refine(part, over, kLong, at_detail(0)));
     CHECK(part.stats().pages_resident == static_cast<std::uint64_t>(std::ranges::count(is_there, char{1})));
   }

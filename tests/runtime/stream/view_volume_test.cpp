@@ -5,10 +5,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "pages/view_volume.hpp"
 #include "render_options.hpp"
 #include "rgs/math/covariance.hpp"
 #include "rgs/quantize.hpp"
-#include "stream/view_volume.hpp"
 #include "streamed_fixture.hpp"
 
 using namespace rgs;
@@ -70,7 +70,7 @@ TEST_CASE("a Gaussian whose box is culled changes no pixel, whatever its positio
     const bool shows = std::ranges::any_of(frame.alpha, [](float alpha) { return alpha > 0; });
     const auto settings = detail::resolve(how, std::nullopt, Backend::cpu);
     REQUIRE(settings);
-    const detail::ViewVolume volume(detail::make_view(camera, kNoOrigin, *settings), settings->low_pass);
+    const pages::ViewVolume volume(detail::make_view(camera, kNoOrigin, *settings), settings->low_pass);
     const bool may = volume.may_show(box_of(s));
     if (shows) CHECK(may);
     n_shown += shows, n_culled += !may, n_beside += shows && (u < 0 || u > 24 || v < 0 || v > 16);
@@ -93,7 +93,7 @@ TEST_CASE("boxes behind the camera, before the near plane and behind the far pla
   Camera camera = front_camera(100, 100);
   const auto settings = detail::resolve({.near_plane = 1, .far_plane = 50}, std::nullopt, Backend::cpu);
   REQUIRE(settings);
-  const detail::ViewVolume volume(detail::make_view(camera, kNoOrigin, *settings), settings->low_pass);
+  const pages::ViewVolume volume(detail::make_view(camera, kNoOrigin, *settings), settings->low_pass);
   const auto at = [](float x, float y, float z, float half) {
     return Box{{x - half, y - half, z - half}, {x + half, y + half, z + half}};
   };

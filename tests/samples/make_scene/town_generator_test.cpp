@@ -25,17 +25,11 @@
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
 #include "run_program.hpp"
+#include "sanitized.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
-
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define RGS_SANITIZED 1
-#elif defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
-#define RGS_SANITIZED 1
-#endif
-#endif
+using rgs::test::kSanitized;
 
 namespace {
 
@@ -58,12 +52,6 @@ std::vector<Splat> whole(const TownGenerator& town) {
 bool same_bits(const std::vector<Splat>& a, const std::vector<Splat>& b) {
   return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(Splat)) == 0;
 }
-
-#ifdef RGS_SANITIZED
-constexpr bool kSanitized = true;
-#else
-constexpr bool kSanitized = false;
-#endif
 
 double percentile(std::vector<double> values, double share) {
   const auto at = values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));

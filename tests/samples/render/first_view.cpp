@@ -8,7 +8,7 @@
 #include <cstdlib>
 #include <utility>
 
-#include "rgs/streamed_scene.hpp"
+#include "rgs/scene.hpp"
 #include "scene_file.hpp"
 
 namespace {
@@ -16,8 +16,8 @@ namespace {
 using namespace rgs;
 
 Result<std::pair<SceneBounds, glm::dvec3>> subject_of(const char* path) {
-  if (const auto streamed = StreamedScene::open(path))
-    return std::pair(streamed->subject_bounds(), declared_up(*streamed->declarations()));
+  if (const auto streamed = Scene::open(path, {.pool = *StreamPool::create()}))
+    return std::pair(*subject_bounds(*streamed), declared_up(*streamed->declarations()));
   const auto scene = open_scene_file(path);
   if (!scene) return tl::unexpected(scene.error());
   const auto bounds = subject_bounds(scene->scene);

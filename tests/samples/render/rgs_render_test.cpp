@@ -310,7 +310,8 @@ TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, 
     REQUIRE(outcome.code == 0);
     return stage.picture("o.exr");
   };
-  // All formats in the default mode, and all modes with one format: each picture is a process.
+  // All formats in the default mode, and all modes with one format; what options are called once: each picture is a
+  // process.
   for (const std::string format : {".rgs", ".spz", ".ply", ".glb"}) {
     for (const std::string mode : {"", " --mode baseline", " --mode paper", " --mode turbo", " --exp paper"}) {
       if (format != ".rgs" && !mode.empty()) continue;
@@ -320,6 +321,7 @@ TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, 
       CHECK(largest_difference(classic, mip) > 0.001F);
       CHECK(largest_difference(mip, picture("@classic" + format + mode + " --aa mip")) == 0);
       CHECK(largest_difference(classic, picture("@mip" + format + mode + " --aa classic")) == 0);
+      if (format != ".rgs" || !mode.empty()) continue;
       CHECK(largest_difference(classic, picture("@classic" + format + mode + " --low-pass 0.3")) == 0);
       CHECK(largest_difference(mip, picture("@mip" + format + mode + " --low-pass 0.1")) == 0);
       CHECK(largest_difference(mip, picture("@mip" + format + mode + " --aa mip-splatting")) == 0);

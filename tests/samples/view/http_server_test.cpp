@@ -133,6 +133,19 @@ TEST_CASE("a connection answers one request after the other, with and without bo
   CHECK(has(said, "GET /three range= body=0"));
 }
 
+TEST_CASE("HEAD gets no body, and a body that is waited for is asked for") {
+  const Running server(echo());
+  const std::string head = ask(server.port(), "HEAD /a%2fb?q#f HTTP/1.1\r\n\r\nGET /next HTTP/1.1\r\n\r\n");
+  CHECK(has(head, "Content-Length: 23\r\n"));  // of "HEAD /a/b range= body=0"
+  CHECK(!has(head, "HEAD /a/b"));
+  CHECK(has(head, "GET /next"));
+  const Client client(server.port());
+  client.send("POST /a HTTP/1.1\r\nContent-Length: 3\r\nExpect: 100-Continue\r\n\r\n");
+  CHECK(client.next() == "HTTP/1.1 100 Continue\r\n\r\n");
+  client.send("abc");
+  CHECK(has(client.next(), "body=3"));
+}
+
 TEST_CASE("ranges reach the handler unchanged, and nothing else answers them") {
   const Running server(echo());
   for (const char* range : {"bytes=5-3", "bytes=99999999999999999999-", "bytes=0-1,2-3", "nonsense"}) {
@@ -177,15 +190,21 @@ TEST_CASE("bodies end at their limit, and those of refused requests are not pars
   CHECK(post("/a", 1001, 1001).starts_with("HTTP/1.1 4"));
   CHECK(post("/a", 1'000'000'000'000, 100).starts_with("HTTP/1.1 4"));
   CHECK(post("/a", 10, 5).starts_with("HTTP/1.1 4"));  // ends early
+  CHECK(
+      ask(server.port(), "POST /a HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n").starts_with("HTTP/1.1 4"));
   const std::string inner = "GET /inner HTTP/1.1\r\n\r\n";
   // Invalid sizes: the end of such a body is unknown. Without a body the connection ends too.
-  for (const std::string& fields :
-       {"Content-Length: " + std::to_string(inner.size()) + "\r\n", std::string("Transfer-Encoding: chunked\r\n"),
-        std::string("Content-Length: 0\r\nContent-Length: 24\r\n"), std::string("Content-Length: 0x18\r\n"),
-        std::string()}) {
-    CAPTURE(fields);
-    const std::string said = ask(server.port(), "POST /no HTTP/1.1\r\n" + fields + "\r\n" + inner);
-    CHECK(said.starts_with("HTTP/1.1 403 "));
+  struct Refused {
+    std::string fields, status;
+  };
+  for (const Refused& refused : {Refused{"Content-Length: 24\r\n", "403"},
+                                 {"Transfer-Encoding: chunked\r\n", "403"},
+                                 {"Content-Length: 0\r\nContent-Length: 24\r\n", "400"},
+                                 {"Content-Length: 0x18\r\n", "400"},
+                                 {"", "403"}}) {
+    CAPTURE(refused.fields);
+    const std::string said = ask(server.port(), "POST /no HTTP/1.1\r\n" + refused.fields + "\r\n" + inner);
+    CHECK(said.starts_with("HTTP/1.1 " + refused.status + ' '));
     CHECK(has(said, "Connection: close"));
     CHECK(!has(said, "/inner"));
   }

@@ -1,6 +1,6 @@
 // decoder.ts - decodes one .rgs file in one instance of rgs.wasm, synchronously, in a worker.
 // SPDX-License-Identifier: Apache-2.0
-import { RgsError, type RgsErrorCode } from "./errors.js";
+import { outOfMemory, RgsError, type RgsErrorCode } from "./errors.js";
 import type { Box, Vector3 } from "./head.js";
 
 /** Decoded Gaussians, structure of arrays. */
@@ -56,12 +56,16 @@ export interface Range {
   bytes: number;
 }
 
-interface Exports {
+/** What every use of the module calls. @internal */
+export interface Heap {
   memory: WebAssembly.Memory;
   _initialize(): void;
   rgs_start(): void;
   rgs_allocate(bytes: number): number;
   rgs_free(address: number): void;
+}
+
+interface Exports extends Heap {
   rgs_error(): void;
   rgs_numbers(): number;
   rgs_n_numbers(): number;
@@ -116,13 +120,6 @@ export interface Groups {
 
 const kNone = 0xffffffffffffffffn;
 const kMostMemory = 2 ** 32 - 2 ** 20;
-
-function outOfMemory(): RgsError {
-  return new RgsError({
-    code: "host_out_of_memory",
-    text: "this file does not fit into memory; a file with levels of detail can be read page by page",
-  });
-}
 
 const shBytes = (degree: number): number => [4, 12, 28, 48][degree] as number;
 const shFloats = (degree: number): number => 3 * (degree + 1) ** 2;

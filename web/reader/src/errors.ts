@@ -43,6 +43,13 @@ export interface RgsErrorFields {
   found?: bigint | undefined;
 }
 
+export function outOfMemory(): RgsError {
+  return new RgsError({
+    code: "host_out_of_memory",
+    text: "this file does not fit into memory; a file with levels of detail can be read page by page",
+  });
+}
+
 export class RgsError extends Error implements RgsErrorFields {
   override readonly name = "RgsError";
   readonly code: RgsErrorCode;

@@ -258,6 +258,11 @@ export class Levels {
     this.codec = in_.of(kCodecs);
   }
 
+  /** Of all pages, [nPages, kPageNumbers]. @internal */
+  get pageNumbers(): Float64Array {
+    return this.values.subarray(kLevelsNumbers);
+  }
+
   /** `index` below nPages. */
   page(index: number): Page {
     if (!Number.isInteger(index) || index < 0 || index >= this.nPages) throw new RangeError(`no page ${index}`);

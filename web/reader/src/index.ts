@@ -15,4 +15,5 @@ export type {
   Vector3,
 } from "./head.js";
 export type { OpenOptions, Progress, ReadOptions, RgsFile, Source } from "./reader.js";
+export type { Look, PageAction, PageEvent, PageSchedule, PageScheduler } from "./pages.js";
 export type { RangeSource, UrlOptions } from "./source.js";

@@ -4,6 +4,7 @@ import { Client, type Port } from "./client.js";
 import type { Gaussians, Groups, Limits, Range, StoredGaussians } from "./decoder.js";
 import { RgsError } from "./errors.js";
 import { type Box, type Declarations, type Head, type Header, Levels, parseHead, type Provenance, type Section } from "./head.js";
+import { type PageSchedule, PageScheduler } from "./pages.js";
 import { BlobSource, MemorySource, type RangeSource, UrlSource, type UrlOptions } from "./source.js";
 
 export type Source = ArrayBuffer | ArrayBufferView | Blob | URL | string | RangeSource;
@@ -208,6 +209,13 @@ export class RgsFile {
     shape.scaleExponent = (this.levels as Levels).page(page).scaleExponent;
     const call = { ...options, onProgress: undefined, transfer: [own(bytes)] };
     return this.client.call("pageStored", { page, bytes, shape }, call);
+  }
+
+  /** What decides which pages are drawn, read and evicted. It runs on the caller's thread, so a busy worker does not hold it up. */
+  async pageScheduler(schedule: PageSchedule): Promise<PageScheduler> {
+    const { levels } = this;
+    if (!levels) throw new RgsError({ code: "bad_argument", text: "the file has no levels of detail, so it has no pages" });
+    return PageScheduler.start(await this.client.call("module", {}), levels.pageNumbers, schedule);
   }
 
   /** Ends the worker; calls in progress reject. */

@@ -19,6 +19,8 @@ export interface Requests {
   openParts: [{ fileBytes: number }, { head: { values: Float64Array; text: Uint8Array }; unread: Range | null; subject: Box | null }];
   extend: [{ offset: number; bytes: Uint8Array }, Range];
   levels: [Record<string, never>, Float64Array];
+  /** The compiled rgs.wasm. */
+  module: [Record<string, never>, WebAssembly.Module];
   page: [{ page: number; bytes: Uint8Array; shDegree: number }, Gaussians];
   pageStored: [{ page: number; bytes: Uint8Array; shape: Shape }, StoredGaussians];
   /** Allocates memory for the whole file. */
@@ -129,6 +131,8 @@ export class Service {
         return this.opened.unreadTable();
       case "levels":
         return this.opened.levels();
+      case "module":
+        return this.module;
       case "page":
         return this.opened.readPage(request.args.page, request.args.bytes, request.args.shDegree);
       case "pageStored":

@@ -14,8 +14,8 @@ export interface UrlOptions {
   /** Sent with each request. */
   headers?: Record<string, string>;
   credentials?: RequestCredentials;
-  /** Tries of a request that fails for a reason that may be temporary; 3 by default. */
-  attempts?: number;
+  /** Of one read, in a row without a byte; 2 by default. Pauses of 0.25 s, doubled up to 8 s. */
+  retries?: number;
   /** A request fails if the server sends nothing for so long; 30,000 by default. */
   silenceMs?: number;
   /** @internal Calls `ring` after so many ms, unless what it returns is called before. */
@@ -26,8 +26,8 @@ export interface UrlOptions {
 const kFirstBytes = 1 << 16;
 /** Largest file that is kept whole, from a server without ranges. */
 const kMostWhole = 2 ** 32;
-const kTooLarge = "the server has no ranges, and the file is too large to be kept whole";
 
+/** @internal */
 export class MemorySource implements RangeSource {
   readonly size: number;
   constructor(private readonly bytes: Uint8Array) {
@@ -38,6 +38,7 @@ export class MemorySource implements RangeSource {
   }
 }
 
+/** @internal */
 export class BlobSource implements RangeSource {
   readonly size: number;
   constructor(private readonly blob: Blob) {
@@ -55,8 +56,31 @@ export class BlobSource implements RangeSource {
   }
 }
 
-/** A failure that another try may mend. */
-class Temporary extends Error {}
+/** `again`: seconds after which another try may help. */
+class Failure extends Error {
+  constructor(
+    message: string,
+    readonly again?: number,
+  ) {
+    super(message);
+  }
+}
+
+/** The bytes of a read, and how many have come. */
+interface Filled {
+  offset: number;
+  out: Uint8Array;
+  done: number;
+  mayEnd?: boolean;
+  whole?: Whole;
+}
+
+/** A file that comes whole, of at most `most` bytes. */
+interface Whole {
+  most: number;
+  tooLarge: Error;
+  onProgress(soFar: Uint8Array): void;
+}
 
 /** What must not change from answer to answer. */
 interface Pin {
@@ -65,17 +89,15 @@ interface Pin {
   modified: string | null;
 }
 
-function failed(text: string, offset?: number): RgsError {
-  return new RgsError({ code: "read_failed", text, offset });
-}
+const kOtherBytes = "the server answers with other bytes than were asked for";
 
+/** @internal */
 export class UrlSource implements RangeSource {
   private constructor(
     private readonly url: string,
     private readonly options: UrlOptions,
     private readonly pin: Pin,
-    /** Bytes of the first answer. */
-    private readonly first: Uint8Array,
+    private first: Uint8Array,
   ) {}
 
   /**
@@ -89,29 +111,39 @@ export class UrlSource implements RangeSource {
     onProgress?: (soFar: Uint8Array, total: number | undefined) => void,
     maxBytes = Infinity,
   ): Promise<RangeSource> {
-    return retried(options, signal, async (timed) => {
-      const answer = await request(url, options, 0, kFirstBytes, timed.signal, null);
-      if (answer.status === 416 && /^bytes \*\/0$/.test(answer.headers.get("content-range") ?? "")) {
-        await answer.body?.cancel();
-        return new MemorySource(new Uint8Array(0));
-      }
-      if (answer.status === 200) {
-        const length = lengthOf(answer);
+    const filled: Filled = { offset: 0, out: new Uint8Array(kFirstBytes), done: 0 };
+    let source: UrlSource | undefined;
+    return retried("open_failed", filled, options, signal, async (timed) => {
+      if (!source) Object.assign(filled, { out: new Uint8Array(kFirstBytes), done: 0 });
+      const answer = await request(url, options, filled, timed.signal);
+      if (source) {
+        source.check(answer, filled);
+      } else if (answer.status === 206) {
+        const range = rangeOf(answer);
+        const expected = range ? Math.min(kFirstBytes, range.total) : lengthOf(answer);
+        filled.mayEnd = expected === undefined;
+        filled.out = filled.out.subarray(0, expected);
+        const pin = { size: range?.total, etag: tagOf(answer), modified: answer.headers.get("last-modified") };
+        source = new UrlSource(url, options, pin, filled.out);
+        source.check(answer, filled);
+      } else {
+        const length = answer.status === 416 ? 0 : lengthOf(answer);
         const most = Math.min(kMostWhole, maxBytes);
-        const bytes = await readBody(answer, length, most, timed, (soFar) => onProgress?.(soFar, length), kTooLarge);
-        return new MemorySource(bytes);
+        filled.whole = {
+          most,
+          tooLarge: new RgsError({ code: "limit_exceeded", text: "the server has no ranges, and the file is too large to be kept whole" }),
+          onProgress: (soFar) => onProgress?.(soFar, length),
+        };
+        if ((length ?? 0) > most) throw filled.whole.tooLarge;
+        filled.out = new Uint8Array(length ?? Math.min(most, kFirstBytes));
+        filled.mayEnd = length === undefined;
       }
-      const range = rangeOf(answer);
-      if (range && range.begin !== 0) throw failed("the server answers with another range than was asked for");
-      const expected = range && range.total !== undefined ? Math.min(kFirstBytes, range.total) : undefined;
-      if (range && expected !== undefined && range.end !== expected) {
-        throw failed("the server answers with another range than was asked for");
-      }
-      const first = await readBody(answer, expected, kFirstBytes, timed);
-      // A short answer without a total is the whole file.
-      const size = range?.total ?? (first.length < kFirstBytes ? first.length : undefined);
-      const etag = answer.headers.get("etag");
-      return new UrlSource(url, options, { size, etag, modified: answer.headers.get("last-modified") }, first);
+      await fill(answer, filled, timed);
+      const { out, done } = filled;
+      if (!source) return new MemorySource(done < out.length ? out.slice(0, done) : out);
+      if (done < kFirstBytes) source.pin.size ??= done;
+      source.first = out.subarray(0, done);
+      return source;
     });
   }
 
@@ -121,31 +153,28 @@ export class UrlSource implements RangeSource {
 
   async read(offset: number, bytes: number, signal?: AbortSignal): Promise<Uint8Array> {
     if (offset + bytes <= this.first.length) return this.first.slice(offset, offset + bytes);
-    return retried(this.options, signal, async (timed) => {
-      const answer = await request(this.url, this.options, offset, bytes, timed.signal, this.pin.etag);
-      if (answer.status === 200) {
-        await answer.body?.cancel();
-        throw failed("the file has changed on the server, or the server no longer answers with ranges", offset);
-      }
-      this.check(answer, offset, bytes);
-      return readBody(answer, bytes, bytes, timed);
+    const filled = { offset, out: new Uint8Array(bytes), done: 0 };
+    return retried("read_failed", filled, this.options, signal, async (timed) => {
+      const answer = await request(this.url, this.options, filled, timed.signal);
+      this.check(answer, filled);
+      await fill(answer, filled, timed);
+      return filled.out;
     });
   }
 
-  private check(answer: Response, offset: number, bytes: number): void {
+  private check(answer: Response, { offset, out, done }: Filled): void {
     const range = rangeOf(answer);
-    const etag = answer.headers.get("etag");
-    const modified = answer.headers.get("last-modified");
     const { pin } = this;
-    if (
-      (range?.total !== undefined && pin.size !== undefined && range.total !== pin.size) ||
-      (etag !== null && pin.etag !== null && etag !== pin.etag) ||
-      (modified !== null && pin.modified !== null && modified !== pin.modified)
-    ) {
-      throw failed("the file has changed on the server while it was read: open it again", offset);
+    // Fields that both answers have must be equal; at least one of the pinned ones must be there.
+    const pinned = [[pin.etag, tagOf(answer)], [pin.modified, answer.headers.get("last-modified")]].filter(([was]) => was);
+    const isOther = pinned.some(([was, is]) => is && was !== is) || (pinned.length > 0 && !pinned.some(([, is]) => is));
+    if (isOther || (range && range.total !== (pin.size ?? range.total))) {
+      throw new Failure("the file has changed on the server: open it again");
     }
-    if (range && (range.begin !== offset || range.end !== offset + bytes)) {
-      throw failed("the server answers with another range than was asked for", offset);
+    if (answer.status !== 206) throw new Failure("the server no longer answers with ranges");
+    const left = out.length - done;
+    if ((range && (range.begin !== offset + done || range.end !== offset + out.length)) || (lengthOf(answer) ?? left) !== left) {
+      throw new Failure(kOtherBytes);
     }
   }
 }
@@ -161,12 +190,21 @@ function started(ms: number, ring: () => void): () => void {
   return () => clearTimeout(timer);
 }
 
-async function retried<T>(options: UrlOptions, signal: AbortSignal | undefined, attempt: (timed: Timed) => Promise<T>): Promise<T> {
-  const { attempts = 3, silenceMs = 30_000, startTimer = started } = options;
-  for (let i = 1; ; ++i) {
+async function retried<T>(
+  code: "open_failed" | "read_failed",
+  filled: Filled,
+  options: UrlOptions,
+  signal: AbortSignal | undefined,
+  attempt: (timed: Timed) => Promise<T>,
+): Promise<T> {
+  const { retries = 2, silenceMs = 30_000, startTimer = started } = options;
+  let failures = 0;
+  let most = 0;
+  for (;;) {
     signal?.throwIfAborted();
     const own = new AbortController();
     let silent = false;
+    let again: number | undefined = 0;
     let stopTimer = (): void => undefined;
     const heard = (): void => {
       stopTimer();
@@ -183,120 +221,106 @@ async function retried<T>(options: UrlOptions, signal: AbortSignal | undefined, 
     } catch (error) {
       signal?.throwIfAborted();
       if (error instanceof RgsError) throw error;
-      const text = silent ? `the server has sent nothing for ${silenceMs / 1000} s` : `the request failed: ${reason(error)}`;
-      if (i >= attempts) throw new RgsError({ code: "read_failed", text }, { cause: error });
+      if (filled.done > most) failures = 0;
+      most = Math.max(most, filled.done);
+      if (error instanceof Failure) again = error.again;
+      if (again === undefined || failures >= retries) {
+        const text = silent ? `the server has sent nothing for ${silenceMs / 1000} s` : reason(error);
+        throw new RgsError({ code, text, offset: filled.offset + filled.done || undefined }, { cause: error });
+      }
     } finally {
       stopTimer();
       signal?.removeEventListener("abort", abort);
       own.abort();  // drops the unread rest of the answer
     }
-    await pause(200 * 2 ** (i - 1), signal);
+    await pause(1000 * retryPause(failures++, again, Math.random()), signal, startTimer);
   }
+}
+
+/** @internal Seconds until a retry, after failures in a row; `random`, 0 to 1, spreads requests. */
+export function retryPause(failures: number, retryAfter: number, random: number): number {
+  const own = Math.min(8, 0.25 * 2 ** failures) * (0.75 + 0.25 * random);
+  return Math.max(own, Math.min(retryAfter, 30));
 }
 
 function reason(error: unknown): string {
   const { message, cause } = error as { message?: string; cause?: { message?: string } };
-  return [message, cause?.message].filter((text) => text !== undefined && text !== "").join(": ");
+  const text = [message, cause?.message].filter((part) => part !== undefined && part !== "").join(": ");
+  return error instanceof Failure ? text : `the request failed: ${text}`;
 }
 
-function pause(ms: number, signal: AbortSignal | undefined): Promise<void> {
-  return new Promise((resolve, reject) => {
-    const abort = (): void => {
-      clearTimeout(timer);
-      reject(signal?.reason);
-    };
-    const timer = setTimeout(() => {
-      signal?.removeEventListener("abort", abort);
+function pause(ms: number, signal: AbortSignal | undefined, startTimer: typeof started): Promise<void> {
+  return new Promise((resolve) => {
+    const end = (): void => {
+      stop();
+      signal?.removeEventListener("abort", end);
       resolve();
-    }, ms);
-    signal?.addEventListener("abort", abort, { once: true });
+    };
+    const stop = startTimer(ms, end);
+    signal?.addEventListener("abort", end);
   });
 }
 
-const kTemporary = new Set([408, 425, 429, 500, 502, 503, 504]);
+const kTemporary = new Set([408, 429, 500, 502, 503, 504]);
 
-/** Resolves with an answer of 200 or 206, or of 416 to the first request. */
-async function request(
-  url: string,
-  options: UrlOptions,
-  offset: number,
-  bytes: number,
-  signal: AbortSignal,
-  etag: string | null,
-): Promise<Response> {
-  const headers: Record<string, string> = { ...options.headers, range: `bytes=${offset}-${offset + bytes - 1}` };
-  // Weak tags do not identify bytes. Not in browsers, where this header would need a CORS preflight.
-  if (etag !== null && !etag.startsWith("W/") && typeof location === "undefined") headers["if-range"] = etag;
+/** Requests what has not come: an answer of 200, 206, or 416 for an empty file. */
+async function request(url: string, options: UrlOptions, { offset, out, done }: Filled, signal: AbortSignal): Promise<Response> {
+  const headers: Record<string, string> = { ...options.headers, range: `bytes=${offset + done}-${offset + out.length - 1}` };
   const init: RequestInit = { headers, signal, redirect: "follow" };
   if (options.credentials !== undefined) init.credentials = options.credentials;
   const answer = await fetch(url, init);
-  if (answer.status === 206 || answer.status === 200) {
-    const coding = answer.headers.get("content-encoding");
-    if (answer.status === 206 && coding !== null && coding !== "identity") {
-      throw failed(`the server answers with the encoding ${coding}, which has no ranges of the file`, offset);
-    }
-    if (answer.headers.get("content-type")?.startsWith("multipart/") === true) {
-      throw failed("the server answers with several ranges", offset);
-    }
-    return answer;
-  }
-  if (answer.status === 416 && offset === 0) return answer;
-  await answer.body?.cancel();
-  if (kTemporary.has(answer.status)) throw new Temporary(`HTTP ${answer.status}`);
-  throw new RgsError({ code: offset === 0 ? "open_failed" : "read_failed", text: `the server answers with HTTP ${answer.status}` });
+  const { status } = answer;
+  const isOther = (status === 206 && isCoded(answer)) || answer.headers.get("content-type")?.startsWith("multipart/") === true;
+  if (isOther) throw new Failure(kOtherBytes);
+  if (status === 206 || status === 200 || (status === 416 && rangeOf(answer)?.total === 0)) return answer;
+  const after = answer.headers.get("retry-after") ?? "0";
+  const again = kTemporary.has(status) ? Number(after) || (Date.parse(after) - Date.now()) / 1000 || 0 : undefined;
+  throw new Failure(`the server answers with HTTP ${status}`, again);
 }
 
 /** Content-Range, which CORS may hide; null if absent. */
-function rangeOf(answer: Response): { begin: number; end: number; total: number | undefined } | null {
+function rangeOf(answer: Response): { begin: number; end: number; total: number } | null {
   const text = answer.headers.get("content-range");
   if (text === null) return null;
-  const match = /^bytes (\d{1,15})-(\d{1,15})\/(\d{1,15}|\*)$/.exec(text);
-  if (!match) throw failed("the server's Content-Range is not one range");
-  return { begin: Number(match[1]), end: Number(match[2]) + 1, total: match[3] === "*" ? undefined : Number(match[3]) };
+  const match = /^bytes +(?:(\d{1,15})-(\d{1,15})|\*)\/(\d{1,15})$/i.exec(text);
+  if (!match) throw new Failure(kOtherBytes);
+  return { begin: Number(match[1]), end: Number(match[2]) + 1, total: Number(match[3]) };
+}
+
+/** ETag. Servers that compress may weaken it; it still names the same file. */
+function tagOf(answer: Response): string | null {
+  return answer.headers.get("etag")?.replace(/^W\//, "") ?? null;
+}
+
+function isCoded(answer: Response): boolean {
+  return (answer.headers.get("content-encoding") ?? "identity") !== "identity";
 }
 
 /** Length of the decoded body, undefined where it is not known. */
 function lengthOf(answer: Response): number | undefined {
   const text = answer.headers.get("content-length");
-  const coded = (answer.headers.get("content-encoding") ?? "identity") !== "identity";
-  return !coded && text !== null && /^\d{1,15}$/.test(text) ? Number(text) : undefined;
+  return !isCoded(answer) && text !== null && /^\d{1,15}$/.test(text) ? Number(text) : undefined;
 }
 
-/** The body: exactly `bytes` bytes if known, at most `most` otherwise. `tooLarge`: the error's text if `most` is a limit. */
-async function readBody(
-  answer: Response,
-  bytes: number | undefined,
-  most: number,
-  timed: Timed,
-  onProgress?: (soFar: Uint8Array) => void,
-  tooLarge?: string,
-): Promise<Uint8Array> {
-  if (tooLarge !== undefined && bytes !== undefined && bytes > most) {
-    await answer.body?.cancel();
-    throw new RgsError({ code: "limit_exceeded", text: tooLarge });
-  }
-  if (!answer.body) return new Uint8Array(0);
-  const reader = answer.body.getReader();
-  let out = new Uint8Array(bytes ?? Math.min(most, 1 << 16));
-  let done = 0;
-  for (;;) {
+/** Adds an answer's body. */
+async function fill(answer: Response, filled: Filled, timed: Timed): Promise<void> {
+  const { whole } = filled;
+  const reader = answer.body?.getReader();
+  while (reader && (whole || filled.done < filled.out.length)) {
     const next = await reader.read();
     timed.heard();
     if (next.done) break;
-    if (done + next.value.length > out.length) {
-      if (bytes !== undefined || done + next.value.length > most) {
-        await reader.cancel();
-        if (bytes === undefined && tooLarge !== undefined) throw new RgsError({ code: "limit_exceeded", text: tooLarge });
-        throw failed("the server sends more than was asked for");
-      }
-      const larger = new Uint8Array(Math.min(most, Math.max(2 * out.length, done + next.value.length)));
-      larger.set(out.subarray(0, done));
-      out = larger;
+    const { out, done } = filled;
+    const end = done + next.value.length;
+    if (whole && end > out.length) {
+      if (end > whole.most) throw whole.tooLarge;
+      filled.mayEnd = true;  // CORS may hide an encoding
+      filled.out = new Uint8Array(Math.min(whole.most, Math.max(2 * out.length, end)));
+      filled.out.set(out.subarray(0, done));
     }
-    out.set(next.value, done);
-    done += next.value.length;
-    onProgress?.(out.subarray(0, done));
+    filled.out.set(next.value.subarray(0, filled.out.length - done), done);
+    filled.done = Math.min(end, filled.out.length);
+    whole?.onProgress(filled.out.subarray(0, filled.done));
   }
-  if (bytes !== undefined && done < bytes) throw new Temporary(`the answer ends after ${done} of ${bytes} bytes`);
-  return done === out.length ? out : out.slice(0, done);
+  if (filled.done < filled.out.length && !filled.mayEnd) throw new Failure(`the answer ends after ${filled.done} bytes`, 0);
 }

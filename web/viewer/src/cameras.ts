@@ -75,27 +75,49 @@ export function defaultView({ min, max }: { min: Vector; max: Vector }, up: Vect
   return { position: add(middle, away, distance), rotation, focal: 0.5 / kTanHalfView, aspect: 1, offset: [0, 0], pivot: middle };
 }
 
+const isNumber = (value: unknown): value is number => typeof value === "number" && Number.isFinite(value);
+const isSide = (value: unknown): value is number => isNumber(value) && Number.isInteger(value) && value >= 1 && value <= 65536;
+const isVector = (value: unknown, n: number): value is number[] => Array.isArray(value) && value.length === n && value.every(isNumber);
+const isMatrix = (value: unknown, n: number): value is number[][] =>
+  Array.isArray(value) && value.length === n && value.every((row) => isVector(row, n));
+
+/** Whether the columns are orthonormal, to 0.001, and not mirrored. */
+function isRotation(value: unknown): value is number[][] {
+  if (!isMatrix(value, 3)) return false;
+  const axes: [Vector, Vector, Vector] = [axisOf(value, 0), axisOf(value, 1), axisOf(value, 2)];
+  const isNear = axes.every((a, i) => axes.every((b, k) => Math.abs(dot(a, b) - (i === k ? 1 : 0)) <= 1e-3));
+  return isNear && dot(cross(axes[0], axes[1]), axes[2]) > 0;
+}
+
+/** Position and rotation in the world, of a matrix from world to camera. */
+function motionOf(world: unknown): { position?: unknown; rotation?: unknown } {
+  if (!isMatrix(world, 4) || String(world[3]) !== "0,0,0,1") return {};
+  const rotation = [0, 1, 2].map((row) => [0, 1, 2].map((column) => at(world[column] as Vector, row)));
+  return { position: rotation.map((row) => -row.reduce((sum, value, k) => sum + value * at(world[k] as Vector, 3), 0)), rotation };
+}
+
+/** An entry of this project's list, or of one of 3DGS programs; undefined if a field is missing or wrong. */
+function entryOf(entry: unknown, isOwn: boolean, index: number): CameraEntry | undefined {
+  const fields = Object(entry) as Record<string, unknown>;
+  const { width, height, fx, fy, split = "", id = index, cx = Number(width) / 2, cy = Number(height) / 2 } = fields;
+  const { position, rotation } = isOwn ? motionOf(fields["world_to_camera"]) : fields;
+  const name = fields[isOwn ? "name" : "img_name"] ?? String(index);
+  if (!isSide(width) || !isSide(height) || !isNumber(fx) || !isNumber(fy) || !isNumber(cx) || !isNumber(cy)) return undefined;
+  if (!isVector(position, 3) || !isRotation(rotation) || !(fx > 0 && fy > 0) || typeof name !== "string") return undefined;
+  if (isOwn && !["", "train", "test"].includes(split as string)) return undefined;
+  return { id: Number(id), img_name: name, width, height, fx, fy, cx, cy, position, rotation };
+}
+
 /** A camera list of this project or of 3DGS programs: docs/user/CAMERAS.md. */
 export function parseCameras(text: string): CameraEntry[] {
   const found: unknown = JSON.parse(text);
   if (!Array.isArray(found)) throw new Error("the camera file is not a list of cameras");
   if (found.length === 0) throw new Error("the camera file holds no cameras");
-  return found.map((entry: Record<string, unknown>, id) => {
-    const numbers = ["width", "height", "fx", "fy"].map((name) => Number(entry[name]));
-    const [width, height, fx, fy] = numbers as [number, number, number, number];
-    let { rotation, position } = entry as { rotation?: number[][]; position?: number[] };
-    const world = entry["world_to_camera"] as number[][] | undefined;
-    if (world) {
-      rotation = [0, 1, 2].map((row) => [0, 1, 2].map((column) => at(world[column] as Vector, row)));
-      position = rotation.map((row) => -row.reduce((sum, value, k) => sum + value * at(world[k] as Vector, 3), 0));
-    }
-    const all = [...numbers, ...(position ?? []), ...(rotation ?? []).flat()];
-    if (all.length !== 16 || !all.every((value) => Number.isFinite(value)) || !numbers.every((value) => value > 0)) {
-      throw new Error(`camera ${id} of the camera file lacks a field or has a bad value`);
-    }
-    const { cx = width / 2, cy = height / 2 } = entry as { cx?: number; cy?: number };
-    const name = String(entry["img_name"] ?? entry["name"] ?? id);
-    return { id: Number(entry["id"] ?? id), img_name: name, width, height, fx, fy, cx, cy, position: position as number[], rotation: rotation as number[][] };
+  const isOwn = "world_to_camera" in Object(found[0]);
+  return found.map((entry, index) => {
+    const camera = entryOf(entry, isOwn, index);
+    if (!camera) throw new Error(`camera ${index} of the camera file lacks a field or has a bad value`);
+    return camera;
   });
 }
 

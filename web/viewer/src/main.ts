@@ -12,7 +12,7 @@ import { type Manifest, readInside, readManifest, spzAxesOf } from "./manifest.j
 import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence, waitingSentence } from "./messages.js";
 import { element, hideLoading, say, showError, showLoading, showProgress, withdrawError } from "./page.js";
 import { openScene, type Read, readFile } from "./open-scene.js";
-import type { Trouble } from "./page-reads.js";
+import type { Trouble } from "./page-driver.js";
 import type { Box, Scene, Tint } from "./scene.js";
 import { type Side, Stage } from "./stage.js";
 
@@ -358,11 +358,11 @@ class Page {
       this.setView({ ...viewOf(from, view.pivot), position, rotation, pivot: add(position, normalised(forward), this.world.speed) });
     }
     const { width } = this.stage.size;
-    const budget = this.budget;
+    const mostGaussians = this.budget;
     for (const scene of this.scenes) {
       if (!scene?.hasPages) continue;
       const position = add(view.position, scene.origin, -1);
-      scene.look({ position, focalPx: Math.max(1, view.aspect) * view.focal * width, detailPx: Number(input("detail").value), budget }, performance.now());
+      scene.look({ position, focalPx: Math.max(1, view.aspect) * view.focal * width, detailPx: Number(input("detail").value), mostGaussians }, performance.now());
     }
     this.notice();
     // Boxes last for one frame.

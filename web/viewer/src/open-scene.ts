@@ -4,7 +4,7 @@ import { open } from "@roofgs/reader";
 import { type EngineKind, EngineScene } from "./engine-scene.js";
 import { kBeginningBytes, kindOf } from "./kind.js";
 import { readInside, type SceneEntry } from "./manifest.js";
-import type { Trouble } from "./page-reads.js";
+import type { Trouble } from "./page-driver.js";
 import { worker } from "./reader-worker.js";
 import { beginFile, type OpenedFile, RgsScene } from "./rgs-scene.js";
 import type { Scene } from "./scene.js";
@@ -78,7 +78,7 @@ export async function openScene(stage: Stage, { name, read, spzAxes, side, onPro
   try {
     const first = await opened.first;
     if (first.done || (first.value.n === 0 && opened.file.header.nGaussians === 0)) throw new Error("it holds no Gaussians");
-    return new RgsScene(name, opened, first.value, stage, side, on);
+    return new RgsScene(name, opened, first.value, await opened.scheduler, stage, side, on);
   } catch (error) {
     opened.file.close();
     throw error;

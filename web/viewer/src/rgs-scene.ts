@@ -1,14 +1,11 @@
 // rgs-scene.ts - an opened .rgs file, drawn part by part while it is read, or by pages from coarse to fine.
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf, type Colour, RgsResource } from "@roofgs/playcanvas";
-import type { Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
-import { chooseCut, type Cut, type CutView, projectedError } from "./levels.js";
-import { PageReads, type Trouble } from "./page-reads.js";
+import type { Look, PageScheduler, Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
+import { kSchedule, PageDriver, type Trouble } from "./page-driver.js";
 import { type Box, Scene, type Tint } from "./scene.js";
 import type { Side, Stage } from "./stage.js";
 
-/** Most Gaussians of resident pages, as a multiple of the budget. */
-const kKept = 2;
 /** Least time between two uploads to the GPU. */
 const kRebuildMs = 250;
 
@@ -28,6 +25,8 @@ export interface OpenedFile {
   /** Only the root if the file has levels of detail. */
   parts: AsyncGenerator<StoredGaussians, void, undefined>;
   first: Promise<IteratorResult<StoredGaussians, void>>;
+  /** Null without levels of detail. */
+  scheduler: Promise<PageScheduler> | null;
   /** Only counted if the file has no levels of detail. */
   bytesRead: number;
 }
@@ -43,9 +42,9 @@ export function beginFile(file: RgsFile, onProgress: (done: number, total: numbe
     onProgress(done, total ?? 0);
   };
   const parts = file.levels ? root() : file.storedParts({ onProgress: progress });
-  const opened = { file, parts, first: parts.next(), bytesRead: 0 };
-  // Whoever awaits it gets the error; until then it is not unhandled.
-  opened.first.catch(() => undefined);
+  const opened = { file, parts, first: parts.next(), scheduler: file.levels && file.pageScheduler(kSchedule), bytesRead: 0 };
+  // Whoever awaits them gets the error; until then it is not unhandled.
+  for (const each of [opened.first, opened.scheduler]) each?.catch(() => undefined);
   return opened;
 }
 function upOf(file: RgsFile): readonly number[] | null {
@@ -63,22 +62,22 @@ export class RgsScene extends Scene {
   override readonly hasPages: boolean;
   private readonly file: RgsFile;
   private parts: StoredGaussians[] = [];
-  private drawn: number[] = [];
+  private drawn: readonly number[] = [];
   private resources: RgsResource[] = [];
   private shown = { shDegree: 3, tint: "none" as Tint };
-  private readonly resident = new Map<number, StoredGaussians>();
   private readonly stop = new AbortController();
-  private readonly reads: PageReads<StoredGaussians>;
+  private readonly driver: PageDriver<StoredGaussians> | undefined;
   private rebuilt = -Infinity;
   private read = 0;
-  private view: CutView | undefined;
+  private view: Look | undefined;
   /** The view that the colours by error were computed for. */
-  private tinted: CutView | undefined;
+  private tinted: Look | undefined;
 
   constructor(
     name: string,
     private readonly opened: OpenedFile,
     first: StoredGaussians,
+    scheduler: PageScheduler | null,
     stage: Stage,
     side: Side,
     on: Trouble,
@@ -94,17 +93,22 @@ export class RgsScene extends Scene {
     this.origin = origin;
     this.up = upOf(file);
     this.hasPages = file.levels !== null;
-    const arrived = (index: number, stored: StoredGaussians): void => {
-      this.keep(index, stored);
-      this.plan();
-      this.stage.request();
-    };
-    this.reads = new PageReads((index) => file.readPageStored(index, { signal: this.stop.signal }), { ...on, arrived });
-    if (file.levels) {
-      this.keep(0, first);
-      this.rebuild([0]);
-      if (file.nPresent < file.levels.nPages) {
-        on.damaged({ code: "pages_missing", text: `the file has ${file.nPresent} of its ${file.levels.nPages} pages` });
+    const { levels } = file;
+    if (levels && scheduler) {
+      this.read = levels.page(0).storedBytes;
+      const childrenOf = (index: number): number[] => {
+        const { firstChild, nChildren } = levels.page(index);
+        return Array.from({ length: nChildren }, (_, i) => firstChild + i);
+      };
+      const read = async (index: number): Promise<StoredGaussians> => {
+        const stored = await file.readPageStored(index, { signal: this.stop.signal });
+        this.read += levels.page(index).storedBytes;
+        return stored;
+      };
+      this.driver = new PageDriver(scheduler, { childrenOf, read }, first, { ...on, changed: () => this.stage.request() });
+      this.rebuild(this.driver, [0]);
+      if (file.nPresent < levels.nPages) {
+        on.damaged({ code: "pages_missing", text: `the file has ${file.nPresent} of its ${levels.nPages} pages` });
       }
     } else {
       this.drawn = [0];
@@ -130,7 +134,7 @@ export class RgsScene extends Scene {
   }
 
   override get pages(): { drawn: number; wanted: number } {
-    return { drawn: this.hasPages ? this.drawn.length : 0, wanted: this.reads.wanted.length };
+    return { drawn: this.hasPages ? this.drawn.length : 0, wanted: this.driver?.nWanted ?? 0 };
   }
 
   override boxes(): Box[] {
@@ -158,25 +162,25 @@ export class RgsScene extends Scene {
     return antiAliasingOf(this.file.declarations, this.hasPages && detailPx > 0);
   }
 
-  override look(looking: Omit<CutView, "zNear">, now: number): void {
+  override look(looking: Omit<Look, "zNear">, now: number): void {
     const view = { ...looking, zNear: this.file.declarations.zNear };
     this.view = view;
-    const cut = this.plan();
-    if (!cut) return;
-    this.tintAnew(view, now);
-    const same = cut.draw.length === this.drawn.length && cut.draw.every((index, i) => index === this.drawn[i]);
-    if (same || cut.draw.length === 0) return;
-    if (now - this.rebuilt < kRebuildMs) {
-      this.stage.request();
-      return;
-    }
-    this.rebuilt = now;
-    this.rebuild(cut.draw);
-    this.evict(view.budget);
+    const { driver } = this;
+    if (!driver) return;
+    driver.look(view, (draw) => {
+      this.tintAnew(view, now);
+      if (draw.length === this.drawn.length && draw.every((index, i) => index === this.drawn[i])) return;
+      if (now - this.rebuilt < kRebuildMs) {
+        this.stage.request();
+        return;
+      }
+      this.rebuilt = now;
+      this.rebuild(driver, draw);
+    });
   }
 
   /** Projected errors, and so the colours by error, depend on the view. */
-  private tintAnew(view: CutView, now: number): void {
+  private tintAnew(view: Look, now: number): void {
     const { tinted } = this;
     if (this.shown.tint !== "error") return;
     if (tinted && tinted.focalPx === view.focalPx && tinted.position.every((value, i) => value === view.position[i])) return;
@@ -190,26 +194,11 @@ export class RgsScene extends Scene {
   }
 
   override destroy(): void {
-    this.reads.end();
+    this.driver?.end();
     this.stop.abort();
     this.file.close();
     super.destroy();
     for (const resource of this.resources) resource.destroy();
-  }
-
-  /** Chooses the cut and requests some of the wanted pages; runs again when a page arrives. */
-  private plan(): Cut | undefined {
-    const { file, view } = this;
-    const { levels } = file;
-    if (!levels || !view || this.stop.signal.aborted) return undefined;
-    const cut = chooseCut((index) => levels.page(index), (index) => this.resident.has(index), view);
-    this.reads.want(cut.want.filter((index) => index < file.nPresent));
-    return cut;
-  }
-
-  private keep(index: number, stored: StoredGaussians): void {
-    this.resident.set(index, stored);
-    this.read += this.file.levels?.page(index).storedBytes ?? 0;
   }
 
   private addPart(part: StoredGaussians): void {
@@ -221,28 +210,10 @@ export class RgsScene extends Scene {
     this.add(resource);
   }
 
-  private rebuild(draw: number[]): void {
+  private rebuild(driver: PageDriver<StoredGaussians>, draw: readonly number[]): void {
     this.drawn = draw;
-    this.parts = draw.map((index) => this.resident.get(index) as StoredGaussians).filter(({ n }) => n > 0);
+    this.parts = draw.map((index) => driver.page(index)).filter(({ n }) => n > 0);
     if (this.parts.length > 0) this.upload();
-  }
-
-  /** Evicts the pages that were drawn longest ago. */
-  private evict(budget: number): void {
-    for (const index of this.drawn) {
-      const stored = this.resident.get(index) as StoredGaussians;
-      this.resident.delete(index);
-      this.resident.set(index, stored);
-    }
-    let n = 0;
-    for (const { n: count } of this.resident.values()) n += count;
-    for (const [index, stored] of this.resident) {
-      if (n <= kKept * budget || this.drawn.includes(index)) break;
-      if (index !== 0) {
-        this.resident.delete(index);
-        n -= stored.n;
-      }
-    }
   }
 
   private upload(): void {
@@ -266,7 +237,7 @@ export class RgsScene extends Scene {
     const page = this.file.levels?.page(index);
     if (!page) return [0, 0, 0];
     if (tint === "level") return kLevelColours[page.level % kLevelColours.length] as Colour;
-    const share = this.view ? Math.min(1, projectedError(page, this.view) / 4) : 0;
+    const share = this.driver && this.view ? Math.min(1, this.driver.errorPx(index) / 4) : 0;
     return [share, 1 - share, 0.2];
   }
 }

@@ -1,8 +1,8 @@
 // scene.ts - an opened scene on one side of the stage.
 // SPDX-License-Identifier: Apache-2.0
 import type { AntiAliasing } from "@roofgs/playcanvas";
+import type { Look } from "@roofgs/reader";
 import { Entity, type GSplatResourceBase, WORKBUFFER_UPDATE_ONCE } from "playcanvas";
-import type { CutView } from "./levels.js";
 import type { Side, Stage } from "./stage.js";
 
 export interface Box {
@@ -59,7 +59,7 @@ export abstract class Scene {
   }
   setTint(_tint: Tint): void {}
   /** Called before each frame; chooses the cut of scenes with levels of detail. */
-  look(_view: Omit<CutView, "zNear">, _now: number): void {}
+  look(_view: Omit<Look, "zNear">, _now: number): void {}
 
   /** `origin` of the stage's coordinates, world. */
   place(origin: readonly number[]): void {

@@ -1,8 +1,8 @@
-// units.test.mjs - what of the page needs no browser: links, cameras, the cut, the difference, sentences.
+// units.test.mjs - what of the page needs no browser: links, cameras, pages, the difference, sentences.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import test, { after, before } from "node:test";
@@ -10,12 +10,14 @@ import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 import { build } from "vite";
 import { program } from "../../playcanvas/test/pictures.mjs";
+import { PageScheduler } from "../../reader/dist/pages.js";
+import { golden } from "../../reader/test/dump.mjs";
 
 let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "checksum", "controls", "declared", "difference", "kind", "levels", "link", "manifest", "messages", "page-reads", "picture-size", "spz"];
+  const names = ["cameras", "checksum", "controls", "declared", "difference", "kind", "link", "manifest", "messages", "page-driver", "picture-size", "spz"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -35,20 +37,35 @@ test("a link says what the page shows, and nothing that it does not know", () =>
   assert.deepEqual(readLink("#split=7&sh=9&background=2,-1,0.5&budget=1"), { split: 1, shDegree: 3, background: [1, 0, 0.5], budget: 1000 });
 });
 
-test("cameras of both formats are one", () => {
-  const { parseCameras, pinholeOf, viewOf } = modules.cameras;
-  // 90 degrees around y, and a step.
-  const own = { name: "a", width: 400, height: 300, fx: 500, fy: 510, cx: 190, world_to_camera: [[0, 0, -1, 1], [0, 1, 0, 2], [1, 0, 0, 3], [0, 0, 0, 1]] };
-  const theirs = { id: 0, img_name: "a", width: 400, height: 300, fx: 500, fy: 510, cx: 190, position: [-3, -2, 1], rotation: [[0, 0, 1], [0, 1, 0], [-1, 0, 0]] };
-  const [a, b] = [parseCameras(JSON.stringify([own])), parseCameras(JSON.stringify([theirs]))].map(([camera]) => camera);
-  assert.deepEqual(a, b);
-  assert.deepEqual([a.cx, a.cy], [190, 150]);
+test("camera files give what they should", () => {
+  const { parseCameras } = modules.cameras;
+  const folder = new URL("../../../tests/golden/cameras/", import.meta.url);
+  const near = (found, wanted) => Math.abs(found - wanted) < 1e-12;
+  for (const [name, { cameras, camera, page }] of Object.entries(JSON.parse(readFileSync(new URL("expected.json", folder), "utf8")))) {
+    // As answer.text() has it. Other formats are for programs.
+    const parse = () => parseCameras(page === false ? "{}" : new TextDecoder().decode(readFileSync(new URL(name, folder))));
+    if (page === false) assert.throws(parse, /not a list/);
+    else if (!cameras) assert.throws(parse, camera === undefined ? Error : new RegExp(`camera ${camera} `), name);
+    else {
+      const found = parse();
+      assert.equal(found.length, cameras.length, name);
+      found.forEach((entry, i) => {
+        const { name: label, test: _, position, rotation, ...lens } = cameras[i];
+        assert.equal(entry.img_name, label, name);
+        for (const [key, value] of Object.entries(lens)) assert.equal(entry[key], value, `${name}: ${key}`);
+        assert.ok(position.every((value, k) => near(entry.position[k], value)), name);
+        assert.ok(rotation.every((row, r) => row.every((value, k) => near(entry.rotation[r][k], value))), name);
+      });
+    }
+  }
+});
+
+test("a view keeps a camera's picture at any size", () => {
+  const { pinholeOf, viewOf } = modules.cameras;
+  const camera = { width: 400, height: 300, fx: 500, fy: 510, cx: 190, position: [-3, -2, 1], rotation: identity };
   // The same picture twice as large has everything twice as large.
-  const { fx, fy, cx, cy } = pinholeOf(viewOf(a, [0, 0, 0]), 800, 600);
+  const { fx, fy, cx, cy } = pinholeOf(viewOf(camera, [0, 0, 0]), 800, 600);
   assert.deepEqual([fx, fy, cx, cy], [1000, 1020, 380, 300]);
-  assert.throws(() => parseCameras(`[{"width": 1}]`), /camera 0/);
-  assert.throws(() => parseCameras(`{}`), /not a list/);
-  assert.throws(() => parseCameras(`[]`), /no cameras/);
 });
 
 test("the path goes through its cameras", () => {
@@ -105,56 +122,33 @@ test("the difference of two pictures", () => {
   assert.throws(() => difference(a, b.subarray(4)), RangeError);
 });
 
-/** Root 0 with children 1 and 2, of which 1 has the leaf 3; boxes far apart on x. */
-function tree() {
-  const box = (x) => ({ min: [x, 0, 0], max: [x + 1, 1, 1] });
-  const page = (index, firstChild, nChildren, count, error, x) => ({ index, firstChild, nChildren, count, error, core: box(x) });
-  return [page(0, 1, 2, 10, 8, 0), page(1, 3, 1, 10, 2, 0), page(2, 0, 0, 10, 0, 100), page(3, 0, 0, 30, 0, 0)];
-}
-
-test("the cut of a tree of pages", () => {
-  const { chooseCut } = modules.levels;
-  const pages = tree();
-  const cut = (here, changes = {}) => {
-    const cutView = { position: [-10, 0, 0], focalPx: 10, zNear: 0.1, detailPx: 1, budget: 1000, ...changes };
-    return chooseCut((i) => pages[i], (i) => here.includes(i), cutView);
-  };
-  const all = [0, 1, 2, 3];
-  assert.deepEqual(cut([]), { draw: [], want: [0], n: 0 });
-  // Root: 8 * 10 / 10 = 8 px; page 1: 2 px.
-  assert.deepEqual(cut(all), { draw: [2, 3], want: [], n: 40 });
-  assert.deepEqual(cut(all, { detailPx: 2 }), { draw: [1, 2], want: [], n: 20 });
-  assert.deepEqual(cut(all, { detailPx: 8 }), { draw: [0], want: [], n: 10 });
-  assert.deepEqual(cut(all, { detailPx: 0 }), { draw: [2, 3], want: [], n: 40 });
-  assert.deepEqual(cut(all, { budget: 39 }), { draw: [1, 2], want: [], n: 20 });
-  assert.deepEqual(cut([0, 1]), { draw: [0], want: [2], n: 10 });
-  assert.deepEqual(cut([0, 1, 2]), { draw: [1, 2], want: [3], n: 20 });
-  // Inside a core the distance is zNear: 800 px and 200 px.
-  const inside = [0.5, 0.5, 0.5];
-  assert.deepEqual([16, 200, 800].map((detailPx) => cut(all, { position: inside, detailPx }).draw), [[2, 3], [1, 2], [0]]);
-});
-
-/** Reads that the test answers, in a time that it tells. */
-function pageReads() {
-  const log = { now: 0, open: [], arrived: [], said: [], timer: null };
+/** A driver of a tree of 44 pages, that of a golden trace; the test answers its reads, in a time that it tells. */
+async function driven() {
+  const trace = readFileSync(join(golden, "pages/failures.txt"), "utf8").split("\n");
+  const pages = trace.filter((line) => line.startsWith("page ")).map((line) => line.slice(5).split(" ").map(Number));
+  const childrenOf = (page) => Array.from({ length: pages[page][3] }, (_, i) => pages[page][2] + i);
+  const { kSchedule, PageDriver } = modules["page-driver"];
+  const module = new WebAssembly.Module(readFileSync(fileURLToPath(import.meta.resolve("@roofgs/reader/rgs.wasm"))));
+  const scheduler = await PageScheduler.start(module, Float64Array.from(pages.flat()), kSchedule);
+  const log = { now: 0, open: [], nChanges: 0, said: [], timer: null };
   const read = (page) => new Promise((resolve, reject) => log.open.push({ page, resolve, reject }));
-  const on = { arrived: (page) => log.arrived.push(page), waiting: (error) => log.said.push(error?.code ?? "goes on"), damaged: ({ code }) => log.said.push(code) };
+  const on = { changed: () => (log.nChanges += 1), waiting: (error) => log.said.push(error?.code ?? "goes on"), damaged: ({ code }) => log.said.push(code) };
   const startTimer = (ms, ring) => {
     const timer = { at: log.now + ms, ring };
     log.timer = timer;
     return () => log.timer === timer && (log.timer = null);
   };
-  const reads = new modules["page-reads"].PageReads(read, on, { now: () => log.now, startTimer });
+  const driver = new PageDriver(scheduler, { childrenOf, read }, "page 0", on, { now: () => log.now, startTimer });
   const answer = async (page, code) => {
     const [found] = log.open.splice(log.open.findIndex((each) => each.page === page), 1);
     if (code) found.reject({ code });
-    else found.resolve();
+    else found.resolve(`page ${page}`);
     await new Promise(setImmediate);
   };
   const open = () => log.open.map(({ page }) => page);
-  /** All reads in flight fail. */
-  const fail = async (code) => {
-    for (const page of open()) await answer(page, code);
+  /** All reads end, and those that follow from it. `codeOf`: of those that fail. */
+  const answerAll = async (codeOf = () => undefined) => {
+    while (log.open.length > 0) await answer(open()[0], codeOf(open()[0]));
   };
   /** Milliseconds until something is read again. */
   const pause = () => {
@@ -164,78 +158,132 @@ function pageReads() {
     ring();
     return ms;
   };
-  return { log, reads, answer, open, fail, pause };
+  const look = (changes = {}) => {
+    let drawn = [];
+    driver.look({ position: [48, 10, 48], focalPx: 700, zNear: 0.5, detailPx: 0, mostGaussians: 1e6, ...changes }, (pages) => {
+      pages.forEach((page) => assert.equal(driver.page(page), `page ${page}`));
+      drawn = pages;
+    });
+    return drawn;
+  };
+  return { log, pages, driver, look, answer, answerAll, open, pause };
 }
 
+test("a view is drawn from what is resident, and what it wants is read, coarse to fine", async () => {
+  const { log, pages, driver, look, answerAll, open, answer } = await driven();
+  assert.deepEqual(look(), [0]);
+  // The root's children, and theirs, which are not drawn before them.
+  assert.deepEqual(open(), [1, 2, 3, 4, 5, 6]);
+  for (const page of [3, 4]) await answer(page);
+  assert.deepEqual(look(), [0]);
+  for (const page of [1, 2]) await answer(page);
+  assert.deepEqual(look(), [3, 4, 2]);
+  assert.ok(driver.nWanted > 0);
+  assert.equal(log.nChanges, 2);
+  await answerAll();
+  const leaves = pages.flatMap(([level], page) => (level === 0 ? [page] : []));
+  assert.deepEqual(look(), leaves);
+  assert.deepEqual([driver.nWanted, open(), log.timer, log.said], [0, [], null, []]);
+  assert.deepEqual(look({ position: [1e5, 0, 0], detailPx: 1 }), [0]);
+});
+
+test("a budget of Gaussians holds for what is drawn, and twice that for what is kept", async () => {
+  const { log, pages, driver, look, answerAll } = await driven();
+  const count = (drawn) => drawn.reduce((sum, page) => sum + pages[page][5], 0);
+  const total = count(pages.map((_, page) => page));
+  const atRest = async (changes) => {
+    for (let n = -1; n !== log.nChanges; ) {
+      n = log.nChanges;
+      look(changes);
+      await answerAll();
+    }
+    return look(changes);
+  };
+  const resident = () => count(pages.flatMap((_, page) => (driver.page(page) === undefined || page === 0 ? [] : [page])));
+  const all = await atRest({});
+  assert.equal(resident(), total - pages[0][5]);
+  const mostGaussians = Math.round(count(all) / 5);
+  for (const position of [[0, 2, 0], [96, 2, 96], [0, 2, 96]]) {
+    const drawn = await atRest({ position, mostGaussians });
+    assert.ok(count(drawn) <= mostGaussians && count(drawn) > mostGaussians / 2, `${count(drawn)} of ${mostGaussians}`);
+    assert.ok(resident() <= 2 * mostGaussians, `${resident()} of ${mostGaussians}`);
+    assert.equal(driver.nWanted, 0);
+  }
+  assert.deepEqual(await atRest({}), all);
+});
+
 test("reads that fail are tried again until they succeed, ever more rarely", async () => {
-  const { log, reads, answer, open, fail, pause } = pageReads();
-  reads.want([5, 6, 7, 8, 9, 10]);
+  const { log, driver, look, answerAll, open, pause } = await driven();
+  look();
   const pauses = [];
   for (let i = 0; i < 100; ++i) {
-    assert.deepEqual(open(), [5, 6, 7, 8]);
-    await fail("read_failed");
-    assert.deepEqual(open(), []);
+    await answerAll(() => "read_failed");
     // New views request nothing meanwhile.
-    reads.want([5, 6, 7, 8, 9, 10 + i]);
+    look({ position: [i, 10, 40] });
     assert.deepEqual(open(), []);
     pauses.push(pause());
+    // What could be read before is read again.
+    assert.deepEqual(open(), [0]);
   }
   assert.deepEqual(pauses.slice(0, 8), [250, 500, 1000, 2000, 4000, 8000, 8000, 8000]);
   assert.deepEqual([...new Set(pauses.slice(8))], [8000]);
   assert.deepEqual(log.said, ["read_failed"]);
-  // The first page that comes ends the pause of those that have not failed.
-  await answer(6);
+  await answerAll();
   assert.deepEqual(log.said, ["read_failed", "goes on"]);
-  assert.deepEqual(log.arrived, [6]);
-  reads.want([5, 7, 8, 9]);
-  assert.deepEqual(open(), [5, 7, 8, 9]);
-  for (const page of open()) await answer(page);
-  reads.want([]);
-  assert.equal(log.timer, null);
-  reads.want([11]);
-  await fail("read_failed");
-  assert.equal(pause(), 250);
+  assert.ok(look().length > 10 && driver.nWanted === 0);
 });
 
-test("a page that cannot be read does not hold up others", async () => {
-  const { log, reads, answer, open, pause } = pageReads();
-  reads.want([1, 2, 3]);
-  await answer(2);
-  await answer(1, "read_failed");
-  reads.want([1, 3, 4]);
-  assert.deepEqual(open(), [3, 4]);
+test("a group that cannot be read does not hold up others", async () => {
+  const { log, driver, look, answer, answerAll, open, pause } = await driven();
+  look();
+  for (const page of [1, 2]) await answer(page);
+  for (const page of [3, 4]) await answer(page, "read_failed");
+  await answerAll();
   assert.deepEqual(log.said, []);
+  assert.ok(look().includes(1));
   assert.equal(pause(), 250);
-  assert.deepEqual(open(), [3, 4, 1]);
+  assert.deepEqual(open(), [3, 4]);
+  assert.ok(driver.nWanted > 0);
+  await answerAll();
+  assert.ok(!look().includes(1));
+  assert.equal(driver.nWanted, 0);
 });
 
-test("a damaged page is quarantined, after six tries if its checksum does not match", async () => {
-  const { log, reads, answer, open, pause } = pageReads();
-  reads.want([1, 2]);
-  await answer(2, "bad_value");
+test("a damaged group is quarantined, after six tries if a checksum does not match", async () => {
+  const { log, driver, look, answerAll, open, pause } = await driven();
+  const codeOf = (page) => ({ 3: "bad_value", 5: "checksum_mismatch", 9: "pages_missing" })[page];
+  look();
+  await answerAll(codeOf);
   assert.deepEqual(log.said, ["bad_value"]);
   for (const ms of [250, 500, 1000, 2000, 4000]) {
-    await answer(1, "checksum_mismatch");
-    assert.deepEqual(open(), []);
-    assert.deepEqual(reads.wanted, [1]);
+    assert.ok(look() && driver.nWanted === 1);
     assert.equal(pause(), ms);
+    assert.deepEqual(open(), [5, 6]);
+    await answerAll(codeOf);
   }
-  await answer(1, "checksum_mismatch");
-  reads.want([1, 2]);
-  assert.deepEqual([open(), reads.wanted, log.timer], [[], [], null]);
+  look();
+  assert.deepEqual([driver.nWanted, open(), log.timer], [0, [], null]);
   // Later ones are not said.
   assert.deepEqual(log.said, ["bad_value"]);
 });
 
 test("closed while it waits, a file is read no more and nothing is said of it", async () => {
-  const { log, reads, open, fail } = pageReads();
-  reads.want([1, 2]);
-  await fail("read_failed");
-  reads.want([1]);
-  reads.end();
-  assert.deepEqual(log.said, ["read_failed", "goes on"]);
-  reads.want([1, 2]);
-  assert.deepEqual([open(), log.timer], [[], null]);
+  const early = await driven();
+  early.look();
+  early.driver.end();
+  await early.answerAll((page) => (page % 2 === 1 ? "bad_value" : "read_failed"));
+  assert.deepEqual([early.open(), early.log.timer, early.log.said, early.log.nChanges], [[], null, [], 0]);
+  for (const inFlight of [false, true]) {
+    const { log, driver, look, answerAll, open, pause } = await driven();
+    look();
+    await answerAll(() => "read_failed");
+    if (inFlight) pause();
+    driver.end();
+    assert.deepEqual(log.said, ["read_failed", "goes on"]);
+    await answerAll();
+    assert.deepEqual([look(), open(), log.timer], [[], [], null]);
+    assert.deepEqual(log.said, ["read_failed", "goes on"]);
+  }
 });
 
 test("view.json, and what an address says", () => {

@@ -1,0 +1,386 @@
+// one_scene.cpp - the options of what is written, and how one scene is converted: row by row, tile by tile or in memory.
+// SPDX-License-Identifier: Apache-2.0
+#include <sys/resource.h>
+#include <tbb/global_control.h>
+
+#include <algorithm>
+#include <array>
+#include <filesystem>
+#include <thread>
+#include <utility>
+
+#include "convert_summary.hpp"
+#include "input_files.hpp"
+#include "rgs/camera_file.hpp"
+#include "rgs/paged_file.hpp"
+#include "rgs/ply.hpp"
+#include "rgs/version.hpp"
+#include "rgs_convert.hpp"
+#include "stage_clock.hpp"
+
+namespace rgs {
+namespace {
+
+bool concerns_output(Errc code) {
+  return code == Errc::write_failed || code == Errc::output_exists || code == Errc::output_unusable;
+}
+
+// Truncated parts of a mapped input read as zeros, so a change of the file explains any other error.
+Failure explained(Failure failure, const std::deque<SceneInput>& inputs) {
+  if (concerns_output(failure.error.code)) return failure;
+  for (const SceneInput& input : inputs) {
+    if (const Status s = input.file().check_unchanged(); !s) return {input.path(), s.error()};
+  }
+  return failure;
+}
+
+// Whether levels are built from tiles, so that inputs are not in memory together: several, or one PLY. Filters need all
+// Gaussians in memory, and so does a single .rgs, which may name a source of its own.
+bool streams_tiles(const ConvertArguments& arguments, const std::deque<SceneInput>& inputs, SplatFormat to) {
+  return to == SplatFormat::rgs && arguments.output.levels && arguments.scene.filter.keeps_all() &&
+         !arguments.scene.level_of_detail &&
+         (inputs.size() > 1 || arguments.scene.format_of(inputs.front()) == SplatFormat::ply);
+}
+
+// The file, or the folder of scratch files, that an error is about.
+std::string concerned(const ConvertArguments& arguments, const SceneInput& input, const Error& error) {
+  if (!lod::concerns_scratch(error)) return concerns_output(error.code) ? arguments.scene.output() : input.path();
+  return arguments.output.convert.scratch.empty() ? "." : arguments.output.convert.scratch;
+}
+
+// Equals load_scene() and convert_scene(), tile by tile.
+Outcome<ConvertSummary> convert_tiles(ConvertArguments& arguments, const std::deque<SceneInput>& inputs,
+                                      DeclaredLoss& loss, const StageObserver& observer) {
+  const SceneOptions& options = arguments.scene;
+  ConvertOptions& convert = arguments.output.convert;
+  EncodeOptions& encode = convert.encode;
+  std::vector<Tile> tiles(inputs.size());
+  std::vector<InputDeclarations> declared;
+  std::vector<std::string> unused;
+  std::uint64_t bytes = 0;
+  SplatFormat first_format = SplatFormat::unknown;
+  for (std::size_t i = 0; i < inputs.size(); ++i) {
+    auto opened = open_tile(options, inputs[i], i, loss.notes);
+    if (!opened) return tl::unexpected(opened.error());
+    if (i == 0) first_format = opened->format;
+    if (i == 0) encode.axes = options.target_axes(opened->tile.axes, opened->format, SplatFormat::rgs);
+    bytes += opened->bytes;
+    unused.insert(unused.end(), opened->unused.begin(), opened->unused.end());
+    declared.push_back(std::move(opened->declared));
+    tiles[i] = std::move(opened->tile);
+  }
+  std::size_t tile = 0;
+  const auto scene = TileStream::open(std::move(tiles), encode.axes, tile);
+  if (!scene) return failed(inputs[tile].path(), scene.error());
+  if (auto s = declare_scene(encode, declared, options.asked, loss.notes); !s)
+    return failed(inputs.front().path(), s.error());
+  encode.n_source = scene->size();
+  encode.n_repaired = 0;
+  StreamFacts facts;
+  facts.bytes = bytes;
+  facts.origin = scene->origin();
+  facts.hash = [&inputs] {
+    std::vector<std::uint64_t> hashes(inputs.size());
+    std::ranges::transform(inputs, hashes.begin(), &SceneInput::hash);
+    return hash_of_sources(hashes);
+  };
+  auto summary = convert_to_levels(scene->stream(max_rounding(encode, convert.allow_rounding)), facts, options.output(),
+                                   convert, observer);
+  if (!summary) return failed(concerned(arguments, inputs[scene->reading()], summary.error()), summary.error());
+  summary->source_format = inputs.size() == 1 ? format_name(first_format) : "merged";
+  summary->position_rounding = scene->position_rounding();
+  summary->unused = std::move(unused);
+  summary->notes = std::move(loss.notes);
+  return std::move(*summary);
+}
+
+Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::deque<SceneInput>& inputs,
+                                       SplatFormat to, const StageObserver& observer) {
+  const SceneOptions& options = arguments.scene;
+  ConvertOptions& convert = arguments.output.convert;
+  const SceneInput& first = inputs.front();
+  const SplatFormat from = options.format_of(first);
+  const auto outcome = [&](Result<ConvertSummary> summary) -> Outcome<ConvertSummary> {
+    if (summary) return std::move(*summary);
+    return failed(concerned(arguments, first, summary.error()), summary.error());
+  };
+  DeclaredLoss loss;
+  const auto declare = [&](const InputDeclarations& by_input) {
+    return declare_scene(convert.encode, {&by_input, 1}, options.asked, loss.notes);
+  };
+  if (from == SplatFormat::ply && to == SplatFormat::rgs && !options.edits()) {
+    const auto ply = PlyFile::open(first.bytes());
+    if (!ply) return failed(first.path(), ply.error());
+    if (!options.axes) convert.encode.axes = ply->declarations().axes;
+    if (auto s = declare(declared_by(*ply, first.name())); !s) return failed(first.path(), s.error());
+    return outcome(convert_to_rgs(*ply, options.output(), convert, observer));
+  }
+  if (from == SplatFormat::rgs && to == SplatFormat::ply && !options.edits() && !has_levels(first.bytes())) {
+    const auto view = FileView::open(first.bytes(), options.limits);
+    if (!view) return failed(first.path(), view.error());
+    const Axes& axes = view->declarations().axes;
+    const bool as_is = axes == kAxes3dgs || axes[0] == Axis::undeclared;
+    if (as_is && !options.axes && view->header().sh_degree <= convert.encode.sh_degree) {
+      if (auto s = declare(declared_by(*view, first.name())); !s) return failed(first.path(), s.error());
+      EncodeOptions encode = convert.encode;
+      encode.axes = axes;
+      return outcome(convert_rgs_to_ply(*view, options.output(), convert.output, observer,
+                                        stated_by(encode, view->declarations())));
+    }
+  }
+  if (streams_tiles(arguments, inputs, to)) return convert_tiles(arguments, inputs, loss, observer);
+  std::vector<std::pair<const char*, double>> seconds;
+  StageClock clock(observer, seconds);
+  clock.begin("read", 0, "");
+  auto scene = load_scene(options, convert, inputs, to, loss);
+  if (!scene) return tl::unexpected(scene.error());
+  clock.end();
+  auto summary = convert_scene(std::move(*scene), to, options.output(), convert, observer);
+  if (summary) {
+    summary->seconds.insert(summary->seconds.begin(), seconds.begin(), seconds.end());
+    summary->lost.insert(summary->lost.end(), loss.lost.begin(), loss.lost.end());
+    summary->notes = std::move(loss.notes);
+  }
+  return outcome(std::move(summary));
+}
+
+// Raises the limit on open files: inputs stay open until the output is renamed.
+void allow_open_files(std::size_t n) {
+  constexpr std::size_t kOthers = 64;  // output, scratch files, files beside an input
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur >= n + kOthers) return;
+  limit.rlim_cur = std::min<rlim_t>(limit.rlim_max, n + kOthers);
+  (void)::setrlimit(RLIMIT_NOFILE, &limit);  // on failure, opening reports the file
+}
+
+}  // namespace
+
+void OutputOptions::add_to(CLI::App& app) {
+  EncodeOptions& e = convert.encode;
+  e.profile = Profile::packed;
+  auto writable = formats_by_name();
+  std::erase_if(writable, [](const auto& f) { return f.second != SplatFormat::rgs && !is_writable(f.second); });
+  app.option_defaults()->group(kSceneGroup);
+  app.add_option("--to", to, "Format of the output; default: from its name")
+      ->transform(tool::one_of(writable))
+      ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
+  app.add_option("--spz-version", spz_version,
+                 "Version of an SPZ [3]: Spark reads 2 and 3, GaussianSplats3D 2, PlayCanvas's engine 4 "
+                 "(docs/user/INTERCHANGE.md)")
+      ->check(CLI::IsMember({2, 3, 4}))
+      ->option_text("2|3|4");
+  app.add_flag_callback(
+      "--keep-order", [&e] { e.order = Order::input; }, "Keep the order of the input instead of a Morton curve");
+  app.add_option("--sh-degree", e.sh_degree, "Strip SH above this degree")->check(CLI::Range(0, 3));
+  app.add_option("--on-bad", on_bad, "Damaged Gaussians; by default they are dropped if at most 1 % are damaged")
+      ->transform(tool::one_of<BadPolicy>(
+          {{"refuse", BadPolicy::refuse}, {"drop", BadPolicy::drop}, {"repair", BadPolicy::repair}}))
+      ->option_text("refuse|drop|repair");
+  app.add_flag("--strict", convert.strict,
+               "Write nothing (exit code 4) if Gaussians are damaged or beyond the range of the output's format")
+      ->excludes("--on-bad");
+  app.add_flag("--allow-rounding", convert.allow_rounding,
+               "Write positions that FP32 relative to the scene's one origin rounds by more than a millimetre");
+
+  app.option_defaults()->group(kRgsGroup);
+  app.add_option_function<std::string>(
+         "--profile",
+         [&e](const std::string& name) {
+           e.profile = name == "direct" ? Profile::direct : name == "packed" ? Profile::packed : Profile::archive;
+           e.archive = name == "archive:small" ? archive_small() : archive_high();
+         },
+         "packed (the default), or direct: as the GPU reads it; same Gaussians. archive:high or archive:small: lossy "
+         "within stated bounds, a fifth of packed's size or less (docs/user/PROFILES.md)")
+      ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small"}))
+      ->option_text("packed|direct|archive:high|archive:small")
+      ->trigger_on_parse();  // before the steps below, which override a preset's wherever they are given
+  ArchiveOptions& a = e.archive;
+  app.add_option("--archive-mean-cells", a.mean_cells,
+                 "archive: 2^N cells from the middle to a side of the scene's robust box, 4 to 20 [15; small 13]");
+  app.add_option("--archive-sh-step", a.sh_step, "archive: step of SH above degree 0 [0.11; small 0.24]");
+  app.add_option("--archive-dc-step", a.dc_step, "archive: step of SH degree 0 [0.14; small 0.3]");
+  app.add_option("--archive-rotation-step", a.rotation_step,
+                 "archive: step of quaternion components [0.0156; small 0.0357]");
+  app.add_option("--archive-scale-step", a.scale_step, "archive: step of ln(scale) [0.15; small 0.35]");
+  app.add_option("--archive-opacity-levels", a.opacity_levels, "archive: steps of opacity from 0 to 1 [96; small 32]");
+  app.add_option("--archive-slope", a.slope,
+                 "archive: steps fall with importance to the power of half of this, 0 to 1 [0.6]");
+  app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: higher is slower to write and a little smaller")
+      ->check(CLI::Range(1, kMaxLevel));
+  app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
+  app.add_option("--chunk-size", e.chunk_size, "Gaussians per chunk, a multiple of 32 from 32 to 65536 [256]");
+  app.add_flag_callback(
+      "--file-scales", [&e] { e.chunk_step_sets = false; },
+      "One set of SH scales for the file instead of one per chunk");
+  app.add_flag("--lod", levels, "Add levels of detail (docs/develop/LEVELS.md)");
+  app.add_option("--lod-quality", lod_quality, "Effort of fitting levels [fast]")
+      ->transform(tool::one_of<lod::Quality>({{"fast", lod::Quality::fast}, {"best", lod::Quality::best}}));
+  app.add_option("--cameras", cameras, "Set the sort key's depth range for these cameras (docs/user/CAMERAS.md)");
+  app.add_option("--near", convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);
+  app.add_option("--far", convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
+
+  app.option_defaults()->group(kLevelsGroup);
+  app.add_option("--memory", memory_bytes, "Memory that --lod may take for inputs in PLY, at least 128MiB [2GiB]")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES");
+  app.add_option("--scratch", convert.scratch,
+                 "Folder for temporary files of --lod, about 1.2 times the size of a PLY [the output's]");
+
+  app.option_defaults()->group(kRunGroup);
+  app.add_flag("--overwrite", convert.output.overwrite,
+               "Replace an existing output; with many scenes, convert all again");
+  app.add_flag_callback(
+      "--no-sync", [this] { convert.output.sync = false; }, "Do not wait until the output is on disk");
+}
+
+std::optional<std::string> OutputOptions::check() const {
+  const std::uint64_t memory = memory_bytes.value_or(lod::kDefaultMemory);
+  if (lod_quality && !levels) return "--lod-quality requires --lod";
+  if (!levels && memory != lod::kDefaultMemory) return "--memory requires --lod";
+  if (!levels && !convert.scratch.empty()) return "--scratch requires --lod";
+  if (memory < lod::kLeastMemory) return "--memory must be at least 128MiB";
+  return std::nullopt;
+}
+
+std::optional<std::string> OutputOptions::check_format(const SceneOptions& scene, SplatFormat format) const {
+  if (format == SplatFormat::unknown)
+    return "cannot tell the output's format from its name; pass --to rgs, ply, spz, ...";
+  if (format != SplatFormat::rgs && !is_writable(format))
+    return std::string("the format ") + format_name(format) + " is read only";
+  if (format != SplatFormat::rgs && !rgs_option.empty()) return rgs_option + " is for .rgs outputs";
+  if (format != SplatFormat::spz && spz_version) return "--spz-version is for .spz outputs";
+  if (format == SplatFormat::glb && scene.to_axes) return "the axes of glb are prescribed by the format";
+  if (format == SplatFormat::spz && scene.to_axes) return "--spz-axes chooses the axes of .spz outputs";
+  return std::nullopt;
+}
+
+void OutputOptions::settle(const SceneOptions& scene, int threads) {
+  EncodeOptions& e = convert.encode;
+  e.axes = scene.axes.value_or(kAxes3dgs);
+  e.archive.threads = static_cast<unsigned>(threads);
+  if (on_bad) {
+    e.on_bad = *on_bad;
+    e.max_bad_fraction = 1;
+  }
+  if (convert.strict) e.on_bad = BadPolicy::refuse;
+  if (spz_version) convert.spz_version = *spz_version;
+  if (memory_bytes) convert.memory_bytes = *memory_bytes;
+  if (levels) convert.levels = lod_quality.value_or(lod::Quality::fast);
+}
+
+Outcome<void> OutputOptions::read_cameras() {
+  if (cameras.empty()) return {};
+  auto read = rgs::read_cameras(cameras);
+  if (!read) return failed(cameras, read.error());
+  convert.cameras = std::move(*read);
+  return {};
+}
+
+void RunOptions::add_to(CLI::App& app) {
+  app.option_defaults()->group(kRunGroup);
+  app.add_option("--threads", threads, "Threads; default: all")->check(CLI::Range(1, 1024));
+  app.add_flag("--json", json, "Summary as JSON on standard output (docs/user/CONVERT_JSON.md)");
+  app.add_flag("--quiet,-q", quiet, "No progress, no summary");
+}
+
+unsigned RunOptions::n_threads() const {
+  return threads > 0 ? static_cast<unsigned>(threads) : std::max(1u, std::thread::hardware_concurrency());
+}
+
+void RunOptions::print_summary(const ConvertSummary& summary, const std::string& output) const {
+  if (json) {
+    tool::print(summary_json(summary));
+  } else if (!quiet) {
+    (output == "-" ? tool::print_error : tool::print)(summary_text(summary));
+  }
+}
+
+std::optional<std::string> ConvertArguments::settle() {
+  if (auto message = scene.check()) return message;
+  if (auto message = output.check()) return message;
+  if (run.json && scene.output() == "-") return "--json and output - both need standard output";
+  output.settle(scene, run.threads);
+  return std::nullopt;
+}
+
+int ConvertArguments::check_outputs() const {
+  tool::InputFiles inputs;
+  for (const std::string& path : scene.inputs()) inputs.add_scene(path);
+  inputs.add_cameras(output.cameras);
+  const bool prints = scene.output() != "-" && (run.json || !run.quiet);
+  const std::array<std::string, 3> outputs{scene.output(), audit ? audit_report(scene.output()) : "",
+                                           prints ? "-" : ""};
+  return inputs.check_outputs(outputs);
+}
+
+StageObserver observe(tool::Progress& progress) {
+  StageObserver observer;
+  observer.begin = [&progress](const char* stage, std::uint64_t total, const char* unit) {
+    progress.begin(stage, total, unit);
+  };
+  observer.advance = [&progress](std::uint64_t units) { progress.advance(units); };
+  observer.finish = [&progress] { progress.finish(); };
+  return observer;
+}
+
+int report_failure(const Failure& failure) {
+  return tool::report(failure.file, failure.error);
+}
+
+Outcome<OpenInputs> open_inputs(ConvertArguments& arguments) {
+  OpenInputs inputs;
+  std::vector<const MappedFile*>& unchanged = arguments.output.convert.output.inputs;
+  tool::InputFiles scenes;
+  const std::span<const std::string> paths = arguments.scene.inputs();
+  allow_open_files(paths.size());
+  for (const std::string& path : paths) {
+    scenes.add_scene(path);
+    if (const Status s = inputs.scenes.emplace_back().open(path); !s) return failed(path, s.error());
+    unchanged.push_back(&inputs.scenes.back().file());
+  }
+  for (const std::string& path : scenes.paths()) {
+    if (std::ranges::find(paths, path) != paths.end()) continue;
+    auto file = MappedFile::open(path);
+    if (!file) return failed(path, file.error());
+    unchanged.push_back(&inputs.beside.emplace_back(std::move(*file)));
+  }
+  return inputs;
+}
+
+Outcome<ConvertSummary> convert_open(ConvertArguments& arguments, const std::deque<SceneInput>& inputs,
+                                     tool::Progress::Mode mode) {
+  tool::Progress progress(mode);
+  std::uint64_t source_bytes = 0;
+  for (const SceneInput& input : inputs) source_bytes += input.bytes().size();
+  const std::string name = inputs.size() == 1 ? inputs.front().name() : inputs.front().name() + " and more";
+  arguments.output.convert.encode.provenance = Provenance{source_bytes, 0, name, "rgs-convert " RGS_VERSION};
+  std::string& scratch = arguments.output.convert.scratch;
+  const std::string& output = arguments.scene.output();
+  if (scratch.empty() && output != "-") scratch = std::filesystem::path(output).parent_path().string();
+  auto summary = convert_inputs(arguments, inputs, arguments.output.format_of(output), observe(progress));
+  if (!summary) return tl::unexpected(explained(std::move(summary.error()), inputs));
+  summary->source_name = name;
+  note_rounding(*summary);
+  return summary;
+}
+
+int convert_one_scene(ConvertArguments& arguments) {
+  const SceneOptions& scene = arguments.scene;
+  const RunOptions& run = arguments.run;
+  if (const auto message = arguments.settle()) return tool::report_usage(*message);
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, run.n_threads());
+  if (const int code = arguments.check_outputs(); code != tool::kSuccess) return code;
+  const auto inputs = open_inputs(arguments);
+  if (!inputs) return report_failure(inputs.error());
+  if (const auto message = arguments.output.check_format(scene, arguments.output.format_of(scene.output())))
+    return tool::report_usage(*message);
+  std::string auditor;
+  if (const int code = check_audit(arguments, auditor); code != tool::kSuccess) return code;
+  if (const auto read = arguments.output.read_cameras(); !read) return report_failure(read.error());
+  const auto summary = convert_open(arguments, inputs->scenes, run.progress());
+  if (!summary) return report_failure(summary.error());
+  run.print_summary(*summary, scene.output());
+  return arguments.audit ? run_audit(arguments, auditor) : tool::kSuccess;
+}
+
+}  // namespace rgs
