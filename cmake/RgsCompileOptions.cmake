@@ -29,7 +29,9 @@ if(PROJECT_IS_TOP_LEVEL)
   find_program(RGS_CCACHE ccache)
   foreach(language CXX CUDA)
     if(RGS_CCACHE AND NOT DEFINED CMAKE_${language}_COMPILER_LAUNCHER)
-      set(CMAKE_${language}_COMPILER_LAUNCHER ${RGS_CCACHE})
+      # With paths relative to the checkout, so that one in another folder finds the same objects.
+      set(CMAKE_${language}_COMPILER_LAUNCHER
+        ${CMAKE_COMMAND} -E env CCACHE_BASEDIR=${PROJECT_SOURCE_DIR} CCACHE_NOHASHDIR=1 ${RGS_CCACHE})
     endif()
   endforeach()
   set(CMAKE_RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/bin)

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "checkout.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/result.hpp"
 

@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "checkout.hpp"
 #include "data_folder.hpp"
 #include "image_file.hpp"
 #include "renderer_fixture.hpp"

@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "await.hpp"
+#include "checkout.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 

@@ -14,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "checkout.hpp"
 #include "convert.hpp"
 #include "convert_scenes.hpp"
 #include "counted_memory.hpp"

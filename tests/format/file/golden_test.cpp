@@ -11,6 +11,7 @@
 #include <sstream>
 #include <string_view>
 
+#include "checkout.hpp"
 #include "edit_file.hpp"
 #include "golden_levels.hpp"
 #include "golden_scenes.hpp"

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "checkout.hpp"
 #include "edit_file.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/paged_file.hpp"

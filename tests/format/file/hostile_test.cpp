@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include "checkout.hpp"
 #include "counted_memory.hpp"
 #include "edit_file.hpp"
 #include "golden_scenes.hpp"

@@ -9,6 +9,7 @@
 #include <random>
 #include <string>
 
+#include "checkout.hpp"
 #include "complexity.hpp"
 #include "edit_file.hpp"
 #include "golden_levels.hpp"

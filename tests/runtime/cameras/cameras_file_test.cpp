@@ -17,6 +17,7 @@
 #include <string>
 #include <string_view>
 
+#include "checkout.hpp"
 #include "rgs/camera_file.hpp"
 #include "temporary_folder.hpp"
 

@@ -16,6 +16,7 @@
 #include <utility>
 #include <vector>
 
+#include "checkout.hpp"
 #include "pages/wire.hpp"
 #include "pages_world.hpp"
 #include "text_file.hpp"

@@ -17,6 +17,7 @@
 #include <thread>
 #include <vector>
 
+#include "checkout.hpp"
 #include "made_bytes.hpp"
 #include "rgs/byte_source.hpp"
 #include "rgs/version.hpp"

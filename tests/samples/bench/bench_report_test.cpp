@@ -15,6 +15,7 @@
 #include "bench_plot.hpp"
 #include "bench_report.hpp"
 #include "bench_sample_report.hpp"
+#include "checkout.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 

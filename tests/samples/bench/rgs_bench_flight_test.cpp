@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "checkout.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 #include "text_file.hpp"

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "checkout.hpp"
 #include "run_program.hpp"
 #include "skip.hpp"
 #include "temporary_folder.hpp"
