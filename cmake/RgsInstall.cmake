@@ -97,6 +97,9 @@ foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-rend
     install(TARGETS ${program} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT programs)
   endif()
 endforeach()
+if(TARGET rgs_pictures)
+  install(TARGETS rgs_pictures LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT programs)
+endif()
 # The page that rgs-view serves, which scripts/build_page.sh builds.
 if(TARGET rgs-view)
   install(CODE "if(NOT EXISTS \"${PROJECT_SOURCE_DIR}/web/viewer/dist-single/page.html\")

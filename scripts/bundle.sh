@@ -2,7 +2,7 @@
 # bundle.sh - copies programs and the libraries they need into a folder that runs on other machines:
 #   sh scripts/bundle.sh [--small] [BUILD_FOLDER] OUT    BUILD_FOLDER is build/cuda by default; OUT.tar.gz becomes an archive
 # OUT/bin/PROGRAM runs on a Linux of the same processor family with the same or a newer glibc; CUDA needs a driver, but no toolkit. The
-# folder may be moved. --small leaves out rgs-render, rgs-audit and rgs-view, which need OpenImageIO and its 260 libraries.
+# folder may be moved. --small leaves out rgs-render, rgs-audit and rgs-view, whose pictures need OpenImageIO and its 260 libraries.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 programs="rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels"
@@ -50,11 +50,17 @@ for program in $programs $pictures; do
   fi
 done
 
+module=
+if [ -n "$pictures" ] && [ -e "$build/lib/librgs-pictures.so" ]; then
+  module=$out/lib/librgs-pictures.so
+  cp "$build/lib/librgs-pictures.so" "$module"
+fi
+
 # "libfmt.so.9 => /lib/x86_64-linux-gnu/libfmt.so.9 (0x...)", for libraries of libraries as well
-ldd "$out"/bin/* | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | sort -u | while read -r name path; do
+ldd "$out"/bin/* ${module:+"$module"} | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | sort -u | while read -r name path; do
   echo "$name" | grep -qE "$glibc" || cp -L "$path" "$out/lib/$name"
 done
-strip "$out"/bin/*
+strip "$out"/bin/* ${module:+"$module"}
 
 cp "$(dirname "$0")/../LICENSE" "$out/licenses/roofgs"
 # "libfmt9:amd64: /usr/lib/x86_64-linux-gnu/libfmt.so.9"
@@ -76,8 +82,8 @@ if [ -d "$build/manual" ]; then
 fi
 
 # In an empty environment every library is found in the bundle or belongs to glibc.
-for program in "$out"/bin/*; do
-  env -i /usr/bin/ldd "$program" | awk -v lib="/bin/../lib/" -v glibc="$glibc" '
+for program in "$out"/bin/* ${module:+"$module"}; do
+  env -i /usr/bin/ldd "$program" | awk -v lib="/../lib/" -v glibc="$glibc" '
     $1 !~ glibc && $1 !~ /^\/lib.*\/ld-linux/ && index($3, lib) == 0 { print "bundle.sh: not bundled: " $0; bad = 1 }
     END { exit bad }' >&2
 done

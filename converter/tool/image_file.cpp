@@ -1,119 +1,44 @@
-// image_file.cpp - pictures through OpenImageIO, encoded in memory and then written atomically.
+// image_file.cpp - pictures are encoded in memory by a module and then written atomically.
 // SPDX-License-Identifier: Apache-2.0
 #include "image_file.hpp"
 
-#include <OpenImageIO/filesystem.h>
-#include <OpenImageIO/imageio.h>
+#include <dlfcn.h>
 
 #include <algorithm>
 #include <array>
 #include <cctype>
+#include <cerrno>
 #include <filesystem>
-#include <memory>
-#include <span>
 #include <utility>
 #include <vector>
+
+#include "image_codec.hpp"
+#include "startable_threads.hpp"
 
 namespace rgs {
 namespace {
 
-constexpr const char* kDescription =
-    "Display-referred sRGB values as trained by 3D Gaussian splatting; show without another transfer curve";
+// A library below OpenImageIO starts so many threads while it is loaded, and ends the program if it cannot.
+constexpr unsigned kLoadingThreads = 4;
 
-// A file in memory that can be read back, as libtiff requires; OpenImageIO's own memory output cannot.
-class MemoryFile final : public OIIO::Filesystem::IOProxy {
- public:
-  MemoryFile() : IOProxy("", Write) {}
-  const char* proxytype() const override { return "memory"; }
-  std::size_t size() const override { return bytes_.size(); }
-  std::vector<std::byte> bytes() && { return std::move(bytes_); }
-
-  std::size_t read(void* out, std::size_t n) override {
-    n = pread(out, n, m_pos);
-    m_pos += static_cast<std::int64_t>(n);
-    return n;
-  }
-  std::size_t write(const void* in, std::size_t n) override {
-    n = pwrite(in, n, m_pos);
-    m_pos += static_cast<std::int64_t>(n);
-    return n;
-  }
-  std::size_t pread(void* out, std::size_t n, std::int64_t offset) override {
-    const auto from = std::min(static_cast<std::size_t>(offset), bytes_.size());
-    n = std::min(n, bytes_.size() - from);
-    std::copy_n(bytes_.data() + from, n, static_cast<std::byte*>(out));
-    return n;
-  }
-  std::size_t pwrite(const void* in, std::size_t n, std::int64_t offset) override {
-    const auto from = static_cast<std::size_t>(offset);
-    if (from + n > bytes_.size()) bytes_.resize(from + n);
-    std::copy_n(static_cast<const std::byte*>(in), n, bytes_.data() + from);
-    return n;
-  }
-
- private:
-  std::vector<std::byte> bytes_;
-};
-
-// Colour divided by alpha before rounding: dividing 8-bit codes would lose precision where alpha is small.
-std::vector<float> unassociated(const Image& image) {
-  std::vector<float> pixels = image.pixels;
-  for (std::size_t i = 0; i + 3 < pixels.size(); i += 4)
-    if (pixels[i + 3] > 0)
-      for (std::size_t c = 0; c < 3; ++c) pixels[i + c] /= pixels[i + 3];
-  return pixels;
+// Loaded at the first picture and kept; null if it cannot be loaded.
+const ImageCodec* loaded_codec() {
+  static const ImageCodec* const codec = []() -> const ImageCodec* {
+    void* const module = ::dlopen("librgs-pictures.so", RTLD_LAZY | RTLD_LOCAL);
+    void* const entry = module == nullptr ? nullptr : ::dlsym(module, "rgs_image_codec");
+    return entry == nullptr ? nullptr : reinterpret_cast<decltype(&rgs_image_codec)>(entry)();
+  }();
+  return codec;
 }
 
-OIIO::ImageSpec specification(const Image& image, ImageFormat format, const ImageFileOptions& options) {
-  const bool floating = format == ImageFormat::exr || options.depth;
-  OIIO::ImageSpec spec(image.width, image.height, image.channels,
-                       floating ? OIIO::TypeDesc::FLOAT : OIIO::TypeDesc::UINT8);
-  if (!options.software.empty()) spec.attribute("Software", options.software);
-  if (options.depth) {
-    spec.channelnames = {"Z"};
-    spec.z_channel = 0;
-    spec.attribute("ImageDescription", "Depth along the camera's forward axis in world units, 0 for no surface");
-  } else {
-    // In TIFF the tag would become an Exif directory, which the library writes over the picture's own in memory files.
-    if (format != ImageFormat::tiff) spec.attribute("oiio:ColorSpace", "sRGB");
-    spec.attribute("ImageDescription", kDescription);
-  }
-  switch (format) {
-    case ImageFormat::png:
-      spec.attribute("oiio:UnassociatedAlpha", 1);
-      spec.attribute("png:compressionLevel", options.png_level);
-      break;
-    case ImageFormat::jpeg:
-      spec.attribute("Compression", "jpeg:" + std::to_string(options.jpeg_quality));
-      spec.attribute("jpeg:subsampling", "4:4:4");
-      break;
-    case ImageFormat::tiff:
-    case ImageFormat::exr:
-      spec.attribute("compression", "zip");
-      spec.attribute("DateTime", "    :  :     :  :  ");  // "unknown" in TIFF; the default is the current time, so
-                                                          // bytes would differ
-      break;
-  }
-  return spec;
-}
-
-Result<std::unique_ptr<OIIO::ImageInput>> open_image(const std::string& path) {
-  // Finds out why a file cannot be opened; the library does not say.
-  if (const auto mapped = MappedFile::open(path); !mapped) return tl::unexpected(mapped.error());
-  auto input = OIIO::ImageInput::open(path);
-  if (input) return input;
-  (void)OIIO::geterror();
-  return make_error(Errc::bad_syntax, Error::kNone, "not a picture format that OpenImageIO reads");
-}
-
-const char* extension(ImageFormat format) {
-  switch (format) {
-    case ImageFormat::png: return "png";
-    case ImageFormat::jpeg: return "jpg";
-    case ImageFormat::tiff: return "tif";
-    case ImageFormat::exr: return "exr";
-  }
-  return "";
+Result<const ImageCodec*> image_codec() {
+  static const bool has_threads = tool::startable_threads(kLoadingThreads) == kLoadingThreads;
+  if (!has_threads)
+    return tl::unexpected(
+        Error{.code = Errc::host_out_of_memory, .what = "cannot start the threads of OpenImageIO", .system = EAGAIN});
+  if (const ImageCodec* const codec = loaded_codec()) return codec;
+  return make_error(Errc::open_failed, Error::kNone,
+                    "librgs-pictures.so, which reads and writes pictures, or a library that it needs is not there");
 }
 
 Status check(const Image& image, ImageFormat format, const ImageFileOptions& options) {
@@ -131,28 +56,11 @@ Status check(const Image& image, ImageFormat format, const ImageFileOptions& opt
 }
 
 Result<std::vector<std::byte>> encode(const Image& image, ImageFormat format, const ImageFileOptions& options) {
-  const std::string name = extension(format);
-  const auto output = OIIO::ImageOutput::create(name);
-  if (!output)
-    return make_error(Errc::write_failed, Error::kNone, "this build of OpenImageIO cannot write the picture's format");
-  MemoryFile memory;
-  bool written = output->set_ioproxy(&memory) && output->open("picture." + name, specification(image, format, options));
-  if (written && format != ImageFormat::exr && !options.depth) {
-    const bool divide = format == ImageFormat::png && image.channels == 4;
-    const std::vector<float> straight = divide ? unassociated(image) : std::vector<float>();
-    const std::vector<float>& source = divide ? straight : image.pixels;
-    std::vector<std::uint8_t> codes(source.size());
-    std::transform(source.begin(), source.end(), codes.begin(), to_8bit);
-    written = output->write_image(OIIO::TypeDesc::UINT8, codes.data());
-  } else if (written) {
-    written = output->write_image(OIIO::TypeDesc::FLOAT, image.pixels.data());
-  }
-  written = output->close() && written;
-  if (!written) {
-    (void)output->geterror();  // fetched, or the destructor prints it
-    return make_error(Errc::write_failed, Error::kNone, "the picture cannot be encoded");
-  }
-  return std::move(memory).bytes();
+  const auto codec = image_codec();
+  if (!codec) return tl::unexpected(codec.error());
+  std::vector<std::byte> bytes;
+  if ((*codec)->encode(image, format, options, bytes)) return bytes;
+  return make_error(Errc::write_failed, Error::kNone, "the picture cannot be encoded");
 }
 
 }  // namespace
@@ -194,22 +102,20 @@ Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat form
 }
 
 Result<ImageExtent> read_image_extent(const std::string& path) {
-  const auto input = open_image(path);
-  if (!input) return tl::unexpected(input.error());
-  const OIIO::ImageSpec& spec = (*input)->spec();
-  return ImageExtent{spec.width, spec.height, spec.nchannels};
+  // Finds out why a file cannot be opened; the module does not say.
+  if (const auto mapped = MappedFile::open(path); !mapped) return tl::unexpected(mapped.error());
+  const auto codec = image_codec();
+  if (!codec) return tl::unexpected(codec.error());
+  if (const auto extent = (*codec)->extent(path)) return *extent;
+  return make_error(Errc::bad_syntax, Error::kNone, "not a picture format that OpenImageIO reads");
 }
 
 Result<Image> read_image(const std::string& path) {
-  const auto input = open_image(path);
-  if (!input) return tl::unexpected(input.error());
-  const OIIO::ImageSpec& spec = (*input)->spec();
-  Image image = Image::make(spec.width, spec.height, spec.nchannels);
-  if (!(*input)->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, image.pixels.data())) {
-    (void)(*input)->geterror();
-    return make_error(Errc::bad_syntax, Error::kNone, "the picture is damaged");
-  }
-  return image;
+  const auto extent = read_image_extent(path);
+  if (!extent) return tl::unexpected(extent.error());
+  Image image = Image::make(extent->width, extent->height, extent->channels);
+  if (loaded_codec()->decode(path, image)) return image;
+  return make_error(Errc::bad_syntax, Error::kNone, "the picture is damaged");
 }
 
 }  // namespace rgs

@@ -10,17 +10,15 @@
 #include <cstdlib>
 #include <cstring>
 #include <exception>
-#include <mutex>
 #include <new>
 #include <stdexcept>
 #include <string>
 #include <string_view>
-#include <system_error>
 #include <thread>
-#include <vector>
 
 #include "console.hpp"
 #include "rgs/file.hpp"
+#include "startable_threads.hpp"
 
 namespace rgs::tool {
 namespace {
@@ -60,8 +58,7 @@ int guarded(const std::function<int()>& body) {
   }
 }
 
-// For exceptions that nothing can catch: of libraries that start threads before main(), as one below OpenImageIO does,
-// and of oneTBB's own threads. Allocates nothing.
+// For exceptions that nothing can catch, of oneTBB's own threads. Allocates nothing.
 void end_for_lack() {
   try {
     if (std::current_exception()) throw;
@@ -79,32 +76,10 @@ void end_for_lack() {
   std::abort();
 }
 
-void take_last_word(int, char**, char**) {
-  std::set_terminate(end_for_lack);
-}
-
-// Runs before the libraries' initialisers.
-[[gnu::section(".preinit_array"), gnu::used]] void (*const g_take_last_word)(int, char**, char**) = take_last_word;
-
-// How many threads can be started beside this one, up to `most`.
-unsigned startable_threads(unsigned most) {
-  std::vector<std::thread> threads;
-  threads.reserve(most);
-  std::mutex all_started;
-  {
-    const std::lock_guard hold(all_started);
-    try {
-      while (threads.size() < most) threads.emplace_back([&all_started] { const std::lock_guard wait(all_started); });
-    } catch (const std::system_error&) {
-    }
-  }
-  for (std::thread& thread : threads) thread.join();
-  return static_cast<unsigned>(threads.size());
-}
-
 }  // namespace
 
 int run(const std::function<int()>& body) {
+  std::set_terminate(end_for_lack);
   occupy_standard_streams();
   remove_temporaries_on_signal();
   return finish(guarded([&body] {

@@ -612,7 +612,7 @@ TEST_CASE("a program that gets few threads works with those, or says so with exi
     CAPTURE(run.front());
     CAPTURE(run.back());
     const bool asks = run.back() == "--version" || run.back() == "--help";
-    for (int n = 0; n <= 6; ++n) {
+    for (int n = 0; n <= 8; ++n) {
       CAPTURE(n);
       const ProgramResult result = run_program(run, [n] {
         ::setenv("LD_PRELOAD", RGS_INJECTED_FAULTS, 1);
@@ -620,15 +620,15 @@ TEST_CASE("a program that gets few threads works with those, or says so with exi
       });
       CAPTURE(result.err);
       CHECK(result.signal == 0);
-      // Libraries below OpenImageIO start four threads before main(): nothing runs without them.
+      // A library below OpenImageIO starts four threads when the first picture loads it, beside oneTBB's n / 2.
       if (result.exit_code == 0) continue;
+      CHECK_FALSE(asks);
       CHECK(result.exit_code == 3);
-      CHECK(n < 4);
+      CHECK(n < 7);
       CHECK(result.err.find("[host_out_of_memory]") != std::string::npos);
       CHECK(result.err.find("ulimit -u") != std::string::npos);
       const std::string name = fs::path(run.front()).filename().string();
       CHECK((name == "rgs-audit" || name == "rgs-render" || name == "rgs-view"));
-      if (asks) CHECK(result.out.empty());
     }
   }
 }

@@ -1,0 +1,30 @@
+// image_codec.hpp - what image_file.cpp asks of the module that knows the pictures' formats.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "image_file.hpp"
+
+namespace rgs {
+
+/// Arguments are valid: image_file.cpp has checked them. Calls may run in several threads.
+class ImageCodec {
+ public:
+  virtual ~ImageCodec() = default;
+  /// A whole file's bytes; false if the format cannot be written.
+  virtual bool encode(const Image& image, ImageFormat format, const ImageFileOptions& options,
+                      std::vector<std::byte>& bytes) const = 0;
+  /// nullopt for a file that is no picture.
+  virtual std::optional<ImageExtent> extent(const std::string& path) const = 0;
+  /// Fills an image of the file's extent; false if it is damaged.
+  virtual bool decode(const std::string& path, Image& image) const = 0;
+};
+
+}  // namespace rgs
+
+/// The module's only symbol.
+extern "C" [[gnu::visibility("default")]] const rgs::ImageCodec* rgs_image_codec();
