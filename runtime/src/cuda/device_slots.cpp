@@ -8,6 +8,7 @@
 #include "common/copy_pieces.hpp"
 #include "common/device_code.hpp"
 #include "cuda/cuda_objects.hpp"
+#include "cuda/uploader.hpp"
 #include "page_sections.hpp"
 #include "rgs/splat_cloud.hpp"
 #include "stream/stream_times.hpp"
@@ -96,32 +97,23 @@ void DeviceSlots::stay_on_device() const {
 }
 
 struct SlotWriter::Impl {
-  /// One send().
-  struct Sent {
-    Event copied;
-    std::uint64_t taken = 0;  // ring.taken() at its end
-  };
   static constexpr std::size_t kMostSent = 16;
 
-  Impl(std::shared_ptr<const DeviceSlots> of, std::uint64_t bytes) : slots(std::move(of)), ring(bytes) {}
+  explicit Impl(std::shared_ptr<const DeviceSlots> of) : slots(std::move(of)) {}
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
   ~Impl() {
     if (stream.get() != nullptr) cudaStreamSynchronize(stream.get());
-    cudaFreeHost(memory);
   }
 
-  Sent& sent(Ticket ticket) { return all_sent[ticket % kMostSent]; }
   Status send();
-  Status wait_for_oldest();
+  Result<std::byte*> take(std::uint64_t bytes);
 
   std::shared_ptr<const DeviceSlots> slots;
-  std::byte* memory = nullptr;
-  StagingRing ring;
-  cuda::Pieces pieces;  // staged and not sent
-  std::array<Sent, kMostSent> all_sent;
-  Ticket last_sent = 0, last_done = 0;  // sends in between are in flight
   OwnedStream stream;
+  Uploader ring;
+  cuda::Pieces pieces;  // staged and not sent
+  Ticket last = 0;      // their ticket, or that of the last send
 };
 
 SlotWriter::SlotWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -129,46 +121,36 @@ SlotWriter::SlotWriter(SlotWriter&&) noexcept = default;
 SlotWriter::~SlotWriter() = default;
 
 Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots> slots, std::uint32_t n_staged) {
-  const std::uint64_t bytes = staging_bytes(slots->plan().shape, n_staged);
-  auto impl = std::make_unique<Impl>(std::move(slots), bytes);
-  void* memory = nullptr;
+  auto impl = std::make_unique<Impl>(std::move(slots));
   const OnDevice here(impl->slots->device());
   Status ok = here.status();
-  if (ok) ok = device_status(cudaMallocHost(&memory, bytes), "page-locked host memory could not be allocated");
-  impl->memory = static_cast<std::byte*>(memory);
-  if (ok) ok = reached_by_device(memory);
+  if (ok) ok = impl->ring.create(staging_bytes(impl->slots->plan().shape, n_staged), Impl::kMostSent);
   if (ok) ok = impl->stream.create();
-  for (Impl::Sent& each : impl->all_sent) {
-    if (ok) ok = each.copied.create();
-  }
   if (!ok) return tl::unexpected(ok.error());
   return SlotWriter(std::move(impl));
 }
 
-Status SlotWriter::Impl::wait_for_oldest() {
-  const StreamTimer timer(StreamStep::room);
-  Sent& oldest = sent(last_done + 1);
-  Status there = oldest.copied.wait();
-  if (!there) return there;
-  ++last_done;
-  ring.release_up_to(oldest.taken);
-  return {};
-}
-
 Status SlotWriter::Impl::send() {
   if (pieces.n == 0) return {};
-  if (last_sent - last_done == kMostSent) {
-    if (Status there = wait_for_oldest(); !there) return there;
-  }
   const StreamTimer timer(StreamStep::queue);
   const Status queued = cuda::launch_copy_pieces(pieces, stream.get());
   pieces.n = 0;
   // After an error too: queued copies read staged pages.
-  Sent& now = sent(last_sent + 1);
-  if (Status recorded = now.copied.record(stream.get()); !recorded) return queued ? recorded : queued;
-  now.taken = ring.taken();
-  ++last_sent;
-  return queued;
+  const Status sent = ring.send(last, stream.get());
+  return queued ? sent : queued;
+}
+
+Result<std::byte*> SlotWriter::Impl::take(std::uint64_t bytes) {
+  for (;;) {
+    if (const auto place = ring.take(bytes, pieces.n > 0)) {
+      last = place->ticket;
+      return place->memory;
+    }
+    Status room = send();
+    const StreamTimer timer(StreamStep::room);
+    if (room) room = ring.release(true);
+    if (!room) return tl::unexpected(room.error());
+  }
 }
 
 Status SlotWriter::write(const PageRows& page, std::uint32_t slot) {
@@ -181,16 +163,11 @@ Status SlotWriter::write(const PageRows& page, std::uint32_t slot) {
   if (impl_->pieces.n + bytes.size() > cuda::Pieces::kMost) {
     if (Status sent = impl_->send(); !sent) return sent;
   }
-  auto at = impl_->ring.take(staged_bytes(bytes));
-  while (!at) {
-    Status room = impl_->send();
-    if (room) room = impl_->wait_for_oldest();
-    if (!room) return room;
-    at = impl_->ring.take(staged_bytes(bytes));
-  }
+  const auto taken = impl_->take(staged_bytes(bytes));
+  if (!taken) return tl::unexpected(taken.error());
   const StreamTimer timer(StreamStep::stage);
   std::array<std::byte*, 5> staged;
-  std::byte* section = impl_->memory + *at;
+  std::byte* section = *taken;
   for (std::size_t k = 0; k < bytes.size(); ++k) {
     staged[k] = section;
     section += staged_section_bytes(bytes[k]);
@@ -205,19 +182,13 @@ Result<SlotWriter::Ticket> SlotWriter::send() {
   Status ok = here.status();
   if (ok) ok = impl_->send();
   if (!ok) return tl::unexpected(ok.error());
-  return impl_->last_sent;
+  return impl_->last;
 }
 
 Result<bool> SlotWriter::is_done(Ticket ticket) {
   const StreamTimer timer(StreamStep::wait);
-  while (impl_->last_done < ticket) {
-    const Impl::Sent& oldest = impl_->sent(impl_->last_done + 1);
-    const auto is_done = oldest.copied.is_done();
-    if (!is_done || !*is_done) return is_done;
-    ++impl_->last_done;
-    impl_->ring.release_up_to(oldest.taken);
-  }
-  return true;
+  if (const Status ok = impl_->ring.release(false); !ok) return tl::unexpected(ok.error());
+  return impl_->ring.is_done(ticket);
 }
 
 Status SlotWriter::finish() {
@@ -228,8 +199,7 @@ Status SlotWriter::finish() {
   const Status done =
       device_status(cudaStreamSynchronize(impl_->stream.get()), "a page could not be copied to the device");
   impl_->pieces.n = 0;
-  impl_->last_done = impl_->last_sent;
-  impl_->ring.release_up_to(impl_->ring.taken());
+  impl_->ring.reset();
   return sent ? done : sent;
 }
 

@@ -1,9 +1,9 @@
 // file_upload.cpp - a ring of page-locked memory between threads that decompress and streams that copy and decode.
 //
-// A job is one frame index, or a piece of a section that is stored as is. A thread takes a job and a slot of the ring
-// and fills the slot (hash, Zstandard; the host does nothing else). The caller's thread, the only one to call CUDA, so
-// that any context will do, queues on one of a few streams the copy to the device and the kernels that decode it to
-// rows. The slot is free once copied; the stream and its device memory are free once the rows are made. Decoding a
+// A job is one frame index, or a piece of a section that is stored as is. A thread takes a job and a place in the ring
+// and fills it (hash, Zstandard; the host does nothing else). The caller's thread, the only one to call CUDA, so that
+// any context will do, queues on one of a few streams the copy to the device and the kernels that decode it to rows.
+// The place is free once copied; the stream and its device memory are free once the rows are made. Decoding a
 // frame's SH keeps only a few threads busy, but for long, on any device; so there are many streams, and frames are
 // decoded side by side.
 //
@@ -31,6 +31,7 @@
 #include "common/unpack.hpp"
 #include "cuda/cuda_objects.hpp"
 #include "cuda/device_memory.hpp"
+#include "cuda/uploader.hpp"
 #include "rgs/frame_content.hpp"
 #include "rgs/guard_memory.hpp"
 
@@ -38,7 +39,7 @@ namespace rgs::detail {
 namespace {
 
 constexpr std::uint64_t kPieceBytes = std::uint64_t{1} << 20;     // of sections stored as is
-constexpr std::uint64_t kRingBytes = std::uint64_t{32} << 20;     // page-locked, unless two slots need more
+constexpr std::uint64_t kRingBytes = std::uint64_t{32} << 20;     // page-locked, unless two places need more
 constexpr std::uint64_t kStagingBytes = std::uint64_t{96} << 20;  // on the device, unless two streams need more
 constexpr std::uint64_t kMaxStreams = 32;
 
@@ -57,7 +58,7 @@ struct Section {
 struct Part {
   const Section* section = nullptr;
   std::uint64_t index = 0;     // frame, or piece of kPieceBytes
-  std::uint64_t at = 0;        // offset in its slot
+  std::uint64_t at = 0;        // offset in its place
   std::uint64_t bytes = 0;     // of the content or the piece
   std::uint64_t n_steps = 0;   // SHI8: chunks of the frame
   std::uint64_t steps_at = 0;  // offset of their steps
@@ -78,26 +79,6 @@ struct Group {
   std::uint64_t n_jobs = 0;
 };
 
-class PageLockedBytes {
- public:
-  PageLockedBytes() = default;
-  PageLockedBytes(const PageLockedBytes&) = delete;
-  PageLockedBytes& operator=(const PageLockedBytes&) = delete;
-  ~PageLockedBytes() { cudaFreeHost(bytes_); }
-  Status create(std::uint64_t n) {
-    return device_status(cudaMallocHost(&bytes_, n), "page-locked host memory could not be allocated");
-  }
-  std::byte* get() const { return static_cast<std::byte*>(bytes_); }
-
- private:
-  void* bytes_ = nullptr;
-};
-
-struct HostSlot {
-  std::byte* memory = nullptr;
-  Event copied;
-};
-
 struct Lane {
   OwnedStream stream;
   std::byte* memory = nullptr;  // contents on the device
@@ -105,7 +86,7 @@ struct Lane {
 };
 
 struct Filled {
-  HostSlot* slot = nullptr;
+  Uploader::Place place;
   Job job;
 };
 
@@ -169,8 +150,8 @@ class FileUpload {
   Status fill_next(FrameContents& contents, bool& is_done);
   Status dispatch();
   Status reclaim(bool wait);
-  Status fill(const Job& job, HostSlot& slot, FrameContents& contents);
-  Status queue(const Job& job, const HostSlot& slot, const Lane& lane);
+  Status fill(const Filled& filled, FrameContents& contents) const;
+  Status queue(const Filled& filled, const Lane& lane);
   Status unpack(const Part& part, const Lane& lane);
   Status check_tables() const;
   Status check_values();
@@ -184,14 +165,13 @@ class FileUpload {
   std::array<Section, 3> sections_;
   std::vector<Group> groups_;  // the slowest first
   std::uint64_t n_jobs_ = 0;
-  PageLockedBytes ring_;
+  Uploader ring_;
+  std::uint64_t largest_ = 0;  // bytes of a job
   DeviceBuffer staging_;
   Event ready_;  // the device's memory is allocated
-  std::vector<HostSlot> host_slots_;
   std::vector<Lane> lanes_;
-  Queue<HostSlot*> free_slots_;
+  Queue<Uploader::Place> free_places_;  // of largest_ bytes
   Queue<Filled> filled_;
-  std::deque<HostSlot*> copying_;  // being copied to the device
   std::atomic<std::uint64_t> next_{0};
   std::atomic<bool> has_failed_{false};
   std::mutex failing_;
@@ -250,13 +230,13 @@ Job FileUpload::job_at(std::uint64_t index) const {
 }
 
 Status FileUpload::prepare() {
-  std::uint64_t largest = 0, total = 0, first_job = 0;
+  std::uint64_t total = 0, first_job = 0;
   bool is_coded = false;
   for (const Group& group : groups_) {
     if (group.n_jobs == 0) continue;
     const std::uint64_t bytes = job_at(first_job).bytes;  // a group's last job may be smaller
     first_job += group.n_jobs;
-    largest = std::max(largest, bytes);
+    largest_ = std::max(largest_, bytes);
     total += bytes * group.n_jobs;
     is_coded = is_coded || group.sections[0]->table != nullptr;
   }
@@ -266,29 +246,25 @@ Status FileUpload::prepare() {
   n_threads_ = total < kWorthThreads ? 1 : static_cast<unsigned>(std::min<std::uint64_t>(machine, n_jobs_));
 
   const auto limited = [&](std::uint64_t bytes, std::uint64_t most) {
-    const std::uint64_t fitting = std::clamp<std::uint64_t>(bytes / largest, 2, most);
+    const std::uint64_t fitting = std::clamp<std::uint64_t>(bytes / largest_, 2, most);
     return static_cast<std::size_t>(std::min<std::uint64_t>(fitting, n_jobs_));
   };
-  // One slot for each thread and some to copy. Locking pages takes time, so a small file gets a small ring.
+  // One place for each thread and some to copy. Locking pages takes time, so a small file gets a small ring.
   const std::uint64_t useful = std::min<std::uint64_t>(n_threads_ + n_threads_ / 2 + 1, n_jobs_ / 4);
-  host_slots_ = std::vector<HostSlot>(limited(kRingBytes, std::max<std::uint64_t>(useful, 2)));
-  n_threads_ = std::min(n_threads_, static_cast<unsigned>(host_slots_.size()));
+  const std::size_t n_places = limited(kRingBytes, std::max<std::uint64_t>(useful, 2));
+  n_threads_ = std::min(n_threads_, static_cast<unsigned>(n_places));
   lanes_ = std::vector<Lane>(limited(kStagingBytes, kMaxStreams));
-  Status ok = ring_.create(host_slots_.size() * largest);
+  Status ok = ring_.create(n_places * largest_, n_places);
   if (ok && is_coded) {
     const auto memory = DeviceMemory::create(options_.allocator);
-    ok = memory ? staging_.reserve(lanes_.size() * largest, *memory, options_.stream) : tl::unexpected(memory.error());
+    ok = memory ? staging_.reserve(lanes_.size() * largest_, *memory, options_.stream) : tl::unexpected(memory.error());
   }
   // The caller's allocator may return memory that is valid only once its stream gets there.
   if (ok) ok = ready_.create();
   if (ok) ok = ready_.record(options_.stream);
-  for (std::size_t i = 0; i < host_slots_.size() && ok; ++i) {
-    host_slots_[i].memory = ring_.get() + i * largest;
-    ok = host_slots_[i].copied.create();
-    free_slots_.put(&host_slots_[i]);
-  }
+  if (ok) ok = reclaim(false);
   for (std::size_t i = 0; i < lanes_.size() && ok; ++i) {
-    if (is_coded) lanes_[i].memory = staging_.as<std::byte>() + i * largest;
+    if (is_coded) lanes_[i].memory = staging_.as<std::byte>() + i * largest_;
     ok = lanes_[i].stream.create();
     if (ok) ok = lanes_[i].done.create();
     if (ok) ok = ready_.hold(lanes_[i].stream.get());
@@ -316,11 +292,11 @@ void FileUpload::fail(const Status& status) {
     if (!has_failed_) status_ = status;
     has_failed_ = true;
   }
-  free_slots_.close();
+  free_places_.close();
   filled_.close();
 }
 
-// A thread that fills slots. The very first job is the check of the tables.
+// A thread that fills places. The very first job is the check of the tables.
 void FileUpload::work() {
   const Status worked = guard_memory([&]() -> Status {
     FrameContents contents;
@@ -337,34 +313,22 @@ Status FileUpload::fill_next(FrameContents& contents, bool& is_done) {
   is_done = i > n_jobs_;
   if (is_done) return {};
   if (i == 0) return check_tables();
-  const auto slot = free_slots_.take(true);
-  if (!slot) return {};  // another thread has failed
-  const Filled filled{*slot, job_at(i - 1)};
-  if (Status s = fill(filled.job, **slot, contents); !s) return s;
+  const auto place = free_places_.take(true);
+  if (!place) return {};  // another thread has failed
+  const Filled filled{*place, job_at(i - 1)};
+  if (Status s = fill(filled, contents); !s) return s;
   filled_.put(filled);
   return {};
 }
 
-// Frees slots that have been copied; waits for the first if `wait`.
+// Gives threads the places that are free; waits for the oldest copy if `wait`.
 Status FileUpload::reclaim(bool wait) {
-  while (!copying_.empty()) {
-    HostSlot* const slot = copying_.front();
-    if (wait) {
-      if (Status s = slot->copied.wait(); !s) return s;
-    } else if (const cudaError_t error = cudaEventQuery(slot->copied.get()); error == cudaErrorNotReady) {
-      cudaGetLastError();  // later calls must not report it
-      return {};
-    } else if (error != cudaSuccess) {
-      return device_status(error, "a scene could not be copied to the device");
-    }
-    wait = false;
-    copying_.pop_front();
-    free_slots_.put(slot);
-  }
-  return {};
+  const Status ok = ring_.release(wait);
+  while (const auto place = ring_.take(largest_)) free_places_.put(*place);
+  return ok;
 }
 
-// On the caller's thread: queues filled slots. If it is the only thread, it also fills them.
+// On the caller's thread: queues filled places. If it is the only thread, it also fills them.
 Status FileUpload::dispatch() {
   FrameContents contents;
   bool is_done = false;
@@ -373,27 +337,27 @@ Status FileUpload::dispatch() {
   }
   for (std::uint64_t n_queued = 0; n_queued < n_jobs_ && !has_failed_;) {
     if (n_threads_ == 1) {
-      if (Status s = reclaim(copying_.size() == host_slots_.size()); !s) return s;
+      if (Status s = reclaim(n_queued >= 2); !s) return s;  // there are two places or more
       if (Status s = fill_next(contents, is_done); !s) return s;
     }
-    // With nothing to queue, waits for a copy, or else for a thread that fills a slot.
-    const auto filled = filled_.take(copying_.empty());
+    // With nothing to queue, waits for a copy, or else for a thread that fills a place.
+    const auto filled = filled_.take(!ring_.can_wait());
     Status ok;
     if (filled) {
       const Lane& lane = lanes_[n_queued++ % lanes_.size()];
       ok = lane.done.wait();
-      if (ok) ok = queue(filled->job, *filled->slot, lane);
-      copying_.push_back(filled->slot);
+      if (ok) ok = queue(*filled, lane);
     }
-    if (ok) ok = reclaim(!filled && !copying_.empty());
+    if (ok) ok = reclaim(!filled && ring_.can_wait());
     if (!ok) return ok;
   }
   return {};
 }
 
-Status FileUpload::fill(const Job& job, HostSlot& slot, FrameContents& contents) {
-  for (const Part& part : job.all()) {
-    const std::span to(slot.memory + part.at, part.bytes);
+Status FileUpload::fill(const Filled& filled, FrameContents& contents) const {
+  std::byte* const memory = filled.place.memory;
+  for (const Part& part : filled.job.all()) {
+    const std::span to(memory + part.at, part.bytes);
     const Section& section = *part.section;
     if (section.table == nullptr) {
       std::memcpy(to.data(), section.bytes.data() + part.index * kPieceBytes, part.bytes);
@@ -403,19 +367,20 @@ Status FileUpload::fill(const Job& job, HostSlot& slot, FrameContents& contents)
     if (section.type != SectionType::sh) continue;
     const auto steps = relative_sh_steps(file_, part.index);
     if (!steps) return tl::unexpected(steps.error());
-    std::memcpy(slot.memory + part.steps_at, steps->data(), steps->size() * sizeof(RelativeShSteps));
+    std::memcpy(memory + part.steps_at, steps->data(), steps->size() * sizeof(RelativeShSteps));
   }
   return {};
 }
 
-Status FileUpload::queue(const Job& job, const HostSlot& slot, const Lane& lane) {
+Status FileUpload::queue(const Filled& filled, const Lane& lane) {
+  const Job& job = filled.job;
   const Part& first = job.parts[0];
   const bool is_coded = first.section->table != nullptr;
   std::byte* const to = is_coded ? lane.memory : first.section->place + first.index * kPieceBytes;
-  Status ok = device_status(
-      cudaMemcpyAsync(to, slot.memory, is_coded ? job.bytes : first.bytes, cudaMemcpyHostToDevice, lane.stream.get()),
-      "a scene could not be copied to the device");
-  if (ok) ok = slot.copied.record(lane.stream.get());
+  Status ok = device_status(cudaMemcpyAsync(to, filled.place.memory, is_coded ? job.bytes : first.bytes,
+                                            cudaMemcpyHostToDevice, lane.stream.get()),
+                            "a scene could not be copied to the device");
+  if (ok) ok = ring_.send(filled.place.ticket, lane.stream.get());
   for (const Part& part : job.all()) {
     if (ok && is_coded) ok = unpack(part, lane);
   }

@@ -9,9 +9,11 @@
 #include <algorithm>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <utility>
 
 #include "cuda/cuda_objects.hpp"
+#include "cuda/uploader.hpp"
 #include "page_sections.hpp"
 #include "parallel.hpp"
 
@@ -39,18 +41,6 @@ struct Worker {
   std::vector<std::byte> memory;
 };
 
-// Page-locked memory for the sections of one batch.
-struct Staging {
-  Staging() = default;
-  Staging(const Staging&) = delete;
-  Staging& operator=(const Staging&) = delete;
-  ~Staging() { cudaFreeHost(memory); }
-
-  std::byte* memory = nullptr;
-  std::array<std::byte*, 5> at{};
-  Event copied;
-};
-
 class PageUpload {
  public:
   PageUpload(const PagedFile& file, const PagePlan& plan, const SectionPlaces& places, CudaStream stream)
@@ -68,10 +58,16 @@ class PageUpload {
 
  private:
   void cut_batches();
-  Status create(Staging& staging) const;
-  Status fill(const Batch& batch, const Staging& staging);
-  Status fill_page(std::uint32_t page, const Batch& batch, const Staging& staging, Worker& worker) const;
-  Status copy(const Batch& batch, const Staging& staging) const;
+  // Bytes of section k of a batch, and where it is staged.
+  std::uint64_t bytes(std::size_t k, const Batch& batch) const {
+    return rows(k, batch.begin, batch.end).second * row_bytes_[k];
+  }
+  std::uint64_t staged_at(std::size_t k, const Batch& batch) const {
+    return k == 0 ? 0 : staged_at(k - 1, batch) + staged_section_bytes(bytes(k - 1, batch));
+  }
+  Status fill(const Batch& batch, std::byte* staged);
+  Status fill_page(std::uint32_t page, const Batch& batch, std::byte* staged, Worker& worker) const;
+  Status copy(const Batch& batch, const std::byte* staged) const;
   // First row and rows of section k of pages begin .. end - 1.
   std::pair<std::uint64_t, std::uint64_t> rows(std::size_t k, std::uint32_t begin, std::uint32_t end) const {
     const std::vector<std::uint64_t>& first = k == 3 ? plan_.first_set : plan_.first_chunk;
@@ -86,7 +82,7 @@ class PageUpload {
   int sh_degree_;
   std::array<std::uint64_t, 5> row_bytes_;
   std::vector<Batch> batches_;
-  std::array<Staging, 2> staging_;
+  Uploader ring_;
   std::mutex mutex_;  // of the idle workers
   std::vector<std::unique_ptr<Worker>> idle_;
 };
@@ -100,38 +96,18 @@ void PageUpload::cut_batches() {
   }
 }
 
-Status PageUpload::create(Staging& staging) const {
-  std::array<std::uint64_t, 5> bytes{};
-  std::uint64_t total = 0;
-  for (std::size_t k = 0; k < bytes.size(); ++k) {
-    for (const Batch& b : batches_) bytes[k] = std::max(bytes[k], rows(k, b.begin, b.end).second * row_bytes_[k]);
-    bytes[k] = (bytes[k] + 255) / 256 * 256;
-    total += bytes[k];
-  }
-  void* memory = nullptr;
-  Status ok = device_status(cudaMallocHost(&memory, total), "page-locked host memory could not be allocated");
-  staging.memory = static_cast<std::byte*>(memory);
-  if (ok) ok = staging.copied.create();
-  if (!ok) return ok;
-  std::byte* next = staging.memory;
-  for (std::size_t k = 0; k < bytes.size(); next += bytes[k++]) staging.at[k] = next;
-  return ok;
-}
-
-Status PageUpload::fill_page(std::uint32_t page, const Batch& batch, const Staging& staging, Worker& worker) const {
+Status PageUpload::fill_page(std::uint32_t page, const Batch& batch, std::byte* staged, Worker& worker) const {
   const auto decoded = worker.decode(file_, page);
   if (!decoded) return tl::unexpected(decoded.error());
   if (Status s = check_page_values(file_, page, *decoded); !s) return s;
-  const auto to = [&](std::size_t k) {
-    return staging.at[k] + (rows(k, page, page).first - rows(k, batch.begin, batch.begin).first) * row_bytes_[k];
-  };
   std::array<std::byte*, 5> places{};
-  for (std::size_t k = 0; k < places.size(); ++k) places[k] = to(k);
+  for (std::size_t k = 0; k < places.size(); ++k)
+    places[k] = staged + staged_at(k, batch) + bytes(k, {batch.begin, page});
   write_page_sections(*decoded, plan_.chunk_size, plan_.first_set[page], places);
   return {};
 }
 
-Status PageUpload::fill(const Batch& batch, const Staging& staging) {
+Status PageUpload::fill(const Batch& batch, std::byte* staged) {
   std::mutex failing;
   Status status;
   std::uint32_t failed = batch.end;  // the first damaged page, whichever thread finds one first
@@ -143,7 +119,7 @@ Status PageUpload::fill(const Batch& batch, const Staging& staging) {
       if (!idle_.empty()) worker = std::move(idle_.back()), idle_.pop_back();
     }
     if (worker == nullptr) worker = std::make_unique<Worker>(file_);
-    const Status ok = fill_page(page, batch, staging, *worker);
+    const Status ok = fill_page(page, batch, staged, *worker);
     {
       const std::scoped_lock lock(mutex_);
       idle_.push_back(std::move(worker));
@@ -156,30 +132,29 @@ Status PageUpload::fill(const Batch& batch, const Staging& staging) {
   return status;
 }
 
-Status PageUpload::copy(const Batch& batch, const Staging& staging) const {
-  for (std::size_t k = 0; k < staging.at.size(); ++k) {
-    const auto [first, n] = rows(k, batch.begin, batch.end);
-    const Status ok = device_status(cudaMemcpyAsync(places_[k] + first * row_bytes_[k], staging.at[k],
-                                                    n * row_bytes_[k], cudaMemcpyHostToDevice, stream_),
-                                    "a scene could not be copied to the device");
-    if (!ok) return ok;
+Status PageUpload::copy(const Batch& batch, const std::byte* staged) const {
+  Status ok;
+  for (std::size_t k = 0; k < row_bytes_.size() && ok; ++k) {
+    ok = device_status(cudaMemcpyAsync(places_[k] + rows(k, batch.begin, batch.begin).first * row_bytes_[k],
+                                       staged + staged_at(k, batch), bytes(k, batch), cudaMemcpyHostToDevice, stream_),
+                       "a scene could not be copied to the device");
   }
-  return staging.copied.record(stream_);
+  return ok;
 }
 
 Status PageUpload::run() {
   cut_batches();
-  Status ok;
-  for (Staging& staging : staging_) {
-    if (ok) ok = create(staging);
+  std::uint64_t largest = 0;
+  for (const Batch& batch : batches_) largest = std::max(largest, staged_at(row_bytes_.size(), batch));
+  Status ok = ring_.create(2 * largest, 2);
+  for (const Batch& batch : batches_) {
+    std::optional<Uploader::Place> place;
+    while (ok && !(place = ring_.take(staged_at(row_bytes_.size(), batch)))) ok = ring_.release(true);
+    if (ok) ok = fill(batch, place->memory);
+    if (ok) ok = copy(batch, place->memory);
+    if (ok) ok = ring_.send(place->ticket, stream_);
+    if (!ok) return ok;
   }
-  for (std::size_t k = 0; k < batches_.size() && ok; ++k) {
-    const Staging& staging = staging_[k % 2];
-    ok = staging.copied.wait();
-    if (ok) ok = fill(batches_[k], staging);
-    if (ok) ok = copy(batches_[k], staging);
-  }
-  if (!ok) return ok;
   return device_status(cudaStreamSynchronize(stream_), "a scene could not be copied to the device");
 }
 
