@@ -98,7 +98,7 @@ foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-rend
   endif()
 endforeach()
 if(TARGET rgs_pictures)
-  install(TARGETS rgs_pictures LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT programs)
+  install(TARGETS rgs_pictures LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR}/roofgs COMPONENT programs)
 endif()
 # The page that rgs-view serves, which scripts/build_page.sh builds.
 if(TARGET rgs-view)

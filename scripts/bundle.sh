@@ -51,9 +51,10 @@ for program in $programs $pictures; do
 done
 
 module=
-if [ -n "$pictures" ] && [ -e "$build/lib/librgs-pictures.so" ]; then
-  module=$out/lib/librgs-pictures.so
-  cp "$build/lib/librgs-pictures.so" "$module"
+if [ -x "$out/bin/rgs-render" ] || [ -x "$out/bin/rgs-audit" ] || [ -x "$out/bin/rgs-view" ]; then
+  module=$out/lib/roofgs/librgs-pictures.so
+  mkdir "$out/lib/roofgs"
+  cp "$build/lib/roofgs/librgs-pictures.so" "$module"
 fi
 
 # "libfmt.so.9 => /lib/x86_64-linux-gnu/libfmt.so.9 (0x...)", for libraries of libraries as well
@@ -64,7 +65,7 @@ strip "$out"/bin/* ${module:+"$module"}
 
 cp "$(dirname "$0")/../LICENSE" "$out/licenses/roofgs"
 # "libfmt9:amd64: /usr/lib/x86_64-linux-gnu/libfmt.so.9"
-for library in "$out"/lib/*; do echo "*/${library##*/}"; done | xargs dpkg -S 2>/dev/null | cut -d: -f1 | sort -u |
+for library in "$out"/lib/*.so*; do echo "*/${library##*/}"; done | xargs dpkg -S 2>/dev/null | cut -d: -f1 | sort -u |
   while read -r package; do
     [ ! -e "/usr/share/doc/$package/copyright" ] || cp -L "/usr/share/doc/$package/copyright" "$out/licenses/$package"
   done
@@ -83,7 +84,7 @@ fi
 
 # In an empty environment every library is found in the bundle or belongs to glibc.
 for program in "$out"/bin/* ${module:+"$module"}; do
-  env -i /usr/bin/ldd "$program" | awk -v lib="/../lib/" -v glibc="$glibc" '
+  env -i /usr/bin/ldd "$program" | awk -v lib="/../" -v glibc="$glibc" '
     $1 !~ glibc && $1 !~ /^\/lib.*\/ld-linux/ && index($3, lib) == 0 { print "bundle.sh: not bundled: " $0; bad = 1 }
     END { exit bad }' >&2
 done

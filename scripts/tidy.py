@@ -37,17 +37,19 @@ def check(entry):
     command = [*command[:output], *FLAGS]
     listed = subprocess.run([*command, "-M", entry["file"]], cwd=entry["directory"], capture_output=True, text=True)
     if listed.returncode != 0:
-        return listed.stderr
-    state = hashlib.sha256(" ".join(command).replace(str(ROOT), "").encode() + version() + digest(ROOT / ".clang-tidy"))
+        return f"{entry['file']}: {command[0]} ended with {listed.returncode}\n{listed.stderr}"
+    state = hashlib.sha256(" ".join(command).replace(str(ROOT), "").encode() + version())
+    state.update(digest(ROOT / ".clang-tidy") + digest(__file__))
     for header in listed.stdout.replace("\\\n", " ").split()[1:]:
-        state.update(digest(os.path.join(entry["directory"], header)))
+        path = os.path.join(entry["directory"], header)
+        state.update(path.replace(str(ROOT), "").encode() + digest(path))
     stamp = SEEN / state.hexdigest()
     if stamp.exists():
         return ""
     result = subprocess.run(["clang-tidy", "--quiet", entry["file"], "--", *command[1:]], cwd=entry["directory"],
                             capture_output=True, text=True)
     if result.returncode != 0:
-        return result.stdout + result.stderr
+        return f"{entry['file']}: clang-tidy ended with {result.returncode}\n{result.stdout}{result.stderr}"
     stamp.touch()
     return ""
 
@@ -57,12 +59,12 @@ def main():
     SEEN.mkdir(parents=True, exist_ok=True)
     ours = subprocess.run(["git", "ls-files", *GLOBS], cwd=ROOT, check=True, capture_output=True, text=True).stdout.split()
     commands = json.loads(Path(build, "compile_commands.json").read_text())
-    entries = {entry["file"]: entry for entry in reversed(commands)}  # the first: the library, then its portable twin
+    entries = {str(Path(entry["file"]).resolve()): entry for entry in reversed(commands)}  # the first: the library, then its portable twin
     chosen = [entries[file] for file in (f"{ROOT}/{name}" for name in ours) if file in entries]
     with ThreadPoolExecutor(int(os.environ.get("RGS_JOBS") or os.cpu_count() or 1)) as pool:
         said = [text for text in pool.map(check, chosen) if text]
     print("".join(said) or f"tidy: {len(chosen)} files, nothing found")
-    sys.exit(1 if said else 0)
+    sys.exit(1 if said or not chosen else 0)
 
 
 if __name__ == "__main__":

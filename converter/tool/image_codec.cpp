@@ -137,11 +137,14 @@ class OpenImageIoCodec final : public ImageCodec {
     return ImageExtent{spec.width, spec.height, spec.nchannels};
   }
 
-  bool decode(const std::string& path, Image& image) const override {
+  std::optional<Image> decode(const std::string& path) const override {
     const auto input = open(path);
-    if (input && input->read_image(0, 0, 0, image.channels, OIIO::TypeDesc::FLOAT, image.pixels.data())) return true;
-    if (input) (void)input->geterror();
-    return false;
+    if (!input) return std::nullopt;
+    const OIIO::ImageSpec& spec = input->spec();
+    Image image = Image::make(spec.width, spec.height, spec.nchannels);
+    if (input->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, image.pixels.data())) return image;
+    (void)input->geterror();
+    return std::nullopt;
   }
 
  private:

@@ -20,11 +20,11 @@ class ImageCodec {
                       std::vector<std::byte>& bytes) const = 0;
   /// nullopt for a file that is no picture.
   virtual std::optional<ImageExtent> extent(const std::string& path) const = 0;
-  /// Fills an image of the file's extent; false if it is damaged.
-  virtual bool decode(const std::string& path, Image& image) const = 0;
+  /// nullopt for a file that is no picture, or a damaged one.
+  virtual std::optional<Image> decode(const std::string& path) const = 0;
 };
 
 }  // namespace rgs
 
-/// The module's only symbol.
+/// The module's entry.
 extern "C" [[gnu::visibility("default")]] const rgs::ImageCodec* rgs_image_codec();

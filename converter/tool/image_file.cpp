@@ -21,24 +21,25 @@ namespace {
 // A library below OpenImageIO starts so many threads while it is loaded, and ends the program if it cannot.
 constexpr unsigned kLoadingThreads = 4;
 
-// Loaded at the first picture and kept; null if it cannot be loaded.
-const ImageCodec* loaded_codec() {
-  static const ImageCodec* const codec = []() -> const ImageCodec* {
-    void* const module = ::dlopen("librgs-pictures.so", RTLD_LAZY | RTLD_LOCAL);
-    void* const entry = module == nullptr ? nullptr : ::dlsym(module, "rgs_image_codec");
-    return entry == nullptr ? nullptr : reinterpret_cast<decltype(&rgs_image_codec)>(entry)();
-  }();
-  return codec;
-}
-
-Result<const ImageCodec*> image_codec() {
-  static const bool has_threads = tool::startable_threads(kLoadingThreads) == kLoadingThreads;
-  if (!has_threads)
+Result<const ImageCodec*> load_codec() {
+  if (tool::startable_threads(kLoadingThreads) < kLoadingThreads)
     return tl::unexpected(
         Error{.code = Errc::host_out_of_memory, .what = "cannot start the threads of OpenImageIO", .system = EAGAIN});
-  if (const ImageCodec* const codec = loaded_codec()) return codec;
-  return make_error(Errc::open_failed, Error::kNone,
-                    "librgs-pictures.so, which reads and writes pictures, or a library that it needs is not there");
+  void* entry = nullptr;
+  for (const char* const place : {RGS_MODULE_FOLDERS}) {
+    void* const module = ::dlopen((std::string(place) + "/librgs-pictures.so").c_str(), RTLD_LAZY | RTLD_LOCAL);
+    if (module != nullptr) entry = ::dlsym(module, "rgs_image_codec");
+    if (entry != nullptr) return reinterpret_cast<decltype(&rgs_image_codec)>(entry)();
+  }
+  static const std::string kWhy = std::string("pictures cannot be read or written: ") + ::dlerror();
+  const bool lacks_memory = kWhy.find("annot allocate memory") != kWhy.npos;
+  return make_error(lacks_memory ? Errc::host_out_of_memory : Errc::open_failed, Error::kNone, kWhy.c_str());
+}
+
+// Loaded at the first picture and kept.
+const Result<const ImageCodec*>& image_codec() {
+  static const Result<const ImageCodec*> codec = load_codec();
+  return codec;
 }
 
 Status check(const Image& image, ImageFormat format, const ImageFileOptions& options) {
@@ -56,11 +57,20 @@ Status check(const Image& image, ImageFormat format, const ImageFileOptions& opt
 }
 
 Result<std::vector<std::byte>> encode(const Image& image, ImageFormat format, const ImageFileOptions& options) {
-  const auto codec = image_codec();
-  if (!codec) return tl::unexpected(codec.error());
+  if (!image_codec()) return tl::unexpected(image_codec().error());
   std::vector<std::byte> bytes;
-  if ((*codec)->encode(image, format, options, bytes)) return bytes;
+  if ((*image_codec())->encode(image, format, options, bytes)) return bytes;
   return make_error(Errc::write_failed, Error::kNone, "the picture cannot be encoded");
+}
+
+// Finds out why a file cannot be opened; the module does not say.
+Status check_picture(const std::string& path) {
+  if (const auto mapped = MappedFile::open(path); !mapped) return tl::unexpected(mapped.error());
+  return load_image_formats();
+}
+
+tl::unexpected<Error> no_picture() {
+  return make_error(Errc::bad_syntax, Error::kNone, "not a picture format that OpenImageIO reads, or damaged");
 }
 
 }  // namespace
@@ -101,21 +111,20 @@ Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat form
   return encode(image, format, colour);
 }
 
+Status load_image_formats() {
+  return image_codec().map([](const ImageCodec*) {});
+}
+
 Result<ImageExtent> read_image_extent(const std::string& path) {
-  // Finds out why a file cannot be opened; the module does not say.
-  if (const auto mapped = MappedFile::open(path); !mapped) return tl::unexpected(mapped.error());
-  const auto codec = image_codec();
-  if (!codec) return tl::unexpected(codec.error());
-  if (const auto extent = (*codec)->extent(path)) return *extent;
-  return make_error(Errc::bad_syntax, Error::kNone, "not a picture format that OpenImageIO reads");
+  if (Status ok = check_picture(path); !ok) return tl::unexpected(ok.error());
+  if (const auto extent = (*image_codec())->extent(path)) return *extent;
+  return no_picture();
 }
 
 Result<Image> read_image(const std::string& path) {
-  const auto extent = read_image_extent(path);
-  if (!extent) return tl::unexpected(extent.error());
-  Image image = Image::make(extent->width, extent->height, extent->channels);
-  if (loaded_codec()->decode(path, image)) return image;
-  return make_error(Errc::bad_syntax, Error::kNone, "the picture is damaged");
+  if (Status ok = check_picture(path); !ok) return tl::unexpected(ok.error());
+  if (auto image = (*image_codec())->decode(path)) return *std::move(image);
+  return no_picture();
 }
 
 }  // namespace rgs

@@ -16,6 +16,12 @@
 
 namespace rgs {
 
+// The formats are known to a module beside the program, which the first picture loads. So all functions that read,
+// write or encode may fail with open_failed (it is not there, or a library that it needs) and host_out_of_memory.
+
+/// Loads the module now: what cannot be written later is then refused before the work.
+Status load_image_formats();
+
 enum class ImageFormat { png, jpeg, tiff, exr };
 
 /// From the name's extension, any case: png, jpg, jpeg, tif, tiff, exr. bad_argument for others.

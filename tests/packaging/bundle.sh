@@ -6,7 +6,7 @@ tar -C /opt/moved -xf /project/build/packaging/roofgs.tar.gz
 cd /tmp
 bin=/opt/moved/roofgs/bin
 # Only libc comes from the system, also for indirect dependencies.
-for program in "$bin"/*; do
+for program in "$bin"/* "$bin/../lib/roofgs/librgs-pictures.so"; do
   if ldd "$program" | grep '=>' | grep -v '=> /opt/moved/' | grep -vE '^\s*(libc|libm|libdl|librt|libpthread|libresolv|libmvec|libanl|libnsl|libutil)\.so'; then
     exit 1
   fi

@@ -102,16 +102,13 @@ struct SlotWriter::Impl {
   explicit Impl(std::shared_ptr<const DeviceSlots> of) : slots(std::move(of)) {}
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
-  ~Impl() {
-    if (stream.get() != nullptr) cudaStreamSynchronize(stream.get());
-  }
 
   Status send();
   Result<std::byte*> take(std::uint64_t bytes);
 
   std::shared_ptr<const DeviceSlots> slots;
   OwnedStream stream;
-  Uploader ring;
+  Uploader ring;        // waits for what the stream does, so freed before it
   cuda::Pieces pieces;  // staged and not sent
   Ticket last = 0;      // their ticket, or that of the last send
 };
@@ -187,6 +184,7 @@ Result<SlotWriter::Ticket> SlotWriter::send() {
 
 Result<bool> SlotWriter::is_done(Ticket ticket) {
   const StreamTimer timer(StreamStep::wait);
+  if (impl_->ring.is_done(ticket)) return true;
   if (const Status ok = impl_->ring.release(false); !ok) return tl::unexpected(ok.error());
   return impl_->ring.is_done(ticket);
 }

@@ -348,7 +348,7 @@ Status FileUpload::dispatch() {
       ok = lane.done.wait();
       if (ok) ok = queue(*filled, lane);
     }
-    if (ok) ok = reclaim(!filled && ring_.can_wait());
+    if (ok) ok = reclaim(!filled);
     if (!ok) return ok;
   }
   return {};
@@ -491,7 +491,7 @@ Status FileUpload::run() {
 // Whether the device or this process is to blame, not the file.
 bool is_of_machine(Errc code) {
   return code == Errc::host_out_of_memory || code == Errc::device_out_of_memory || code == Errc::device_failed ||
-         code == Errc::bad_argument;
+         code == Errc::unavailable || code == Errc::bad_argument;
 }
 
 }  // namespace

@@ -146,10 +146,10 @@ Status PageUpload::run() {
   cut_batches();
   std::uint64_t largest = 0;
   for (const Batch& batch : batches_) largest = std::max(largest, staged_at(row_bytes_.size(), batch));
-  Status ok = ring_.create(2 * largest, 2);
+  Status ok = ring_.create(std::min<std::uint64_t>(batches_.size(), 2) * largest, 2);
   for (const Batch& batch : batches_) {
     std::optional<Uploader::Place> place;
-    while (ok && !(place = ring_.take(staged_at(row_bytes_.size(), batch)))) ok = ring_.release(true);
+    while (ok && !(place = ring_.take(largest))) ok = ring_.release(true);
     if (ok) ok = fill(batch, place->memory);
     if (ok) ok = copy(batch, place->memory);
     if (ok) ok = ring_.send(place->ticket, stream_);

@@ -2,6 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/uploader.hpp"
 
+#include <cassert>
+
 namespace rgs::detail {
 
 Uploader::~Uploader() {
@@ -12,6 +14,7 @@ Uploader::~Uploader() {
 }
 
 Status Uploader::create(std::uint64_t bytes, std::size_t most_sendings) {
+  bytes_ = bytes;
   ring_ = StagingRing(bytes);
   sendings_ = std::vector<Sending>(most_sendings);
   void* memory = nullptr;
@@ -25,6 +28,7 @@ Status Uploader::create(std::uint64_t bytes, std::size_t most_sendings) {
 }
 
 std::optional<Uploader::Place> Uploader::take(std::uint64_t n, bool joins) {
+  assert(n <= bytes_ && (!joins || first_ != next_));
   if (!joins && next_ - first_ == sendings_.size()) return std::nullopt;
   const auto at = ring_.take(n);
   if (!at) return std::nullopt;

@@ -37,7 +37,7 @@ class Uploader {
   Status send(Ticket ticket, cudaStream_t stream);
   /// Whether the oldest sending that is not done was sent, so that release(true) ends.
   bool can_wait() const { return first_ != next_ && sending(first_).is_sent; }
-  /// Finds out what is done; waits for the oldest if `waits`, which must be sent. Errors: device_failed.
+  /// Finds out what is done; waits for the oldest if `waits` and it was sent. Errors: device_failed.
   Status release(bool waits);
   /// As far as release() has found out.
   bool is_done(Ticket ticket) const { return ticket < first_; }
@@ -55,6 +55,7 @@ class Uploader {
   void release_first();
 
   std::byte* memory_ = nullptr;
+  std::uint64_t bytes_ = 0;
   StagingRing ring_{0};
   std::vector<Sending> sendings_;
   Ticket first_ = 1, next_ = 1;  // those in between are not done

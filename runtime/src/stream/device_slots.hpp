@@ -89,8 +89,8 @@ class SlotWriter {
   SlotWriter& operator=(SlotWriter&&) = delete;
   ~SlotWriter();  ///< waits
 
-  /// Stages a page of checked values; `page` is not read after the return. If the ring is full, sends what is staged
-  /// and waits for the oldest send. Errors: device_failed.
+  /// Stages a page of checked values; `page` is not read after the return. If the ring is full, or 16
+  /// sends are in flight, sends what is staged and waits for the oldest send. Errors: device_failed.
   Status write(const PageRows& page, std::uint32_t slot);
   /// Sends what is staged, with one launch. Errors: device_failed.
   Result<Ticket> send();

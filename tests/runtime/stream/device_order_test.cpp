@@ -11,7 +11,9 @@
 #include <optional>
 #include <thread>
 
+#include "common/copy_pieces.hpp"
 #include "counted_memory.hpp"
+#include "cuda/uploader.hpp"
 #include "fake_cuda.hpp"
 #include "opened_state.hpp"
 #include "page_sections.hpp"
@@ -613,6 +615,46 @@ TEST_CASE("a sent page is resident once the device has copied it, and asking doe
     REQUIRE(writer->finish());
     CHECK(cuda.is_allocated((*slots)->at(0, 2), 12));
     CHECK(std::equal((*slots)->at(0, 2), (*slots)->at(0, 2) + page.rows.means.size(), page.rows.means.data()));
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("sendings of a ring end in any order, and their memory is free in the order of tickets") {
+  FakeCuda cuda(FakeCuda::Pace::late);
+  {
+    void* to = nullptr;
+    REQUIRE(cudaMalloc(&to, 3 * 256) == cudaSuccess);
+    detail::OwnedStream one, other;
+    detail::Uploader ring;
+    REQUIRE(one.create());
+    REQUIRE(other.create());
+    REQUIRE(ring.create(3 * 256, 3));
+    std::vector<detail::Uploader::Place> places;
+    while (const auto place = ring.take(256)) places.push_back(*place);
+    REQUIRE(places.size() == 3);
+    const auto send = [&](std::size_t k, const detail::OwnedStream& stream) {
+      cuda::Pieces pieces;
+      pieces.add(static_cast<std::byte*>(to) + 256 * k, places[k].memory, 256);
+      REQUIRE(cuda::launch_copy_pieces(pieces, stream.get()));
+      REQUIRE(ring.send(places[k].ticket, stream.get()));
+    };
+    send(2, other);
+    CHECK_FALSE(ring.can_wait());  // the oldest is not sent
+    REQUIRE(ring.release(true));
+    CHECK_FALSE(ring.is_done(places[2].ticket));
+    CHECK_FALSE(ring.take(256));
+    send(0, one);
+    REQUIRE(ring.release(true));
+    CHECK(ring.is_done(places[0].ticket));
+    CHECK_FALSE(ring.is_done(places[1].ticket));
+    const auto again = ring.take(256);
+    REQUIRE(again);
+    CHECK(again->memory == places[0].memory);
+    send(1, one);
+    while (!ring.is_done(places[2].ticket)) REQUIRE(ring.release(true));
+    CHECK(cuda.n_pending() == 0);
+    CHECK_FALSE(ring.is_done(again->ticket));
+    cudaFree(to);
   }
   CHECK(cuda.n_faults == 0);
 }
