@@ -9,8 +9,4 @@ cd "$(dirname "$0")"
   echo "The PlayCanvas engine, https://playcanvas.com"
   echo
   cat ../node_modules/playcanvas/LICENSE
-  echo
-  echo "fzstd, https://github.com/101arrowz/fzstd"
-  echo
-  cat ../node_modules/fzstd/LICENSE
 } >NOTICE

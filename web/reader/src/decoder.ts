@@ -51,6 +51,12 @@ export interface Limits {
   maxDecodedBytes?: number;
 }
 
+/** Zstandard frames, and the bytes that they decompress to. */
+export interface ZstdStream {
+  frames: Uint8Array;
+  size: number;
+}
+
 export interface Range {
   offset: number;
   bytes: number;
@@ -90,6 +96,7 @@ interface Exports extends Heap {
   rgs_subject_box(file: number): void;
   rgs_subject_box_of(means: number, opacities: number, n: number): void;
   rgs_source_index(file: number): number;
+  rgs_decompress(frames: number, size: number, content: number, contentSize: number): number;
 }
 
 // Fields of Rows in wasm/reader.cpp.
@@ -175,6 +182,18 @@ export class Decoder {
 
   addPart(offset: number, bytes: Uint8Array): void {
     this.run(() => this.wasm.rgs_add_part(this.file, offset, this.put(bytes), bytes.length));
+  }
+
+  /** The content of Zstandard frames; null if it is not `size` bytes. */
+  decompress(frames: Uint8Array, size: number): Uint8Array | null {
+    return this.run(() => {
+      const from = this.put(frames);
+      const to = this.allocate(size);
+      const content = this.wasm.rgs_decompress(from, frames.length, to, size) === 0 ? new Uint8Array(this.wasm.memory.buffer, to, size).slice() : null;
+      this.wasm.rgs_free(from);
+      this.wasm.rgs_free(to);
+      return content;
+    });
   }
 
   /** The ranges that openParts() still needs. */

@@ -1,6 +1,6 @@
 // index.ts - exports that the entries for browsers and Node share.
 // SPDX-License-Identifier: Apache-2.0
-export type { Gaussians, Limits, StoredGaussians } from "./decoder.js";
+export type { Gaussians, Limits, StoredGaussians, ZstdStream } from "./decoder.js";
 export { RgsError, type RgsErrorCode } from "./errors.js";
 export type {
   Axis,

@@ -1,10 +1,11 @@
 // reader.ts - opens a file, and reads it whole, part by part, or by pages.
 // SPDX-License-Identifier: Apache-2.0
 import { Client, type Port } from "./client.js";
-import type { Gaussians, Groups, Limits, Range, StoredGaussians } from "./decoder.js";
+import type { Gaussians, Groups, Limits, Range, StoredGaussians, ZstdStream } from "./decoder.js";
 import { RgsError } from "./errors.js";
 import { type Box, type Declarations, type Head, type Header, Levels, parseHead, type Provenance, type Section } from "./head.js";
 import { type PageSchedule, PageScheduler } from "./pages.js";
+import type { Requests } from "./service.js";
 import { BlobSource, MemorySource, type RangeSource, UrlSource, type UrlOptions } from "./source.js";
 
 export type Source = ArrayBuffer | ArrayBufferView | Blob | URL | string | RangeSource;
@@ -486,12 +487,21 @@ export async function openWith(start: () => Port, source: Source, options: OpenO
   }
 }
 
-export async function subjectBoxWith(start: () => Port, means: Float32Array, opacities: Float32Array, options: Pick<OpenOptions, "wasm">): Promise<Box> {
+/** One request to a worker of its own. */
+async function askWorker<K extends keyof Requests>(start: () => Port, name: K, args: Requests[K][0], { wasm }: Pick<OpenOptions, "wasm">): Promise<Requests[K][1]> {
   const client = new Client(start());
   try {
-    await client.call("start", { limits: {}, wasm: options.wasm });
-    return await client.call("subjectBoxOf", { means, opacities });
+    await client.call("start", { limits: {}, wasm });
+    return await client.call(name, args);
   } finally {
     client.end();
   }
+}
+
+export function subjectBoxWith(start: () => Port, means: Float32Array, opacities: Float32Array, options: Pick<OpenOptions, "wasm">): Promise<Box> {
+  return askWorker(start, "subjectBoxOf", { means, opacities }, options);
+}
+
+export function decompressWith(start: () => Port, streams: ZstdStream[], options: Pick<OpenOptions, "wasm">): Promise<(Uint8Array | null)[]> {
+  return askWorker(start, "decompress", { streams }, options);
 }

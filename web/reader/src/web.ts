@@ -1,8 +1,9 @@
 // web.ts - the entry for browsers.
 // SPDX-License-Identifier: Apache-2.0
 import type { Port } from "./client.js";
+import type { ZstdStream } from "./decoder.js";
 import type { Box } from "./head.js";
-import { type OpenOptions, openWith, type RgsFile, type Source, subjectBoxWith } from "./reader.js";
+import { decompressWith, type OpenOptions, openWith, type RgsFile, type Source, subjectBoxWith } from "./reader.js";
 import type { Answer } from "./service.js";
 export * from "./index.js";
 
@@ -29,4 +30,9 @@ export function open(source: Source, options: OpenOptions = {}): Promise<RgsFile
 /** RgsFile.subjectBox of Gaussians that come from elsewhere: `means` [n, 3], `opacities` [n]. */
 export function subjectBox(means: Float32Array, opacities: Float32Array, options: Pick<OpenOptions, "wasm" | "worker"> = {}): Promise<Box> {
   return subjectBoxWith(() => startWorker(options.worker), means, opacities, options);
+}
+
+/** The contents of Zstandard streams, null for those that are damaged or have another size. */
+export function decompress(streams: ZstdStream[], options: Pick<OpenOptions, "wasm" | "worker"> = {}): Promise<(Uint8Array | null)[]> {
+  return decompressWith(() => startWorker(options.worker), streams, options);
 }

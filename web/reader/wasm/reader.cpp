@@ -18,6 +18,8 @@
 #include <utility>
 #include <vector>
 
+#include <zstd.h>
+
 #include "pages/wire.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/paged_file.hpp"
@@ -509,4 +511,24 @@ RGS_EXPORT(rgs_source_index) int rgs_source_index(File* file) {
   if (view.find(SectionType::permutation) == nullptr) return 0;
   for (std::uint64_t i = 0; i < view.header().n_gaussians; ++i) put(view.source_index(i));
   return 1;
+}
+
+/// The content of Zstandard frames. Writes to their heads. 1: they are damaged, or it is not of that size.
+RGS_EXPORT(rgs_decompress)
+int rgs_decompress(std::byte* frames, std::uint32_t size, std::byte* content, std::uint32_t content_size) {
+  while (size > 0) {
+    // For a window of 2 GB the decoder asks for 64 bits. In memory it needs no window.
+    constexpr std::byte kLargestWindow{21 << 3}, kLarge{20 << 3}, kIsSingle{0x20};
+    std::uint32_t magic = 0;
+    if (size > 5) std::memcpy(&magic, frames, sizeof magic);
+    if (magic == ZSTD_MAGICNUMBER && (frames[4] & kIsSingle) == std::byte{} &&
+        (frames[5] & std::byte{0xf8}) == kLargestWindow)
+      frames[5] = kLarge;
+    const std::size_t frame = ZSTD_findFrameCompressedSize(frames, size);
+    const std::size_t n = ZSTD_isError(frame) != 0 ? frame : ZSTD_decompress(content, content_size, frames, frame);
+    if (ZSTD_isError(n) != 0) return 1;
+    frames += frame, size -= static_cast<std::uint32_t>(frame);
+    content += n, content_size -= static_cast<std::uint32_t>(n);
+  }
+  return content_size == 0 ? 0 : 1;
 }

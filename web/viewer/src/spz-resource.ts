@@ -1,7 +1,9 @@
 // spz-resource.ts - the engine's resource for .spz, without its parser: that reads only version 4, and loads a script.
 // SPDX-License-Identifier: Apache-2.0
+import { decompress } from "@roofgs/reader";
 import { type BoundingBox, type GraphicsDevice, type GSplatResourceBase, Vec3 } from "playcanvas";
 import { GSplatSpzResource } from "playcanvas/scripts/esm/parsers/spz-parser.mjs";
+import { worker } from "./reader-worker.js";
 import { type Header, kRest, type SpzAxes, type Streams, decompressSpz } from "./spz.js";
 
 /** The data interface that the engine's resource expects. */
@@ -48,7 +50,7 @@ class Data {
 }
 
 export async function readSpz(device: GraphicsDevice, contents: ArrayBuffer): Promise<{ resource: GSplatResourceBase; antialiased: boolean; axes: SpzAxes | null; opacities: Float32Array }> {
-  const { header, streams, axes } = await decompressSpz(contents);
+  const { header, streams, axes } = await decompressSpz(contents, (streams) => decompress(streams, worker ? { worker } : {}));
   if (header.n === 0) throw new Error("it holds no Gaussians");
   return { resource: new GSplatSpzResource(device, new Data(header, streams)), antialiased: header.antialiased, axes, opacities: Float32Array.from(streams.alphas, (code) => code / 255) };
 }

@@ -1,7 +1,6 @@
 // spz.ts - decompresses the streams of Niantic's .spz. Layout: converter/formats/spz.cpp.
 // SPDX-License-Identifier: Apache-2.0
-import { Decompress } from "fzstd";
-import { checksumOf } from "./checksum.js";
+import type { ZstdStream } from "@roofgs/reader";
 
 const kMagic = 0x5053474e;
 const kHeaderBytes = 16;
@@ -136,95 +135,11 @@ async function readGzip(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint8A
   return [header, streams, declaredAxes(content.subarray(at), at)];
 }
 
-const kZstd = 0xfd2fb528;
-/** The first of the sixteen magic numbers of skippable frames. */
-const kSkippable = 0x184d2a50;
-/** The largest window exponent of libzstd, less 10. */
-const kMostWindowExponent = 21;
-
-interface ZstdFrame {
-  /** End of the frame, behind its checksum. */
-  end: number;
-  /** Decompressed bytes, null if not stated. */
-  size: number | null;
-  checksum: number | null;
-  /** Window descriptor; null if the window is the frame's size. */
-  window: number | null;
-}
-
-/** Parses the Zstandard frame at `begin` (RFC 8878). Null if there is none, or if it needs a dictionary. */
-function frameAt(bytes: Uint8Array, begin: number): ZstdFrame | null {
-  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  if (bytes.length - begin < 6 || view.getUint32(begin, true) !== kZstd) return null;
-  const descriptor = bytes[begin + 4] as number;
-  const [sizeFlag, isSingle, hasChecksum] = [descriptor >> 6, (descriptor & 0x20) !== 0, (descriptor & 4) !== 0];
-  if ((descriptor & 0x0b) !== 0) return null; // a dictionary, a reserved bit
-  const window = isSingle ? null : (bytes[begin + 5] as number);
-  if (window !== null && window >> 3 > kMostWindowExponent) return null;
-  const sizeAt = begin + (isSingle ? 5 : 6);
-  const sizeBytes = sizeFlag > 0 ? 1 << sizeFlag : isSingle ? 1 : 0;
-  let at = sizeAt + sizeBytes;
-  if (at > bytes.length) return null;
-  let size = sizeBytes === 2 ? 256 : 0;
-  for (let i = 0; i < sizeBytes; ++i) size += (bytes[sizeAt + i] as number) * 256 ** i;
-  for (let isLast = false; !isLast; ) {
-    if (at + 3 > bytes.length) return null;
-    const head = (bytes[at] as number) | ((bytes[at + 1] as number) << 8) | ((bytes[at + 2] as number) << 16);
-    isLast = (head & 1) !== 0;
-    at += 3 + (((head >> 1) & 3) === 1 ? 1 : head >> 3);
-  }
-  const end = at + (hasChecksum ? 4 : 0);
-  if (end > bytes.length) return null;
-  return { end, size: sizeBytes > 0 ? size : null, checksum: hasChecksum ? view.getUint32(at, true) : null, window };
-}
-
-/** Decompresses one frame to the beginning of `out` and returns the number of bytes. Throws if the frame is damaged or too large. */
-function decompressFrame(frame: Uint8Array<ArrayBuffer>, window: number | null, out: Uint8Array): number {
-  // The decoder allocates the whole window, but no match reaches back beyond the stream's begin.
-  const enough = Math.max(0, Math.ceil(Math.log2(Math.max(1, out.length))) - 10) << 3;
-  if (window !== null && window > enough) {
-    frame = frame.slice();
-    frame[5] = enough;
-  }
-  let done = 0;
-  new Decompress((piece) => {
-    if (piece.length > out.length - done) throw new RangeError("more than was promised");
-    out.set(piece, done);
-    done += piece.length;
-  }).push(frame, true);
-  return done;
-}
-
-/** Decompresses all frames and skips skippable ones, as libzstd does. Null if they do not give `size` bytes. */
-function decompressFrames(bytes: Uint8Array<ArrayBuffer>, size: number): Uint8Array | null {
-  const out = new Uint8Array(size);
-  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  let at = 0;
-  let done = 0;
-  while (at < bytes.length) {
-    if (bytes.length - at >= 8 && ((view.getUint32(at, true) & 0xfffffff0) >>> 0) === kSkippable) {
-      at += 8 + view.getUint32(at + 4, true);
-      continue;
-    }
-    const frame = frameAt(bytes, at);
-    if (!frame || (frame.size ?? 0) > size - done) return null;
-    let n: number;
-    try {
-      n = decompressFrame(bytes.subarray(at, frame.end), frame.window, out.subarray(done));
-    } catch {
-      return null;
-    }
-    if (frame.size !== null && n !== frame.size) return null;
-    // The decoder ignores checksums.
-    if (frame.checksum !== null && checksumOf(out.subarray(done, done + n)) !== frame.checksum) return null;
-    at = frame.end;
-    done += n;
-  }
-  return at === bytes.length && done === size ? out : null;
-}
+/** `decompress` of @roofgs/reader. */
+type Decompress = (streams: ZstdStream[]) => Promise<(Uint8Array | null)[]>;
 
 /** Version 4: a table of streams of Zstandard frames; empty streams are left out. */
-function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[], SpzAxes | null] {
+async function readStreams(bytes: Uint8Array<ArrayBuffer>, decompress: Decompress): Promise<[Header, Uint8Array[], SpzAxes | null]> {
   const header = parseHeader(bytes, bytes.length);
   if (header.version !== 4) throw refuse("unsupported_version", "versions 2 and 3 are gzip streams", 4);
   if (bytes.length < kHeaderBytesV4) throw refuse("truncated", "the file ends inside its header", bytes.length);
@@ -237,21 +152,22 @@ function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[], Spz
   if (table !== kHeaderBytesV4 && !header.hasExtensions) throw refuse("section_gap", "there are bytes between the header and the table of streams", kHeaderBytesV4);
   const axes = declaredAxes(bytes.subarray(kHeaderBytesV4, table), kHeaderBytesV4);
   let at = table + 16 * nStreams;
-  const streams = sizes.map((size, i) => {
-    if (i >= nStreams) return new Uint8Array(0);
+  const begins: number[] = [];
+  const stored = sizes.slice(0, nStreams).map((size, i) => {
     const entry = table + 16 * i;
-    const stored = Number(view.getBigUint64(entry, true));
+    const n = Number(view.getBigUint64(entry, true));
     if (Number(view.getBigUint64(entry + 8, true)) !== size) throw refuse("size_mismatch", "a stream has the wrong size", entry + 8);
-    if (stored > bytes.length - at) throw refuse("truncated", "a stream reaches beyond the end of the file", entry);
-    const begin = at;
-    at += stored;
-    if (size === 0) return new Uint8Array(0);
-    const stream = decompressFrames(bytes.subarray(begin, at), size);
-    if (!stream) throw refuse("corrupt_data", "a stream is damaged, or has the wrong size", begin);
-    return stream;
+    if (n > bytes.length - at) throw refuse("truncated", "a stream reaches beyond the end of the file", entry);
+    begins.push(at);
+    at += n;
+    return { frames: size === 0 ? new Uint8Array(0) : bytes.subarray(at - n, at), size };
   });
   if (at !== bytes.length) throw refuse("trailing_bytes", "there are bytes after the last stream", at);
-  return [header, streams, axes];
+  const streams = (await decompress(stored)).map((stream, i) => {
+    if (!stream) throw refuse("corrupt_data", "a stream is damaged, or has the wrong size", begins[i] as number);
+    return stream;
+  });
+  return [header, sizes.map((_, i) => streams[i] ?? new Uint8Array(0)), axes];
 }
 
 /** Converts rotations of version 2 (x, y, z of 8 bits) to smallest three of 9 bits and sign: 4 bytes. */
@@ -276,9 +192,9 @@ export function smallestThree(rotations: Uint8Array): Uint8Array {
 }
 
 /** Errors have `code`, `text` and `offset` like those of @roofgs/reader; offsets in versions 2 and 3 are of the decompressed stream. */
-export async function decompressSpz(contents: ArrayBuffer): Promise<{ header: Header; streams: Streams; axes: SpzAxes | null }> {
+export async function decompressSpz(contents: ArrayBuffer, decompress: Decompress): Promise<{ header: Header; streams: Streams; axes: SpzAxes | null }> {
   const bytes = new Uint8Array(contents);
-  const [header, streams, axes] = bytes[0] === 0x1f ? await readGzip(bytes) : readStreams(bytes);
+  const [header, streams, axes] = bytes[0] === 0x1f ? await readGzip(bytes) : await readStreams(bytes, decompress);
   const [positions, alphas, colors, scales, rotations, sh] = streams as [Uint8Array, Uint8Array, Uint8Array, Uint8Array, Uint8Array, Uint8Array];
   return { header, axes, streams: { positions, alphas, colors, scales, rotations: header.version === 2 ? smallestThree(rotations) : rotations, sh } };
 }

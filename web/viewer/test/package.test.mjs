@@ -34,7 +34,7 @@ test("the page's package", async (t) => {
     for (const needed of ["package.json", "README.md", "LICENSE", "NOTICE"]) assert.ok(names.includes(needed), needed);
     const known = /^(package\.json|README\.md|LICENSE|NOTICE|dist\/index\.html|dist\/assets\/[\w-]+\.(js|css|wasm)|dist-single\/page\.html)$/;
     assert.deepEqual(names.filter((name) => !known.test(name)), []);
-    for (const part of [/PlayCanvas/, /fzstd/]) assert.match(readFileSync(join(installed, "NOTICE"), "utf8"), part);
+    for (const part of [/PlayCanvas/, /Zstandard/]) assert.match(readFileSync(join(installed, "NOTICE"), "utf8"), part);
   });
 
   await t.test("every address is relative and there", () => {
