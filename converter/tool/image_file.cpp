@@ -21,12 +21,19 @@ namespace {
 // A library below OpenImageIO starts so many threads while it is loaded, and ends the program if it cannot.
 constexpr unsigned kLoadingThreads = 4;
 
+// Where the module may be: in a build, installed, and where a build of another project has it.
+constexpr const char* kModuleFolders[] = {"$ORIGIN/../lib/roofgs", "$ORIGIN/../" RGS_LIBDIR "/roofgs",
+#ifdef RGS_MODULE_FOLDER
+                                          RGS_MODULE_FOLDER
+#endif
+};
+
 Result<const ImageCodec*> load_codec() {
   if (tool::startable_threads(kLoadingThreads) < kLoadingThreads)
     return tl::unexpected(
         Error{.code = Errc::host_out_of_memory, .what = "cannot start the threads of OpenImageIO", .system = EAGAIN});
   void* entry = nullptr;
-  for (const char* const place : {RGS_MODULE_FOLDERS}) {
+  for (const char* const place : kModuleFolders) {
     void* const module = ::dlopen((std::string(place) + "/librgs-pictures.so").c_str(), RTLD_LAZY | RTLD_LOCAL);
     if (module != nullptr) entry = ::dlsym(module, "rgs_image_codec");
     if (entry != nullptr) return reinterpret_cast<decltype(&rgs_image_codec)>(entry)();
