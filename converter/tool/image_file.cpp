@@ -32,15 +32,15 @@ Result<const ImageCodec*> load_codec() {
   if (tool::startable_threads(kLoadingThreads) < kLoadingThreads)
     return tl::unexpected(
         Error{.code = Errc::host_out_of_memory, .what = "cannot start the threads of OpenImageIO", .system = EAGAIN});
-  void* entry = nullptr;
+  static std::string why = "pictures cannot be read or written";
   for (const char* const place : kModuleFolders) {
     void* const module = ::dlopen((std::string(place) + "/librgs-pictures.so").c_str(), RTLD_LAZY | RTLD_LOCAL);
-    if (module != nullptr) entry = ::dlsym(module, "rgs_image_codec");
+    void* const entry = module == nullptr ? nullptr : ::dlsym(module, "rgs_image_codec");
     if (entry != nullptr) return reinterpret_cast<decltype(&rgs_image_codec)>(entry)();
+    why += std::string("; ") + ::dlerror();
   }
-  static const std::string kWhy = std::string("pictures cannot be read or written: ") + ::dlerror();
-  const bool lacks_memory = kWhy.find("annot allocate memory") != kWhy.npos;
-  return make_error(lacks_memory ? Errc::host_out_of_memory : Errc::open_failed, Error::kNone, kWhy.c_str());
+  const bool lacks_memory = why.find("annot allocate memory") != why.npos;
+  return make_error(lacks_memory ? Errc::host_out_of_memory : Errc::open_failed, Error::kNone, why.c_str());
 }
 
 // Loaded at the first picture and kept.
