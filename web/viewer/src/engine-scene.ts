@@ -4,22 +4,17 @@ import { type AntiAliasing, antiAliasingOf } from "@roofgs/playcanvas";
 import { subjectBox } from "@roofgs/reader";
 import { Asset, type GSplatData, type GSplatResourceBase, type Texture, Vec4 } from "playcanvas";
 import { antiAliasingOfComments, antiAliasingOfMeta } from "./declared.js";
+import type { OpenScene } from "./open-scene.js";
 import { type Box, Scene } from "./scene.js";
 import { worker } from "./reader-worker.js";
-import type { SpzAxes } from "./spz.js";
 import { readSpz } from "./spz-resource.js";
 import type { Side, Stage } from "./stage.js";
 
 export type EngineKind = "ply" | "sog" | "spz";
 
-export interface OpenEngineScene {
-  name: string;
+export interface OpenEngineScene extends Omit<OpenScene, "read" | "on"> {
   kind: EngineKind;
   answer: Response;
-  /** Of an SPZ that declares none. */
-  spzAxes: SpzAxes;
-  side: Side;
-  onProgress(done: number, total: number): void;
 }
 
 /** A resource of the engine, and how to release it. */
@@ -123,7 +118,6 @@ function asSentence(kind: EngineKind, error: unknown): Error {
 
 export class EngineScene extends Scene {
   readonly nGaussians: number;
-  readonly shDegree: number;
 
   static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
     const bytes = Number(options.answer.headers.get("content-length") ?? 0);
@@ -156,7 +150,6 @@ export class EngineScene extends Scene {
     super(name, bytes, stage, side);
     const { resource, isYUp = false } = made;
     this.nGaussians = resource.numSplats as number;
-    this.shDegree = (resource as unknown as { shBands?: number }).shBands ?? (resource.gsplatData as { shBands?: number }).shBands ?? 0;
     if (isYUp) this.turnOver();
     this.add(resource);
   }

@@ -63,6 +63,7 @@ export async function readFile({ entry, file, onProgress }: { entry: SceneEntry;
 export interface OpenScene {
   name: string;
   read: Read;
+  /** Of an SPZ that declares none. */
   spzAxes: SpzAxes;
   side: Side;
   onProgress: OnProgress;

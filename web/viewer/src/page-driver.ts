@@ -191,10 +191,7 @@ export class PageDriver<T> {
   }
 
   private async probe(): Promise<void> {
-    const isThere = await this.pages.read(this.known).then(
-      () => true,
-      () => false,
-    );
+    const isThere = await this.pages.read(this.known).then(() => true, () => false);
     if (!this.hasEnded) this.tell(["probed", isThere]);
   }
 

@@ -9,15 +9,7 @@ import type { Side, Stage } from "./stage.js";
 /** Least time between two uploads to the GPU. */
 const kRebuildMs = 250;
 
-const kLevelColours: readonly Colour[] = [
-  [0.9, 0.2, 0.2],
-  [0.95, 0.6, 0.1],
-  [0.9, 0.9, 0.2],
-  [0.3, 0.8, 0.3],
-  [0.2, 0.7, 0.9],
-  [0.3, 0.35, 0.95],
-  [0.7, 0.3, 0.9],
-];
+const kLevelColours: readonly Colour[] = [[0.9, 0.2, 0.2], [0.95, 0.6, 0.1], [0.9, 0.9, 0.2], [0.3, 0.8, 0.3], [0.2, 0.7, 0.9], [0.3, 0.35, 0.95], [0.7, 0.3, 0.9]];
 
 /** An opened file whose first Gaussians are in flight. */
 export interface OpenedFile {
@@ -55,7 +47,6 @@ function upOf(file: RgsFile): readonly number[] | null {
 
 export class RgsScene extends Scene {
   readonly nGaussians: number;
-  readonly shDegree: number;
   readonly box: Box;
   override readonly up: readonly number[] | null;
   override readonly origin: readonly number[];
@@ -89,7 +80,6 @@ export class RgsScene extends Scene {
     const box = file.subjectBox as Box;
     this.box = { min: box.min.map((v, i) => v + (origin[i] as number)), max: box.max.map((v, i) => v + (origin[i] as number)) };
     this.nGaussians = file.header.nGaussians;
-    this.shDegree = file.header.shDegree;
     this.origin = origin;
     this.up = upOf(file);
     this.hasPages = file.levels !== null;

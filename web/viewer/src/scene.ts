@@ -14,7 +14,6 @@ export type Tint = "none" | "level" | "error";
 
 export abstract class Scene {
   abstract readonly nGaussians: number;
-  abstract readonly shDegree: number;
   /** What a view without cameras looks at, world: docs/user/CAMERAS.md. */
   abstract readonly box: Box;
   /** The up direction that the file declares, or null. */

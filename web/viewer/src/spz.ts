@@ -29,14 +29,7 @@ export interface Header {
 /** Right, down, forward as in PLY, or right, up, backward. */
 export type SpzAxes = "ply" | "opengl";
 
-export interface Streams {
-  positions: Uint8Array;
-  alphas: Uint8Array;
-  colors: Uint8Array;
-  scales: Uint8Array;
-  rotations: Uint8Array;
-  sh: Uint8Array;
-}
+export type Streams = Record<"positions" | "alphas" | "colors" | "scales" | "rotations" | "sh", Uint8Array>;
 
 function refuse(code: string, text: string, offset: number): Error {
   return Object.assign(new Error(text), { code, text, offset });
@@ -46,6 +39,8 @@ function refuse(code: string, text: string, offset: number): Error {
 function sizesOf({ version, n, shDegree }: Header): number[] {
   return [9 * n, n, 3 * n, 3 * n, (version === 2 ? 3 : 4) * n, 3 * kRest[shDegree] * n];
 }
+
+const bytesOf = (header: Header): number => sizesOf(header).reduce((sum, size) => sum + size, 0);
 
 function parseHeader(bytes: Uint8Array, fileBytes: number): Header {
   if (bytes.length < kHeaderBytes) throw refuse("truncated", "the file ends inside its header", bytes.length);
@@ -59,8 +54,7 @@ function parseHeader(bytes: Uint8Array, fileBytes: number): Header {
   if ((flags & ~kFlags) !== 0) throw refuse("reserved_bits", "an unknown flag is set", 14);
   const [antialiased, hasExtensions] = [(flags & kFlagAntialiased) !== 0, (flags & kFlagExtensions) !== 0];
   const header = { version, n, shDegree: shDegree as Header["shDegree"], fractionalBits, antialiased, hasExtensions };
-  const decoded = sizesOf(header).reduce((sum, size) => sum + size, 0);
-  if (decoded > kMostExpansion * fileBytes + 2 ** 20) throw refuse("limit_exceeded", "more Gaussians than so few bytes can hold", 8);
+  if (bytesOf(header) > kMostExpansion * fileBytes + 2 ** 20) throw refuse("limit_exceeded", "more Gaussians than so few bytes can hold", 8);
   return header;
 }
 
@@ -91,45 +85,33 @@ function declaredAxes(extensions: Uint8Array, begin: number): SpzAxes | null {
 /** Decompresses a gzip stream, up to the number of bytes that `most` returns for its beginning. */
 async function gunzip(bytes: Uint8Array<ArrayBuffer>, most: (begin: Uint8Array) => number): Promise<Uint8Array> {
   const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip")).getReader();
-  let out = new Uint8Array(1 << 16);
-  let done = 0;
+  const pieces: Uint8Array<ArrayBuffer>[] = [];
+  const joined = async (): Promise<Uint8Array> => new Uint8Array(await new Blob(pieces).arrayBuffer());
   let limit = Infinity;
-  for (;;) {
+  for (let done = 0; ; ) {
     const next = await reader.read().catch(() => {
       throw refuse("corrupt_data", "its gzip stream is damaged", 0);
     });
-    if (next.done) return out.subarray(0, done);
-    const needed = done + next.value.length;
-    if (limit === Infinity && needed >= kHeaderBytes) {
-      const begin = new Uint8Array(needed);
-      begin.set(out.subarray(0, done));
-      begin.set(next.value, done);
-      limit = most(begin);
-    }
-    if (needed > limit) {
+    if (next.done) return joined();
+    pieces.push(next.value);
+    done += next.value.length;
+    if (limit === Infinity && done >= kHeaderBytes) limit = most(await joined());
+    if (done > limit) {
       await reader.cancel();
       throw refuse("trailing_bytes", "it decompresses to more bytes than its header says", limit);
     }
-    if (needed > out.length) {
-      const larger = new Uint8Array(Math.max(needed, Math.min(2 * out.length, limit)));
-      larger.set(out.subarray(0, done));
-      out = larger;
-    }
-    out.set(next.value, done);
-    done = needed;
   }
 }
 
 /** Versions 2 and 3: header and streams in one gzip stream. */
 async function readGzip(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint8Array[], SpzAxes | null]> {
-  const bytesOf = (header: Header): number => sizesOf(header).reduce((sum, size) => sum + size, kHeaderBytes);
   const content = await gunzip(bytes, (begin) => {
     const header = parseHeader(begin, bytes.length);
-    return bytesOf(header) + (header.hasExtensions ? kMostExtensionBytes : 0);
+    return kHeaderBytes + bytesOf(header) + (header.hasExtensions ? kMostExtensionBytes : 0);
   });
   const header = parseHeader(content, bytes.length);
   if (header.version > 3) throw refuse("unsupported_version", "a gzip stream holds versions 2 and 3", 4);
-  if (content.length < bytesOf(header)) throw refuse("truncated", "the file ends inside a stream", content.length);
+  if (content.length < kHeaderBytes + bytesOf(header)) throw refuse("truncated", "the file ends inside a stream", content.length);
   let at = kHeaderBytes;
   const streams = sizesOf(header).map((size) => content.subarray(at, (at += size)));
   return [header, streams, declaredAxes(content.subarray(at), at)];
