@@ -1,49 +1,50 @@
 // cameras-panel.ts - a button for each camera with its photograph, or with what the engine draws from there.
 // SPDX-License-Identifier: Apache-2.0
-import type { CameraEntry } from "./cameras.js";
-import { element } from "./page.js";
+import { viewFrom, viewOf } from "./cameras.js";
+import type { Captures } from "./captures.js";
+import { element, say } from "./page.js";
+import type { PageStore } from "./state.js";
 
-const kWidth = 96;
-const kHeight = 72;
+const kSize = { width: 96, height: 72 };
 
-export interface CamerasPanel {
-  list: readonly CameraEntry[];
-  photos: ReadonlyMap<string, string>;
-  jump(index: number): void;
-  /** RGBA; called one at a time, when a button scrolls into view. */
-  draw(camera: CameraEntry, width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>>;
+export function jump(store: PageStore, index: number): void {
+  const { cameras, scenes } = store.state;
+  const camera = cameras[index];
+  if (!camera || !scenes[0]) return;
+  store.set({ camera: index, view: viewFrom(camera, scenes[0].box) });
+  say(`Camera ${camera.img_name}`);
 }
 
-export function buildCameras({ list, photos, jump, draw }: CamerasPanel): void {
+export function showCameras(store: PageStore, captures: Captures): void {
+  // Drawn again when all of the scene is there.
+  store.subscribe(({ cameras, isComplete }) => [cameras, isComplete], () => build(store, captures));
+}
+
+function build(store: PageStore, captures: Captures): void {
+  const { cameras, photos } = store.state;
   const box = element("cameras", HTMLElement);
-  element("camera-set", HTMLFieldSetElement).hidden = list.length === 0;
+  element("camera-set", HTMLFieldSetElement).hidden = cameras.length === 0;
   box.replaceChildren();
-  const queue: (() => Promise<void>)[] = [];
-  let busy = false;
-  const work = async (): Promise<void> => {
-    if (busy) return;
-    busy = true;
-    // A picture that cannot be drawn stays grey.
-    for (let next = queue.shift(); next; next = queue.shift()) await next().catch(() => undefined);
-    busy = false;
+  const draw = async (canvas: HTMLCanvasElement): Promise<void> => {
+    const camera = cameras[Number(canvas.dataset["camera"])];
+    if (!camera || !store.state.scenes[0]) return;
+    const pixels = await captures.capture(0, viewOf(camera, camera.position), kSize);
+    canvas.getContext("2d")?.putImageData(new ImageData(pixels, kSize.width, kSize.height), 0, 0);
   };
+  let last = Promise.resolve();
   const observer = new IntersectionObserver((entries) => {
     for (const { isIntersecting, target } of entries) {
       if (!isIntersecting) continue;
       observer.unobserve(target);
-      const canvas = target as HTMLCanvasElement;
-      queue.push(async () => {
-        const pixels = await draw(list[Number(canvas.dataset["camera"])] as CameraEntry, kWidth, kHeight);
-        canvas.getContext("2d")?.putImageData(new ImageData(pixels, kWidth, kHeight), 0, 0);
-      });
+      // A picture that cannot be drawn stays grey.
+      last = last.then(() => draw(target as HTMLCanvasElement)).catch(() => undefined);
     }
-    void work();
   });
-  list.forEach((camera, index) => {
+  cameras.forEach((camera, index) => {
     const button = document.createElement("button");
     button.type = "button";
     button.title = camera.img_name;
-    button.addEventListener("click", () => jump(index));
+    button.addEventListener("click", () => jump(store, index));
     const photo = photos.get(camera.img_name);
     if (photo !== undefined) {
       const image = document.createElement("img");
@@ -51,7 +52,7 @@ export function buildCameras({ list, photos, jump, draw }: CamerasPanel): void {
       button.append(image);
     } else {
       const canvas = document.createElement("canvas");
-      Object.assign(canvas, { width: kWidth, height: kHeight });
+      Object.assign(canvas, kSize);
       canvas.dataset["camera"] = String(index);
       observer.observe(canvas);
       button.append(canvas);

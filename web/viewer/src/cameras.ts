@@ -126,6 +126,13 @@ export function viewOf(camera: Pinhole, pivot: Vector): ViewState {
   return { position, rotation, focal: fx / width, aspect: fy / fx, offset: [(cx - width / 2) / width, (cy - height / 2) / width], pivot };
 }
 
+/** The view from a camera; its pivot is straight ahead, as far away as the middle of the box. */
+export function viewFrom(camera: CameraEntry, { min, max }: { min: Vector; max: Vector }): ViewState {
+  const { position, rotation } = camera;
+  const [middle, forward] = [add([0, 0, 0], add(min, max), 0.5), axisOf(rotation, 2)];
+  return viewOf(camera, add(position, forward, Math.max(0.1, dot(add(middle, position, -1), forward))));
+}
+
 export function pinholeOf(view: ViewState, width: number, height: number): CameraEntry {
   const { position, rotation, focal, aspect, offset } = view;
   const fx = focal * width;

@@ -1,6 +1,8 @@
 // controls.ts - mouse, touch, keys and gamepads orbit, pan, zoom and fly.
 // SPDX-License-Identifier: Apache-2.0
 import { add, axisOf, cross, dot, fromAxes, length, normalised, turned, type ViewState } from "./cameras.js";
+import { focus } from "./picking.js";
+import { type PageStore, worldOf } from "./state.js";
 
 /** Radians per pixel of dragging, and per second of an arrow key. */
 const kDrag = 0.006;
@@ -82,14 +84,8 @@ export class Controls {
   private doubleTapped = -Infinity;
 
   constructor(
+    private readonly store: PageStore,
     private readonly element: HTMLElement,
-    private readonly page: {
-      view(): ViewState | undefined;
-      world(): World;
-      setView(view: ViewState): void;
-      /** Double click, pixels of the element. */
-      focus(x: number, y: number): void;
-    },
   ) {
     element.addEventListener("pointerdown", (event) => {
       element.setPointerCapture(event.pointerId);
@@ -105,7 +101,7 @@ export class Controls {
     element.addEventListener("contextmenu", (event) => event.preventDefault());
     element.addEventListener("dblclick", (event) => {
       // Some browsers send dblclick for a double tap as well.
-      if (event.timeStamp - this.doubleTapped > kDoubleTapMs) page.focus(event.offsetX, event.offsetY);
+      if (event.timeStamp - this.doubleTapped > kDoubleTapMs) focus(store, element, event.offsetX, event.offsetY);
     });
     element.addEventListener(
       "wheel",
@@ -149,7 +145,7 @@ export class Controls {
     const [right, down] = [past(axes[2]), past(axes[3])];
     if ([...by, right, down].every((value) => value === 0)) return;
     this.isPadHeld = true;
-    const world = this.page.world();
+    const world = worldOf(this.store.state);
     this.change((view) => {
       const flown = moved(view, by.map((value) => value * world.speed * seconds));
       return orbited(flown, world, right * kLook * seconds, down * kLook * seconds, "camera");
@@ -157,7 +153,7 @@ export class Controls {
   }
 
   private press(code: string, seconds: number): void {
-    const world = this.page.world();
+    const world = worldOf(this.store.state);
     const by = kFlying[code];
     const turn = kArrows[code];
     if (by) this.change((view) => moved(view, by.map((value) => value * world.speed * seconds)));
@@ -174,7 +170,7 @@ export class Controls {
       return;
     }
     this.doubleTapped = at;
-    this.page.focus(x, y);
+    focus(this.store, this.element, x, y);
   }
 
   private drag(event: PointerEvent): void {
@@ -192,9 +188,9 @@ export class Controls {
     } else if (event.buttons & 4 || (event.buttons & 1 && event.shiftKey)) {
       this.change((view) => this.shifted(view, by, 1));
     } else if (event.buttons & 2) {
-      this.change((view) => orbited(view, this.page.world(), by.x * kDrag * 0.5, by.y * kDrag * 0.5, "camera"));
+      this.change((view) => orbited(view, worldOf(this.store.state), by.x * kDrag * 0.5, by.y * kDrag * 0.5, "camera"));
     } else {
-      this.change((view) => orbited(view, this.page.world(), by.x * kDrag, by.y * kDrag, "pivot"));
+      this.change((view) => orbited(view, worldOf(this.store.state), by.x * kDrag, by.y * kDrag, "pivot"));
     }
   }
 
@@ -205,7 +201,7 @@ export class Controls {
   }
 
   private change(how: (view: ViewState) => ViewState): void {
-    const view = this.page.view();
-    if (view) this.page.setView(how(view));
+    const { view } = this.store.state;
+    if (view) this.store.set({ view: how(view) });
   }
 }

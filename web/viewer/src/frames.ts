@@ -1,7 +1,10 @@
-// frames.ts - reference pictures, drawn by the server: one request at a time, small ones while the view moves.
+// frames.ts - reference pictures, drawn by the server and shown: one request at a time, small ones while the view moves.
 // SPDX-License-Identifier: Apache-2.0
-import type { CameraEntry } from "./cameras.js";
+import { type CameraEntry, pinholeOf } from "./cameras.js";
 import { ServerError } from "./messages.js";
+import { element, fail } from "./page.js";
+import type { Size } from "./picture-size.js";
+import type { PageStore, State } from "./state.js";
 
 export interface FrameRequest {
   scene: number;
@@ -19,7 +22,6 @@ export interface Frame {
   renderMs: number;
   totalMs: number;
   pagesMissing: number;
-  small: boolean;
 }
 
 /** Scale of the pictures that are drawn while the view moves. */
@@ -61,9 +63,7 @@ export class Frames {
         this.waiting = undefined;
         const scale = moving ? kMovingScale : 1;
         const [width, height] = [Math.max(1, Math.round(request.width * scale)), Math.max(1, Math.round(request.height * scale))];
-        const camera = { ...request.camera };
-        const frame = await this.fetch({ ...request, camera, width, height }, moving ? "jpeg" : "png");
-        this.on.frame({ ...frame, small: moving });
+        this.on.frame(await this.fetch({ ...request, width, height }, moving ? "jpeg" : "png"));
       }
     } catch (error) {
       this.waiting = undefined;
@@ -73,7 +73,7 @@ export class Frames {
     }
   }
 
-  private async fetch(request: FrameRequest, format: "png" | "jpeg"): Promise<Omit<Frame, "small">> {
+  private async fetch(request: FrameRequest, format: "png" | "jpeg"): Promise<Frame> {
     const began = performance.now();
     let answer = await this.post(request, format);
     for (let i = 1; answer.status === 503 && i < kTries; ++i) {
@@ -101,4 +101,39 @@ export class Frames {
       throw Object.assign(new Error(String(error)), { code: "read_failed" });
     });
   }
+}
+
+/** Undefined without a view. */
+export function frameRequest({ referenceScene: scene, view, background, shDegree, detailPx }: State, { width, height }: Size): FrameRequest | undefined {
+  return view && { scene, camera: pinholeOf(view, width, height), width, height, background, sh_degree: shDegree, detail: detailPx };
+}
+
+export function showReference(store: PageStore, isOn: boolean): void {
+  const { hasReference, isReferenceShown, scenes, mode } = store.state;
+  if (!hasReference || isOn === isReferenceShown) return;
+  store.set({ isReferenceShown: isOn, mode: isOn ? mode : scenes[1] ? "slider" : "single" });
+}
+
+export function drawReference(store: PageStore, url: string): Frames {
+  const frames = new Frames(url, { frame: (frame) => store.set({ frame }), error: (error) => fail("The reference picture", error) });
+  const ask = (isMoving: boolean): void => {
+    const request = store.state.scenes[0] && frameRequest(store.state, store.state.size);
+    if (request) frames.ask(request, isMoving);
+  };
+  element("reference-label", HTMLLabelElement).hidden = false;
+  store.set({ hasReference: true });
+  store.subscribe(({ isReferenceShown, isAtRest }) => [isReferenceShown, isAtRest], ([isShown, isAtRest], before) => {
+    if (!isShown) frames.stop();
+    else if (isAtRest || !before?.[0]) ask(false);
+  });
+  store.subscribe(({ view, size, scenes }) => [view, size, scenes], () => store.state.isReferenceShown && ask(true));
+  store.subscribe(({ frame }) => [frame], ([frame]) => {
+    if (!frame) return;
+    const canvas = element("reference-picture", HTMLCanvasElement);
+    const { bitmap } = frame;
+    Object.assign(canvas, { width: bitmap.width, height: bitmap.height });
+    canvas.getContext("2d")?.drawImage(bitmap, 0, 0);
+    bitmap.close();
+  });
+  return frames;
 }

@@ -4,7 +4,7 @@ import type { ViewState } from "./cameras.js";
 
 export type Mode = "single" | "slider" | "flicker" | "difference";
 
-export interface PageState {
+export interface LinkState {
   view: ViewState;
   mode: Mode;
   /** Position of the slider as a share of the picture's width. */
@@ -21,7 +21,7 @@ const kModes: readonly Mode[] = ["single", "slider", "flicker", "difference"];
 const digits = (value: number): string => String(Number(value.toPrecision(7)));
 const list = (values: readonly number[]): string => values.map(digits).join(",");
 
-export function writeLink(state: PageState): string {
+export function writeLink(state: LinkState): string {
   const { view } = state;
   return new URLSearchParams({
     at: list(view.position),
@@ -38,38 +38,27 @@ export function writeLink(state: PageState): string {
 }
 
 /** Leaves out fields that are missing or are not numbers. */
-export function readLink(hash: string): Partial<PageState> {
+export function readLink(hash: string): Partial<LinkState> {
   const parameters = new URLSearchParams(hash.replace(/^#/, ""));
   const numbers = (name: string, n: number): number[] | undefined => {
     const values = (parameters.get(name) ?? "").split(",").map((text) => (text === "" ? NaN : Number(text)));
     return values.length === n && values.every(Number.isFinite) ? values : undefined;
   };
-  const state: Partial<PageState> = {};
-  const position = numbers("at", 3);
-  const axes = numbers("axes", 9);
-  const lens = numbers("lens", 4);
-  const pivot = numbers("pivot", 3);
-  if (position && axes && lens && pivot && (lens[0] as number) > 0 && (lens[1] as number) > 0) {
-    const rotation = [axes.slice(0, 3), axes.slice(3, 6), axes.slice(6, 9)];
-    state.view = { position, rotation, focal: lens[0] as number, aspect: lens[1] as number, offset: [lens[2] as number, lens[3] as number], pivot };
-  }
-  const mode = kModes.find((name) => name === parameters.get("mode"));
-  if (mode) state.mode = mode;
-  const between = (name: string, low: number, high: number): number | undefined => {
+  const between = (name: string, low: number, high: number, round = (value: number): number => value): number | undefined => {
     const value = numbers(name, 1)?.[0];
-    return value === undefined ? undefined : Math.min(high, Math.max(low, value));
+    return value === undefined ? undefined : round(Math.min(high, Math.max(low, value)));
   };
-  const background = numbers("background", 3)?.map((value) => Math.min(1, Math.max(0, value)));
-  const split = between("split", 0, 1);
-  const shDegree = between("sh", 0, 3);
-  const detailPx = between("detail", 0, 64);
-  const budget = between("budget", 1000, 1e9);
-  return {
-    ...state,
-    ...(background ? { background } : {}),
-    ...(split !== undefined ? { split } : {}),
-    ...(shDegree !== undefined ? { shDegree: Math.round(shDegree) } : {}),
-    ...(detailPx !== undefined ? { detailPx } : {}),
-    ...(budget !== undefined ? { budget: Math.round(budget) } : {}),
+  const [position, axes, lens, pivot] = [numbers("at", 3), numbers("axes", 9), numbers("lens", 4), numbers("pivot", 3)];
+  const [focal, aspect, ...offset] = (lens ?? []) as [number, number, number, number];
+  const rotation = [0, 3, 6].map((row) => axes?.slice(row, row + 3));
+  const state = {
+    view: position && axes && pivot && focal > 0 && aspect > 0 ? { position, rotation, focal, aspect, offset, pivot } : undefined,
+    mode: kModes.find((name) => name === parameters.get("mode")),
+    split: between("split", 0, 1),
+    background: numbers("background", 3)?.map((value) => Math.min(1, Math.max(0, value))),
+    shDegree: between("sh", 0, 3, Math.round),
+    detailPx: between("detail", 0, 64),
+    budget: between("budget", 1000, 1e9, Math.round),
   };
+  return Object.fromEntries(Object.entries(state).filter(([, value]) => value !== undefined)) as Partial<LinkState>;
 }

@@ -19,7 +19,7 @@ import {
   Vec4,
 } from "playcanvas";
 import { pinholeOf, type ViewState } from "./cameras.js";
-import { pictureSize } from "./picture-size.js";
+import { pictureSize, type Size } from "./picture-size.js";
 
 export type Side = 0 | 1;
 
@@ -47,7 +47,7 @@ export class Stage {
     readonly app: AppBase,
     private readonly canvas: HTMLCanvasElement,
     /** `frame` returns whether it waits for something that changes the picture. */
-    private readonly on: { frame(seconds: number): boolean; resized(): void },
+    private readonly on: { frame(seconds: number): boolean; resized(size: Size): void },
   ) {
     const layers = ["left", "right"].map((name) => {
       const layer = new Layer({ name });
@@ -84,11 +84,7 @@ export class Stage {
   }
 
   /** `deviceTypes` in order of preference. Rejects if there is none of them. */
-  static async start(
-    canvas: HTMLCanvasElement,
-    deviceTypes: string[],
-    on: { frame(seconds: number): boolean; resized(): void; lost(): void; restored(): void },
-  ): Promise<Stage> {
+  static async start(canvas: HTMLCanvasElement, deviceTypes: string[], on: { frame(seconds: number): boolean; resized(size: Size): void; lost(): void; restored(): void }): Promise<Stage> {
     const device = await createGraphicsDevice(canvas, { deviceTypes, antialias: false });
     const options = new AppOptions();
     options.graphicsDevice = device;
@@ -131,7 +127,7 @@ export class Stage {
     return this.app.renderNextFrame;
   }
 
-  get size(): { width: number; height: number } {
+  private get size(): Size {
     const { width, height } = this.canvas;
     return { width, height };
   }
@@ -248,7 +244,7 @@ export class Stage {
     const { width, height } = pictureSize({ width: clientWidth, height: clientHeight }, devicePixelRatio, this.app.graphicsDevice.maxTextureSize);
     if (width === this.size.width && height === this.size.height) return;
     this.app.graphicsDevice.setResolution(width, height);
-    this.on.resized();
+    this.on.resized({ width, height });
     this.request();
   }
 }

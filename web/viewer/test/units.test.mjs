@@ -18,7 +18,7 @@ let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "controls", "declared", "difference", "kind", "link", "manifest", "messages", "page-driver", "picture-size", "spz"];
+  const names = ["cameras", "controls", "declared", "difference", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "spz", "store"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -97,6 +97,33 @@ test("orbiting keeps the distance and stays upright", () => {
   assert.ok(Math.abs(back.rotation[1][2] - Math.cos(0.05)) < 1e-9, `${back.rotation}`);
   assert.deepEqual(moved(start, [1, 2, 3]).position, [1, 2, -2]);
   assert.deepEqual(approached(start, 0.5).position, [0, 0, -2.5]);
+});
+
+test("a view of the state is called when what it depends on changes, and only then", () => {
+  const store = new modules.store.Store({ a: 1, b: 1, sum: 2 });
+  const seen = [];
+  store.subscribe(({ a }) => [a], ([a], before) => seen.push(["a", a, before?.[0]]));
+  // A view that changes the state: those after it see only what it makes of it.
+  store.subscribe(({ a, b }) => [a, b], ([a, b]) => store.set({ sum: a + b }));
+  store.subscribe(({ b, sum }) => [b, sum], (values) => seen.push(["sum", ...values]));
+  assert.deepEqual(seen.splice(0), [["a", 1, undefined], ["sum", 1, 2]]);
+  store.set({ b: 2 });
+  assert.deepEqual(seen.splice(0), [["sum", 2, 3]]);
+  store.set({ a: 5 });
+  assert.deepEqual(seen.splice(0), [["a", 5, 1], ["sum", 2, 7]]);
+  store.set({ a: 5, b: 2 });
+  assert.deepEqual(seen, []);
+  assert.deepEqual(store.state, { a: 5, b: 2, sum: 7 });
+});
+
+test("the Gaussian nearest to the pointer is found", () => {
+  const { depthAlong } = modules.picking;
+  const ray = [0, 0, 1];
+  const depth = (...means) => depthAlong(means.map((each) => new Float32Array(each)), [1, 0, 0], ray);
+  assert.equal(depth([1, 0, 8, 1, 0, 5], [1, 0, 6]), 5);
+  // On the ray counts more than near; what is behind, too near or far off the ray counts nothing.
+  assert.equal(depth([1.1, 0, 5], [1, 0, 7]), 7);
+  assert.equal(depth([1, 0, -3, 1, 0, 0.1, 3, 0, 5]), 0);
 });
 
 test("a picture is no larger than browsers draw", () => {

@@ -1,0 +1,131 @@
+// opening.ts - opens scenes and cameras: what the page begins with, then what is dropped or chosen.
+// SPDX-License-Identifier: Apache-2.0
+import { defaultView, parseCameras, viewFrom } from "./cameras.js";
+import type { Mode } from "./link.js";
+import { type Manifest, readInside, spzAxesOf } from "./manifest.js";
+import { waitingSentence } from "./messages.js";
+import { openScene, type Read, readFile } from "./open-scene.js";
+import { beginLoading, fail, input, onClick, progressOf, showError, withdrawError } from "./page.js";
+import type { Trouble } from "./page-driver.js";
+import type { Scene } from "./scene.js";
+import { type PageStore, type State, worldOf } from "./state.js";
+import type { Side, Stage } from "./stage.js";
+
+export class Opening {
+  /** Resolves when all that was requested so far is open; never rejects. */
+  private last: Promise<void> = Promise.resolve();
+
+  constructor(
+    private readonly store: PageStore,
+    private readonly stage: Stage,
+    private readonly manifest: Manifest,
+  ) {
+    onClick("open", () => input("file").click());
+    input("file").addEventListener("change", () => {
+      this.openFiles([...(input("file").files ?? [])]);
+      input("file").value = "";
+    });
+    document.addEventListener("dragover", (event) => event.preventDefault());
+    document.addEventListener("drop", (event) => {
+      event.preventDefault();
+      this.openFiles([...(event.dataTransfer?.files ?? [])]);
+    });
+  }
+
+  /** `reading`: scenes of the manifest, which are in flight already. `mode`: that of the link. */
+  async begin(reading: readonly Promise<Read>[], mode: Mode | undefined): Promise<void> {
+    const { cameras: url, scenes } = this.manifest;
+    // Files that are dropped meanwhile come after these.
+    if (url !== null) this.inTurn(() => this.openCameras("The camera file", async () => (url.startsWith("#") ? new Response(await readInside(url)) : fetch(url))));
+    scenes.forEach(({ name }, i) => this.inTurn(() => this.open(name, reading[i] as Promise<Read>, mode, i)));
+    await this.last;
+    const { state } = this.store;
+    if (mode && !state.scenes[1] && state.mode === "single") this.store.set({ mode });
+  }
+
+  /** Resolves when no scene is being opened any more, including those requested meanwhile. */
+  async allOpened(): Promise<void> {
+    for (let last: Promise<void> | undefined; last !== this.last; await last) last = this.last;
+  }
+
+  /** Opens one scene after the other, because each looks for a free side. */
+  private inTurn(work: () => Promise<void>): void {
+    this.last = this.last.then(work).catch((error: unknown) => fail("The page", error));
+  }
+
+  private openFiles(files: readonly File[]): void {
+    for (const file of files) performance.mark(`open ${file.name}`);
+    for (const file of files) this.inTurn(() => this.openFile(file));
+  }
+
+  private async openFile(file: File): Promise<void> {
+    const { name } = file;
+    beginLoading(this.store, name);
+    const reading = readFile({ entry: { name, url: "" }, file, onProgress: progressOf(this.store) });
+    const read = await reading.catch(() => undefined);
+    if (read?.kind !== "cameras") return this.open(name, reading);
+    await this.openCameras(name, () => read.answer());
+    this.store.set({ loading: undefined });
+  }
+
+  /**
+   * Opens a scene on the first free side, or on the right. If that fails, the side keeps what it had. `mode` for two scenes, unless the
+   * user has chosen one. `referenceScene`: the scene's number on the server that draws reference pictures.
+   */
+  private async open(name: string, reading: Promise<Read>, mode: Mode = "slider", referenceScene = 0): Promise<void> {
+    const { store, stage } = this;
+    const { scenes: scenesBefore, view: viewBefore } = store.state;
+    const side: Side = scenesBefore[0] ? 1 : 0;
+    const before = scenesBefore[side];
+    let scene: Scene | undefined;
+    beginLoading(store, name);
+    try {
+      const read = await reading;
+      scene = await openScene(stage, { name, read, spzAxes: spzAxesOf(location.search, this.manifest), side, onProgress: progressOf(store), on: troubleOf(name) });
+      if (before) before.hidden = true;
+      this.show(scene, side === 0 ? { scenes: [scene, undefined], referenceScene } : { scenes: [scenesBefore[0], scene], mode: store.state.mode === "single" ? mode : store.state.mode });
+      this.markPicture(name);
+      await scene.complete();
+      before?.destroy();
+      if (side === 0) store.set({ isComplete: true });
+    } catch (error) {
+      scene?.destroy();
+      if (before) before.hidden = false;
+      // Without a scene, the next one starts from its own first view.
+      store.set({ scenes: scenesBefore, ...(scenesBefore[0] ? {} : { view: viewBefore }) });
+      fail(name, error);
+    } finally {
+      store.set({ loading: undefined });
+    }
+  }
+
+  private show({ box }: Scene, patch: Partial<State>): void {
+    const next = { ...this.store.state, ...patch };
+    const { view, size, cameras: [first] } = next;
+    this.store.set({ ...patch, view: view ?? (first ? viewFrom(first, box) : defaultView(box, worldOf(next).up, size.height / size.width)) });
+  }
+
+  /** Adds a measure to the browser's timeline: from the mark `open NAME`, or the page's start, to the first picture. */
+  private markPicture(name: string): void {
+    const begin = performance.getEntriesByName(`open ${name}`, "mark").at(-1)?.startTime ?? 0;
+    void this.stage.drawn().then(() => performance.measure(`first picture of ${name}`, { start: begin }));
+  }
+
+  private async openCameras(name: string, read: () => Promise<Response>): Promise<void> {
+    try {
+      const answer = await read();
+      if (!answer.ok) throw Object.assign(new Error(`HTTP ${answer.status}`), { code: "open_failed" });
+      const cameras = parseCameras(await answer.text());
+      this.store.set({ cameras, playing: cameras.length > 1 ? this.store.state.playing : undefined });
+    } catch (error) {
+      fail(name, error);
+    }
+  }
+}
+
+/** What happens to a scene that is open. */
+function troubleOf(name: string): Trouble {
+  let said = "";
+  const waiting = (error: unknown): void => (error === null ? withdrawError(said) : showError((said = waitingSentence(name, error))));
+  return { waiting, damaged: (error) => fail(name, error) };
+}

@@ -1,0 +1,68 @@
+// state.ts - what the page knows: all that it shows follows from this.
+// SPDX-License-Identifier: Apache-2.0
+import { add, axisOf, type CameraEntry, length, normalised, type ViewState } from "./cameras.js";
+import type { World } from "./controls.js";
+import type { Frame } from "./frames.js";
+import type { LinkState } from "./link.js";
+import type { Size } from "./picture-size.js";
+import type { Scene, Tint } from "./scene.js";
+import type { Store } from "./store.js";
+
+export interface State extends Omit<LinkState, "view"> {
+  /** Undefined until there is a scene, or a link that has one. */
+  view: ViewState | undefined;
+  /** Of the picture, pixels. */
+  size: Size;
+  /** No change of the picture for a while. */
+  isAtRest: boolean;
+  /** Left and right. */
+  scenes: readonly [Scene | undefined, Scene | undefined];
+  /** The left scene is read to its end. */
+  isComplete: boolean;
+  /** Counts changes of what the scenes draw, such as new pages. */
+  nChanges: number;
+  /** Shown while a file is read; `share` of it, 0 to 1, where that is known. */
+  loading: { text: string; share: number | undefined } | undefined;
+  /** What the page begins with is open, or has failed. */
+  isReady: boolean;
+  cameras: readonly CameraEntry[];
+  /** Addresses, by the names of their cameras. */
+  photos: ReadonlyMap<string, string>;
+  /** The camera that was jumped to last, or -1. */
+  camera: number;
+  /** Where the view is on the path through the cameras, 0 to 1; undefined if the path is not played. */
+  playing: number | undefined;
+  tint: Tint;
+  statistics: boolean;
+  bounds: boolean;
+  /** There is a server that draws reference pictures; the left scene's number on it; its last picture. */
+  hasReference: boolean;
+  isReferenceShown: boolean;
+  referenceScene: number;
+  frame: Frame | undefined;
+  isPanelShown: boolean;
+  /** Undefined: the system's. */
+  theme: "dark" | "light" | undefined;
+}
+
+export type PageStore = Store<State>;
+
+export function firstState(size: Size): State {
+  return {
+    view: undefined, size, isAtRest: false, mode: "single", split: 0.5, background: [0, 0, 0], shDegree: 3, detailPx: 1, budget: 1e6,
+    scenes: [undefined, undefined], isComplete: false, nChanges: 0, loading: undefined, isReady: false,
+    cameras: [], photos: new Map(), camera: -1, playing: undefined, tint: "none", statistics: false, bounds: false,
+    hasReference: false, isReferenceShown: false, referenceScene: 0, frame: undefined, isPanelShown: false, theme: undefined,
+  };
+}
+
+/** What is compared with the left scene: another one, the reference picture, or nothing. */
+export function rightOf({ scenes, isReferenceShown }: State): "scene" | "reference" | "none" {
+  return isReferenceShown ? "reference" : scenes[1] ? "scene" : "none";
+}
+
+export function worldOf({ cameras, scenes: [left] }: State): World {
+  const up = cameras.length > 0 ? cameras.reduce((sum, { rotation }) => add(sum, axisOf(rotation, 1), -1), [0, 0, 0]) : null;
+  const size = left ? length(add(left.box.max, left.box.min, -1)) : 1;
+  return { up: normalised(up && length(up) > 0.1 ? up : (left?.up ?? [0, -1, 0])), speed: 0.15 * size };
+}

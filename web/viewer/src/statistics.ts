@@ -1,0 +1,31 @@
+// statistics.ts - the numbers over the picture.
+// SPDX-License-Identifier: Apache-2.0
+import { bytesText, countText } from "./messages.js";
+import { element } from "./page.js";
+import type { PageStore } from "./state.js";
+
+/** Returns what is called before each frame, with the number of frames drawn. */
+export function statisticsOf(store: PageStore): (nFrames: number) => void {
+  const overlay = element("overlay", HTMLOutputElement);
+  let speed = { at: 0, nFrames: 0, rate: 0 };
+  return (nFrames) => {
+    const { scenes, view, statistics, frame, isReferenceShown } = store.state;
+    overlay.hidden = !statistics || !view;
+    const now = performance.now();
+    if (now - speed.at > 500) speed = { at: now, nFrames, rate: (1000 * (nFrames - speed.nFrames)) / (now - speed.at) };
+    if (overlay.hidden) return;
+    const lines = scenes
+      .filter((scene) => scene !== undefined)
+      .map((scene) => {
+        const { drawn, wanted } = scene.pages;
+        const pages = scene.hasPages ? `, ${drawn} pages${wanted > 0 ? `, ${wanted} wanted` : ""}` : "";
+        return `${countText(scene.nDrawn)} of ${countText(scene.nGaussians)} Gaussians, ${bytesText(scene.bytesRead)} of ${bytesText(scene.bytes)}${pages}`;
+      });
+    lines.push(`${speed.rate.toFixed(0)} frames a second`);
+    if (frame && isReferenceShown) {
+      const { renderMs, totalMs, pagesMissing } = frame;
+      lines.push(`reference picture: drawn in ${renderMs.toFixed(0)} ms, shown after ${totalMs.toFixed(0)} ms${pagesMissing > 0 ? `, ${pagesMissing} pages missing` : ""}`);
+    }
+    overlay.textContent = lines.join("\n");
+  };
+}
