@@ -2,13 +2,13 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { ViewState } from "./cameras.js";
 import { difference } from "./difference.js";
-import { showError } from "./page.js";
 import { frameRequest, type Frames } from "./frames.js";
+import { showError } from "./page.js";
 import type { Size } from "./picture-size.js";
 import { type PageStore, rightOf } from "./state.js";
 import type { Side, Stage } from "./stage.js";
 
-export type Pixels = Uint8ClampedArray<ArrayBuffer>;
+type Pixels = Uint8ClampedArray<ArrayBuffer>;
 
 export class Captures {
   /** One comes after the other. */

@@ -58,7 +58,7 @@ export function showComparison(store: PageStore, stage: Stage, captures: Capture
   slider.addEventListener("input", () => store.set({ split: Number(slider.value) / 1000 }));
   for (const choice of choices) choice.addEventListener("change", () => store.set({ mode: choice.value as Mode }));
   store.subscribe((state) => [state.mode, rightOf(state)], ([mode, right]) => {
-    // There is nothing to compare with.
+    // Without a right picture there is nothing to compare with.
     if (right === "none" && mode !== "single") store.set({ mode: "single" });
   });
   store.subscribe(({ mode, split, scenes, isReferenceShown }) => [mode, split, scenes, isReferenceShown], ([mode, split]) => {
