@@ -538,13 +538,19 @@ inBrowser("a mode that is chosen while a scene is opened stays", { ...chosen, fr
   assert.ok(await page.getByRole("radio", { name: "Flicker" }).isChecked());
 });
 
-inBrowser("what turns out damaged goes again, and what was there stays", { allowed: [k404] }, async ({ page }) => {
-  const sound = readFileSync(join(scenes(), "packed.rgs"));
+/** The file with damage that is found only after a part of it is drawn, and the offset of the damaged section. */
+async function damagedAtEnd(sound) {
   const damaged = Buffer.from(sound);
   const file = await open(sound);
   const { offset, storedBytes } = file.sections.find(({ type }) => type === "SHI8");
   file.close();
   damaged[offset + storedBytes - 1] ^= 1;
+  return { damaged, offset };
+}
+
+inBrowser("what turns out damaged goes again, and what was there stays", { allowed: [k404] }, async ({ page }) => {
+  const sound = readFileSync(join(scenes(), "packed.rgs"));
+  const { damaged, offset } = await damagedAtEnd(sound);
   await drop(page, "bad.rgs", damaged);
   await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
   assert.match((await errors(page))[0], new RegExp(`^bad\\.rgs is damaged: .*checksum_mismatch at byte ${offset}\\)`));
@@ -587,8 +593,7 @@ inBrowser("a damaged scene leaves no view behind", { allowed: [k404] }, async ({
   await page.evaluate(() => history.replaceState(null, "", location.pathname));
   await page.reload();
   await page.waitForSelector("html[data-ready]", { state: "attached" });
-  const damaged = readFileSync(join(scenes(), "packed.rgs"));
-  damaged[damaged.length >> 1] ^= 1;
+  const { damaged } = await damagedAtEnd(readFileSync(join(scenes(), "packed.rgs")));
   await drop(page, "bad.rgs", damaged);
   await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
   await drop(page, "small.rgs", small);
