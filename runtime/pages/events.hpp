@@ -104,9 +104,10 @@ struct Failed {
   std::uint32_t first, n;
   Fault fault;
 };
-/// More of the table is known, and verified if that was its end.
+/// Pages of the group, and perhaps of those behind it, are known, and the table is verified if these were the last.
 struct TableGrew {
   SceneId scene;
+  std::uint32_t group;
   bool is_verified;
 };
 struct TableFailed {
@@ -140,10 +141,10 @@ struct Read {
   SceneId scene;
   std::uint32_t first, n;
 };
-/// Read at least so much more of the table of pages, if there is as much.
+/// Read more of the table of pages, from the group's first unknown page on.
 struct ReadTable {
   SceneId scene;
-  std::uint64_t bytes;
+  std::uint32_t group;
 };
 /// Read again what could be read before: does the source fail, or a range of it?
 struct Probe {

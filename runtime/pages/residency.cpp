@@ -15,14 +15,24 @@ float error_px(const lod::Page& page, double footprint) {
   return static_cast<float>(std::clamp(px, static_cast<double>(Limits::min()), static_cast<double>(Limits::max())));
 }
 
-Residency::Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages)
-    : pages_(pages), groups_(n_pages), occupied_(n_words(n_pages)) {
-  extend();
+Residency::Residency(const std::vector<lod::Page>& pages)
+    : pages_(pages), groups_(pages.size()), occupied_(n_words(n_pages())) {
+  extend(0);
 }
 
-// Pages above the leaves come first in the table.
-void Residency::extend() {
-  while (n_groups_ < pages_.size() && pages_[n_groups_].level > 0) ++n_groups_;
+void Residency::extend(std::uint32_t group) {
+  for (; group < n_pages() && pages_[group].n_children > 0 && !groups_[group].is_known; ++group) {
+    const lod::Page& last = pages_[pages_[group].first_child + pages_[group].n_children - 1];
+    if (last.count == 0 || last.parent != group) return;
+    groups_[group].is_known = true;
+  }
+}
+
+// As the groups before it are known, so is its parent page.
+std::uint32_t Residency::first_unknown() {
+  while (first_unknown_ < n_pages() && (pages_[first_unknown_].n_children == 0 || is_known(first_unknown_)))
+    ++first_unknown_;
+  return first_unknown_;
 }
 
 void Residency::count_below(std::uint32_t group, int n) {

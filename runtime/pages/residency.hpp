@@ -43,23 +43,30 @@ class Residency {
     resident,
   };
 
-  /// `pages` must outlive it and may grow up to `n_pages`.
-  Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages);
+  /// `pages` has room for all pages and must outlive it. Unknown ones have no Gaussians; a group is known if all its
+  /// pages are, and no others are looked at.
+  explicit Residency(const std::vector<lod::Page>& pages);
   /// Memory for a tree.
   static std::uint64_t bytes(std::uint32_t n_pages) {
     return n_pages * sizeof(Group) + n_words(n_pages) * sizeof(std::uint64_t);
   }
-  /// Call when `pages` has grown.
-  void extend();
-  /// `pages` will not grow any more: the unknown ones are lost.
+  /// Call when pages of `group`, and perhaps of groups behind it, have become known.
+  void extend(std::uint32_t group);
+  /// No more pages will become known: the others are lost.
   void mark_broken() { is_broken_ = true; }
   bool is_broken() const { return is_broken_; }
 
-  /// Known pages that are not leaves.
-  std::uint32_t n_groups() const { return n_groups_; }
-  /// Whether the table has the group's pages.
-  bool is_known(std::uint32_t group) const {
-    return std::uint64_t{pages_[group].first_child} + pages_[group].n_children <= pages_.size();
+  std::uint32_t n_pages() const { return static_cast<std::uint32_t>(pages_.size()); }  ///< with the unknown ones
+  bool is_known(std::uint32_t group) const { return groups_[group].is_known; }
+  /// The first group that is not; n_pages(): none.
+  std::uint32_t first_unknown();
+  /// Calls f(group) for the groups of a known group's pages.
+  template <class F>
+  void for_each_below(std::uint32_t group, const F& f) const {
+    const std::uint32_t end = pages_[group].first_child + pages_[group].n_children;
+    for (std::uint32_t child = pages_[group].first_child; child < end; ++child) {
+      if (pages_[child].n_children > 0) f(child);
+    }
   }
   State state(std::uint32_t group) const { return groups_[group].state; }
   bool is_resident(std::uint32_t page) const { return page == 0 || state(pages_[page].parent) == State::resident; }
@@ -130,6 +137,7 @@ class Residency {
     bool blocked : 1 = false;         // by a descendant, during for_each_evictable()
     bool is_damaged : 1 = false;      // at the last try
     bool is_quarantined : 1 = false;  // damaged too often: never requested again
+    bool is_known : 1 = false;
   };
   static constexpr std::uint32_t kNoGroup = lod::kNoPage;
   static bool has_data(const Group& g) { return g.state == State::resident || g.state == State::arrived; }
@@ -146,9 +154,9 @@ class Residency {
   void set_occupied(std::uint32_t group, bool is_occupied);
 
   const std::vector<lod::Page>& pages_;
-  std::vector<Group> groups_;            // [n_pages]; leaves have none
+  std::vector<Group> groups_;            // [n_pages()]; leaves have none
   std::vector<std::uint64_t> occupied_;  // a bit a group: requested, arrived or resident
-  std::uint32_t n_groups_ = 0, n_damaged_ = 0, n_quarantined_ = 0;
+  std::uint32_t first_unknown_ = 0, n_damaged_ = 0, n_quarantined_ = 0;
   bool is_broken_ = false;
   std::uint64_t n_resident_ = 1;
 };
@@ -186,48 +194,37 @@ void Residency::want_descendants(std::uint32_t group, float px, const Eye& eye, 
   }
   if (state(group) != State::requested && state(group) != State::arrived) return;
   ++cut.in_flight, ++cut.wanted;
-  const std::uint32_t end = pages_[group].first_child + pages_[group].n_children;
-  for (std::uint32_t child = pages_[group].first_child; child < end && child < n_groups_; ++child) {
+  for_each_below(group, [&](std::uint32_t child) {
     if (const float below_px = wanted_px(child, eye); below_px > 0) want_descendants(child, below_px, eye, want, cut);
-  }
+  });
 }
 
 template <class Draw, class Want>
 Cut Residency::cut(const Eye& eye, std::uint32_t tick, const Draw& draw, const Want& want, float asked_px) {
+  using lod::Walk;
   Cut cut;
-  std::uint32_t i = 0;
-  for (;;) {
+  lod::walk_pages(pages_, [&](std::uint32_t i) {
     const lod::Page& page = pages_[i];
-    if (eye.volume.may_show(page.bounds)) {
-      const double footprint = lod::footprint(page.core, eye.eye);
-      const bool is_fine = page.n_children == 0 || lod::is_fine_enough(page.error, eye.detail_px, footprint);
-      if (!is_fine && groups_[i].state == State::resident) {
-        groups_[i].last_used = tick;
-        i = page.first_child;
-        continue;
-      }
-      if (!draw(i)) {
-        cut.fits = false;
-        return cut;
-      }
-      const float px = error_px(page, footprint);
-      cut.gaussians += page.count;
-      cut.reached_px = static_cast<double>(px) > cut.reached_px ? static_cast<double>(px) : cut.reached_px;
-      if (page.n_children > 0 && !lod::is_fine_enough(page.error, asked_px, footprint)) {
-        cut.missing += page.n_children;
-        if (groups_[i].is_damaged || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
-        if (!is_fine) want_descendants(i, px, eye, want, cut);
-      }
+    if (!eye.volume.may_show(page.bounds)) return Walk::on;
+    const double footprint = lod::footprint(page.core, eye.eye);
+    const bool is_fine = page.n_children == 0 || lod::is_fine_enough(page.error, eye.detail_px, footprint);
+    if (!is_fine && groups_[i].state == State::resident) {
+      groups_[i].last_used = tick;
+      return Walk::down;
     }
-    // The next page in the order of leaves that is no descendant.
-    for (;;) {
-      if (i == 0) return cut;
-      const lod::Page& above = pages_[pages_[i].parent];
-      if (i + 1 < above.first_child + above.n_children) break;
-      i = pages_[i].parent;
+    cut.fits = draw(i);
+    if (!cut.fits) return Walk::end;
+    const float px = error_px(page, footprint);
+    cut.gaussians += page.count;
+    cut.reached_px = static_cast<double>(px) > cut.reached_px ? static_cast<double>(px) : cut.reached_px;
+    if (page.n_children > 0 && !lod::is_fine_enough(page.error, asked_px, footprint)) {
+      cut.missing += page.n_children;
+      if (groups_[i].is_damaged || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
+      if (!is_fine) want_descendants(i, px, eye, want, cut);
     }
-    ++i;
-  }
+    return Walk::on;
+  });
+  return cut;
 }
 
 }  // namespace rgs::pages

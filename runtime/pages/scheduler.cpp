@@ -42,7 +42,7 @@ Scheduler::Scheduler(std::uint64_t budget) : budget_(budget) {
 SceneId Scheduler::add_scene(const SceneSetup& setup) {
   auto scene = std::make_unique<Scene>();
   scene->setup = setup;
-  scene->residency.emplace(*setup.pages, setup.n_pages);
+  scene->residency.emplace(*setup.pages);
   scene->is_verified = setup.is_verified;
   const auto free = std::ranges::find_if(scenes_, [](const auto& one) { return one == nullptr; });
   const auto id = static_cast<SceneId>(free - scenes_.begin());
@@ -59,7 +59,7 @@ void Scheduler::remove_scene(SceneId id) {
     if (views_[view].scene == id) remove_view(view);
   }
   const Residency& residency = *scenes_[id]->residency;
-  for (std::uint32_t group = 0; group < residency.n_groups(); ++group) {
+  for (std::uint32_t group = 0; group < residency.n_pages(); ++group) {
     if (residency.state(group) != Residency::State::absent) held_ -= group_bytes(id, group);
   }
   scenes_[id].reset();

@@ -28,9 +28,8 @@ inline constexpr std::uint32_t kMostGroups = 64;             ///< of a read
 
 /// A scene's tree and how it is read. What it points to outlives the scene.
 struct SceneSetup {
-  const std::vector<lod::Page>* pages = nullptr;  ///< known pages, at least the root; grows before TableGrew
-  const StoredPage* stored = nullptr;             ///< of each known page
-  std::uint32_t n_pages = 0;                      ///< with the unknown ones
+  const std::vector<lod::Page>* pages = nullptr;  ///< unknown ones, which TableGrew makes known, have no Gaussians
+  const StoredPage* stored = nullptr;             ///< of each page
   bool is_verified = false;                       ///< the table is complete
   std::uint64_t page_bytes = 0, row_bytes = 0;    ///< memory of a page: page_bytes + row_bytes a Gaussian
   std::uint32_t n_readers = 1;
@@ -205,7 +204,7 @@ class Scheduler {
   Claim choose(SceneId id, bool ahead, Time& later);
   bool relist(SceneId id, bool ahead);
   Claim claim(SceneId id, std::uint32_t group, const Priority& own, Time& later);
-  Claim claim_table(SceneId id, std::uint64_t bytes, Time& later);
+  Claim claim_table(SceneId id, std::uint32_t group, Time& later);
   void extend(SceneId id, const Priority& best, std::uint32_t& first, std::uint32_t& n);
   std::uint32_t share(SceneId id, bool now) const;
   void request(SceneId id, std::uint32_t group);

@@ -12,7 +12,6 @@ using namespace std::chrono_literals;
 
 constexpr Time kFirstPause = 250ms, kLongestPause = 8s;  // after reads that failed
 constexpr Time kLongestWaited = 1s;                      // while a caller waits
-constexpr std::uint64_t kRecordBytes = 112;              // of a page's record in the file's table
 constexpr float kSideShare = 0.25F;  // A neighbour joins a read if it has this share of the first group's error.
 /// Wants for which victims are searched; each search visits all resident groups.
 constexpr int kMostLooks = 8;
@@ -73,7 +72,7 @@ void Scheduler::on(const event::Idle& idle) {
     // The end of the table completes its hash. Not while pages are read: it would share their bandwidth.
     const auto is_of_scene = [&](const View& view) { return view.scene == idle.scene && view.has_looked; };
     if (claim == Claim::nothing && scene.n_at_work == 0 && std::ranges::any_of(views_, is_of_scene))
-      claim = claim_table(idle.scene, scene.setup.most_bytes, later);
+      claim = claim_table(idle.scene, scene.residency->first_unknown(), later);
     if (claim == Claim::no_room || claim == Claim::pinned) lacks_room_ = true;
     if (claim == Claim::pinned) waits_for_pins_ = true;
   }
@@ -171,11 +170,7 @@ Scheduler::Claim Scheduler::choose(SceneId id, bool ahead, Time& later) {
 // Claims an absent group if there is room for it.
 Scheduler::Claim Scheduler::claim(SceneId id, std::uint32_t group, const Priority& own, Time& later) {
   Scene& scene = *scenes_[id];
-  const std::vector<lod::Page>& pages = *scene.setup.pages;
-  if (!scene.residency->is_known(group)) {
-    const std::uint64_t n = pages[group].first_child + pages[group].n_children - pages.size();
-    return claim_table(id, (n + 1) * kRecordBytes, later);
-  }
+  if (!scene.residency->is_known(group)) return claim_table(id, group, later);
   const Room room = take(group_bytes(id, group), own);
   if (room != Room::taken) return room == Room::pinned ? Claim::pinned : Claim::no_room;
   request(id, group);
@@ -185,7 +180,7 @@ Scheduler::Claim Scheduler::claim(SceneId id, std::uint32_t group, const Priorit
   return Claim::made;
 }
 
-Scheduler::Claim Scheduler::claim_table(SceneId id, std::uint64_t bytes, Time& later) {
+Scheduler::Claim Scheduler::claim_table(SceneId id, std::uint32_t group, Time& later) {
   Scene& scene = *scenes_[id];
   if (scene.is_extending || scene.is_verified || scene.residency->is_broken()) return Claim::nothing;
   if (const Time due = scene.table.n > 0 ? scene.table.at + pause(scene, scene.table.n) : Time(); due > now_) {
@@ -193,25 +188,23 @@ Scheduler::Claim Scheduler::claim_table(SceneId id, std::uint64_t bytes, Time& l
     return Claim::nothing;
   }
   scene.is_extending = true;
-  actions_.emplace_back(action::ReadTable{id, bytes});
+  actions_.emplace_back(action::ReadTable{id, group});
   return Claim::made;
 }
 
 void Scheduler::request(SceneId id, std::uint32_t group) {
   Residency& residency = *scenes_[id]->residency;
   residency.request(group);
-  const lod::Page& above = (*scenes_[id]->setup.pages)[group];
-  const std::uint32_t end = std::min(above.first_child + above.n_children, residency.n_groups());
   for (View& view : views_) {
     if (view.scene != id || !view.has_looked) continue;
     view.n_in_flight += residency.wanted_px(group, view.now) > 0;
     // Its child groups can be requested now.
-    for (std::uint32_t child = above.first_child; child < end; ++child) {
-      if (!residency.can_request(child) || put_off_until(*scenes_[id], child) > now_) continue;
+    residency.for_each_below(group, [&](std::uint32_t child) {
+      if (!residency.can_request(child) || put_off_until(*scenes_[id], child) > now_) return;
       if (const float px = residency.wanted_px(child, view.now); px > 0) view.wants.insert(child, px);
-      if (!view.ahead) continue;
+      if (!view.ahead) return;
       if (const float px = residency.wanted_px(child, *view.ahead); px > 0) view.prefetch.insert(child, px);
-    }
+    });
   }
 }
 
@@ -249,12 +242,12 @@ void Scheduler::extend(SceneId id, const Priority& best, std::uint32_t& first, s
   };
   if (residency.n_failed(first) > 0) return;  // a neighbour may be the unreadable part
   std::uint64_t begin = begin_of(first), end = end_of(first);
-  for (std::uint32_t next = first + 1; next < residency.n_groups() && residency.is_known(next); ++next) {
+  for (std::uint32_t next = first + 1; residency.is_known(next); ++next) {  // the last page has no group
     if (!takes(next, begin, end_of(next), begin_of(next) - end)) break;
     end = end_of(next);
   }
-  while (first > 0) {
-    const std::uint32_t before = first - 1;  // known, since the one behind it is
+  while (first > 0 && residency.is_known(first - 1)) {
+    const std::uint32_t before = first - 1;
     // The search for room for one neighbour may have evicted those on the other side.
     if (!takes(before, begin_of(before), end, begin - end_of(before))) break;
     begin = begin_of(before);
@@ -305,11 +298,10 @@ void Scheduler::on(const event::Failed& failed) {
 void Scheduler::on(const event::TableGrew& grew) {
   Scene& scene = *scenes_[grew.scene];
   scene.is_extending = scene.is_table_damaged = false;
-  scene.table = {};
+  if (std::exchange(scene.table, {}).n > 0) ++scene.generation;  // wants that paused
   scene.is_verified = grew.is_verified;
-  scene.residency->extend();
+  scene.residency->extend(grew.group);
   succeed(scene);
-  ++scene.generation;
   changed();
   judge_all(grew.scene);
 }

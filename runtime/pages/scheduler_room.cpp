@@ -36,11 +36,9 @@ void Scheduler::became_resident(SceneId id, std::uint32_t group) {
     changed();
   }
   scene.residency->make_resident(group);
-  const lod::Page& above = (*scene.setup.pages)[group];
-  const std::uint32_t end = std::min(above.first_child + above.n_children, scene.residency->n_groups());
-  for (std::uint32_t child = above.first_child; child < end; ++child) {
+  scene.residency->for_each_below(group, [&](std::uint32_t child) {
     if (scene.residency->state(child) == Residency::State::arrived) became_resident(id, child);
-  }
+  });
 }
 
 // Ends its flight and releases its memory.
@@ -60,12 +58,10 @@ void Scheduler::drop(SceneId id, std::uint32_t group) {
 // Groups still in flight are dropped when they arrive; those that a step has no room to name can be evicted.
 void Scheduler::drop_below(SceneId id, std::uint32_t group) {
   const Scene& scene = *scenes_[id];
-  const lod::Page& above = (*scene.setup.pages)[group];
-  const std::uint32_t end = std::min(above.first_child + above.n_children, scene.residency->n_groups());
-  for (std::uint32_t child = above.first_child; child < end; ++child) {
+  scene.residency->for_each_below(group, [&](std::uint32_t child) {
     if (actions_.capacity() - actions_.size() < kSpareActions) return;
     if (scene.residency->state(child) == Residency::State::arrived) drop(id, child);
-  }
+  });
 }
 
 void Scheduler::evict(const Victim& victim) {

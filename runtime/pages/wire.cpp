@@ -107,8 +107,7 @@ Wire::Wire(std::span<const double> setup, std::span<const double> pages)
     stored.scale_exponent = in.next<std::int16_t>();
   }
   Numbers of(setup.subspan(1));
-  SceneSetup scene{
-      .pages = &pages_, .stored = stored_.data(), .n_pages = static_cast<std::uint32_t>(n), .is_verified = true};
+  SceneSetup scene{.pages = &pages_, .stored = stored_.data(), .is_verified = true};
   scene.page_bytes = of.bytes();
   scene.row_bytes = of.bytes();
   scene.n_readers = of.index();

@@ -133,9 +133,33 @@ void read_levels(std::span<const std::byte> bytes) {
 }
 
 // An exact-size copy, freed after the call.
-rgs::Status extend(rgs::PagedFile& file, std::uint64_t offset, std::span<const std::byte> bytes) {
+rgs::Status extend(rgs::PagedFile& file, std::uint64_t offset, std::span<const std::byte> bytes,
+                   std::uint32_t below = rgs::lod::kNoPage) {
   const std::vector<std::byte> copy(bytes.begin(), bytes.end());
-  return file.extend({offset, copy});
+  return file.extend({offset, copy}, below);
+}
+
+// The table below any known page, in an order cut by `random`: the pages of `whole`, or an error.
+void read_anywhere(rgs::PagedFile file, std::span<const std::byte> bytes, const rgs::Result<rgs::PagedFile>& whole,
+                   std::mt19937_64& random) {
+  if (file.n_pages_in_all() > bytes.size() || !file.reserve()) return;
+  const auto is_known = [&](std::uint64_t page) { return file.pages()[page].count > 0; };
+  while (!file.is_verified()) {
+    const auto n = static_cast<std::uint32_t>(file.pages().size());
+    auto page = static_cast<std::uint32_t>(random() % n), n_looks = n;
+    const auto is_wanted = [&] {
+      const rgs::lod::Page& one = file.pages()[page];
+      return one.n_children > 0 && !is_known(one.first_child + one.n_children - 1);
+    };
+    for (; n_looks > 0 && !is_wanted(); --n_looks) page = (page + 1) % n;
+    const rgs::FileRange unread = n_looks > 0 ? file.unread_table(page, 112 + random() % 2000) : rgs::FileRange();
+    if (unread.offset >= bytes.size() || unread.bytes > bytes.size() - unread.offset) break;
+    if (n_looks == 0 || !extend(file, unread.offset, bytes.subspan(unread.offset, unread.bytes), page)) break;
+    const auto drawn = rgs::lod::drawn_pages(file.pages(), {.position = {}}, 1);
+    if (drawn.empty() || !std::ranges::all_of(drawn, is_known)) std::abort();
+  }
+  if (whole && whole->complete() && !file.is_verified()) std::abort();
+  if (file.is_verified() && !rgs::lod::check_pages(file.pages(), file.head().header().chunk_size)) std::abort();
 }
 
 // The same file or prefix, fetched in pieces cut by `seed`: the same pages, or an error.
@@ -163,6 +187,7 @@ void read_in_pieces(std::span<const std::byte> bytes, std::uint64_t seed) {
   if (!file && whole) std::abort();
   if (!file) return;
   pieces.clear();
+  read_anywhere(*file, bytes, whole, random);
   rgs::Status extended;
   while (extended && !file->is_verified()) {
     const rgs::FileRange unread = file->unread_table();

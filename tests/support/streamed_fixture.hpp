@@ -38,6 +38,7 @@ struct TownOptions {
   int sh_degree = 1;
   std::uint32_t page_chunks = 4;  // of 32
   unsigned seed = 17;
+  bool has_large = true;
 };
 
 /// Gaussians on a ground of 40 x 40, most small, some as large as a house, a few larger than the town, in pages of a
@@ -48,7 +49,7 @@ inline Bytes town(const TownOptions& o = {}) {
   for (int i = 0; i < o.n; ++i) {
     Splat s =
         splat_at(random.uniform(-20, 20), random.uniform(0, 4), random.uniform(-20, 20), 1, random.uniform(0.1, 0.995));
-    const double largest = i % 2000 == 0 ? 60 : i % 100 == 0 ? 6 : 0.4;
+    const double largest = !o.has_large ? 0.01 : i % 2000 == 0 ? 60 : i % 100 == 0 ? 6 : 0.4;
     for (float& log_scale : s.log_scale) log_scale = static_cast<float>(std::log(random.log_uniform(0.005, largest)));
     const auto q = cast<float>(random.rotation());
     s.rotation[0] = q.w, s.rotation[1] = q.x, s.rotation[2] = q.y, s.rotation[3] = q.z;

@@ -61,7 +61,26 @@ struct Levels {
   }
 };
 
-// `pages` may be the known first pages of a tree (PagedFile::open_beginning()); the others then count as absent.
+// Of a tree that is not whole yet (PagedFile::open_beginning()), pages beyond `pages` and those without Gaussians are
+// unknown, and count as absent.
+
+enum class Walk : std::uint8_t { down, on, end };
+/// Visits pages from the root on, in the order of leaves. visit(page) says what follows: the page's children, which are
+/// known; what is behind it; or nothing.
+template <class Visit>
+void walk_pages(const std::vector<Page>& pages, const Visit& visit) {
+  for (std::uint32_t i = 0;; ++i) {
+    for (Walk next = visit(i); next != Walk::on; next = visit(i)) {
+      if (next == Walk::end) return;
+      i = pages[i].first_child;
+    }
+    for (;; i = pages[i].parent) {
+      if (i == 0) return;
+      const Page& above = pages[pages[i].parent];
+      if (i + 1 < above.first_child + above.n_children) break;
+    }
+  }
+}
 
 /// Pages of one level, in order: what is drawn at that level. Level 0: the leaves.
 std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level);
@@ -92,8 +111,8 @@ struct PageFault {
   PageField field = PageField::count;
   const char* what = nullptr;
 };
-/// Checks page `index` against the pages before it and its parent; a tree is sound if all its pages are. `n_pages`: of
-/// the whole tree, if `pages` are the first of it; kNoPage: there are no more.
+/// Checks page `index` against its parent and the pages before it, as far as they are known; a tree is sound if all its
+/// pages are. `n_pages`: of the whole tree, if `pages` are the first of it; kNoPage: there are no more.
 PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size,
                      std::uint32_t n_pages = kNoPage);
 

@@ -11,7 +11,6 @@
 #include <span>
 #include <vector>
 
-#include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/page.hpp"
@@ -40,14 +39,16 @@ struct StoredPage {
 };
 
 namespace detail {
-/// Section LODS, or a prefix of it.
+/// Section LODS, or parts of it. Pages beyond `pages` and those without Gaussians are unknown.
 struct PageTable {
   std::uint32_t n_pages = 0, n_levels = 0;  ///< as read: of the whole file
   std::uint32_t page_chunks = 0;
+  std::uint32_t n_ordered = 0;  // pages before the first unknown one
   std::uint64_t n_stored = 0;
   float quality_db = 0;
   std::vector<lod::Page> pages;
   std::vector<StoredPage> stored;
+  bool is_known(std::size_t page) const { return page < pages.size() && pages[page].count != 0; }
 };
 }  // namespace detail
 
@@ -63,8 +64,8 @@ struct PageRows {
   std::span<const std::byte> sh;        ///< INT8 [n, sh_bytes]
 };
 
-/// An opened file with levels of detail, or a prefix of one. Thread-safe to read; extend() and reserve() must not run
-/// beside anything else, PageDecoder included.
+/// An opened file with levels of detail, or a part of one. Thread-safe to read; reserve(), and extend() without it, must
+/// not run beside anything else, PageDecoder included. After reserve(), extend() may run beside readers of known pages.
 class PagedFile {
  public:
   /// Parses and checks the head and the tree of pages, and touches no page. `bytes` may end early, but not before the
@@ -72,8 +73,8 @@ class PagedFile {
   /// missing_section for a file without levels.
   static Result<PagedFile> open(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
 
-  // For reading a file in pieces. The table of pages, 112 bytes a page, is coarse to fine as the pages are: a prefix of
-  // it suffices to draw, before the rest is read. `parts`: what is in memory of the file; the first has the file's
+  // For reading a file in pieces. The table of pages, 112 bytes a page, is coarse to fine as the pages are: its beginning
+  // suffices to draw, and the rest is read where it is wanted. `parts`: what is in memory of the file; the first has the file's
   // first bytes. They may be freed after each call. `size`: bytes of the whole file, if known; else bytes behind the
   // end that the header states are not noticed.
   //
@@ -82,6 +83,9 @@ class PagedFile {
   //   file = PagedFile::open_beginning(parts)
   //   read stored(0), decode page 0, draw
   //   while (file.unread_table().bytes != 0) read some of it, file.extend()
+  //
+  // Or after file.reserve(), wherever children of a known page are wanted: read some of file.unread_table(page), then
+  // file.extend(part, page).
 
   /// What open_beginning() needs besides `parts`, in file order, each range to be read as one part: the head; then
   /// DECL, ARCH, and LODS up to its first record; empty if nothing. Our writers put head, DECL and LODS first, and ARCH
@@ -95,18 +99,21 @@ class PagedFile {
   static Result<PagedFile> open_beginning(std::span<const FilePart> parts, const DecodeLimits& limits = {},
                                           std::optional<std::uint64_t> size = {});
   /// Adds more of the table: pages whose records are now complete become known; known ones keep their numbers and
-  /// values. `part` must start at or before unread_table().offset; bytes before that and behind the table are ignored.
-  /// Takes time in proportion to the new bytes. The last page completes the hash of LODS and the checks of the whole
-  /// table. After an error the same pages are known as before; a later call may bring the right bytes. Errors:
-  /// bad_argument (bytes in between are missing); those of open() for LODS, checksum_mismatch at its start.
-  Status extend(const FilePart& part);
-  /// The part of the table that extend() still needs; 0 bytes: none.
-  FileRange unread_table() const;
-  /// Allocates for all pages at once: extend() then allocates nothing, and pages() stays at its address. Otherwise
-  /// memory grows as pages become known, up to twice their size, and briefly holds old and new side by side.
+  /// values. `part` must start at or before unread_table(below).offset; bytes before that, from the next known page on
+  /// and from the first page on whose parent is unknown are ignored. Takes time in proportion to the new bytes. The last
+  /// page completes the hash of LODS and the checks of the whole table. After an error the same pages are known as
+  /// before; a later call may bring the right bytes. Errors: bad_argument (bytes in between are missing); those of
+  /// open() for LODS, checksum_mismatch at its start.
+  Status extend(const FilePart& part, std::uint32_t below = lod::kNoPage);
+  /// The part of the table, of at most `most` bytes, that extend() needs next: from the first unknown child of the known
+  /// page `below`, or from the first unknown page, up to a known one; 0 bytes: none.
+  FileRange unread_table(std::uint32_t below = lod::kNoPage, std::uint64_t most = ~std::uint64_t{0}) const;
+  /// Allocates for all pages at once: pages() and stored() then have them all, at addresses that stay; unknown ones have
+  /// 0 Gaussians. Otherwise memory grows as pages become known, up to twice their size, and briefly holds old and new
+  /// side by side.
   Status reserve();
   /// All pages are known and the hash of LODS is verified. Always after open().
-  bool is_verified() const { return !unread_; }
+  bool is_verified() const { return is_verified_; }
   /// Bytes held, without those of open(): 120 a page, the tables of an archive, itself.
   std::uint64_t memory_bytes() const;
   /// The same once all pages are known, by the number in the head of LODS. Compare it with your budget before
@@ -117,10 +124,10 @@ class PagedFile {
   /// a file without levels. Do not call its functions that read Gaussians or chunks, which exist in pages alone; after
   /// open_beginning() nor those that return bytes of the file.
   const FileView& head() const { return head_; }
-  const std::vector<lod::Page>& pages() const { return table_.pages; }  ///< known pages; after open() all
+  const std::vector<lod::Page>& pages() const { return table_.pages; }
   const StoredPage& stored(std::uint32_t page) const { return table_.stored[page]; }
-  std::uint32_t n_pages() const { return static_cast<std::uint32_t>(table_.pages.size()); }  ///< known
-  std::uint32_t n_pages_in_all() const { return table_.n_pages; }                            ///< with the unknown ones
+  std::uint32_t n_pages() const { return table_.n_ordered; }       ///< before the first unknown one; after open() all
+  std::uint32_t n_pages_in_all() const { return table_.n_pages; }  ///< with the unknown ones
   std::uint32_t n_levels() const { return table_.pages.front().level + 1; }
   std::uint64_t n_stored() const { return table_.n_stored; }        ///< Gaussians of all pages
   std::uint32_t page_chunks() const { return table_.page_chunks; }  ///< most of a page
@@ -129,7 +136,7 @@ class PagedFile {
 
   /// Pages 0 .. n_present() - 1 are complete. All are, unless the end of the file is missing.
   std::uint32_t n_present() const { return n_within(head_.bytes().size()); }
-  /// Known pages within the first `file_bytes` bytes of the file.
+  /// The same within the first `file_bytes` bytes of the file.
   std::uint32_t n_within(std::uint64_t file_bytes) const;
   /// The file's end is not missing.
   bool complete() const { return head_.bytes().size() == head_.header().file_bytes; }
@@ -137,7 +144,7 @@ class PagedFile {
   std::uint32_t finest_present() const;
 
   std::uint64_t decoded_bytes(std::uint32_t page) const;
-  std::uint64_t largest_decoded_bytes() const;  ///< of all known pages
+  std::uint64_t largest_decoded_bytes() const;  ///< of pages 0 .. n_pages() - 1
   /// Upper bound for all pages, known or not, by LODS.
   std::uint64_t most_decoded_bytes() const;
   /// Stored bytes of a present page.
@@ -152,11 +159,11 @@ class PagedFile {
   static Result<PagedFile> parse(std::span<const std::byte> bytes, const DecodeLimits& limits);
   static Result<PagedFile> parse_beginning(std::span<const FilePart> parts, const DecodeLimits& limits,
                                            std::optional<std::uint64_t> size);
-  Status read_records(std::span<const std::byte> records);
+  Status read_table(std::span<const std::byte> section, const DecodeLimits& limits);
   FileView head_;
   detail::PageTable table_;
   Codec codec_ = Codec::none;
-  std::optional<Hasher> unread_;  // of the part read so far, until the whole table has been read
+  bool is_verified_ = false;
 };
 
 /// Decodes pages, one at a time, reusing its memory; starts no threads and maps no files.

@@ -25,21 +25,20 @@ bool contains(const Box& outer, const Box& inner) {
   return true;
 }
 
-// Walks from the root down to pages that are drawn or have no children, in the order of leaves.
+// Pages that are drawn or have no children, in the order of leaves.
 template <class IsDrawn>
 std::vector<std::uint32_t> pages_until(const std::vector<Page>& pages, const IsDrawn& is_drawn) {
-  std::vector<std::uint32_t> drawn, stack{0};
-  while (!stack.empty()) {
-    const std::uint32_t i = stack.back();
-    stack.pop_back();
-    const Page& page = pages[i];
-    if (page.n_children == 0 || is_drawn(page)) {
-      drawn.push_back(i);
-      continue;
-    }
-    for (std::uint32_t child = page.first_child + page.n_children; child-- > page.first_child;) stack.push_back(child);
-  }
+  std::vector<std::uint32_t> drawn;
+  walk_pages(pages, [&](std::uint32_t i) {
+    if (pages[i].n_children != 0 && !is_drawn(pages[i])) return Walk::down;
+    drawn.push_back(i);
+    return Walk::on;
+  });
   return drawn;
+}
+
+bool is_known(const std::vector<Page>& pages, std::uint64_t page) {
+  return page < pages.size() && pages[page].count != 0;
 }
 
 }  // namespace
@@ -47,14 +46,13 @@ std::vector<std::uint32_t> pages_until(const std::vector<Page>& pages, const IsD
 std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level) {
   std::vector<std::uint32_t> of_level;
   for (std::size_t i = 0; i < pages.size(); ++i) {
-    if (pages[i].level == level) of_level.push_back(static_cast<std::uint32_t>(i));
+    if (pages[i].level == level && pages[i].count != 0) of_level.push_back(static_cast<std::uint32_t>(i));
   }
   return of_level;
 }
 
 std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint64_t max_count,
                                       std::uint32_t n_present) {
-  n_present = static_cast<std::uint32_t>(std::min<std::size_t>(n_present, pages.size()));
   // From the root downwards, largest error first, replaces each page by its children. Pages of equal error are replaced
   // together, as for any threshold.
   std::vector<std::uint32_t> by_error;
@@ -72,7 +70,7 @@ std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint6
       const Page& page = pages[by_error[i]];
       count -= page.count;
       for (std::uint32_t child = page.first_child; child < page.first_child + page.n_children; ++child) {
-        if (child < n_present) {
+        if (child < n_present && is_known(pages, child)) {
           count += pages[child].count;
         } else {
           present = false;
@@ -96,9 +94,9 @@ double footprint(const Box& core, const Eye& eye) {
 std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
                                        std::uint32_t n_present) {
   if (n_present == 0) return {};
-  n_present = static_cast<std::uint32_t>(std::min<std::size_t>(n_present, pages.size()));
   return pages_until(pages, [&](const Page& page) {
-    const bool has_children = std::uint64_t{page.first_child} + page.n_children <= n_present;
+    const std::uint64_t last = std::uint64_t{page.first_child} + page.n_children - 1;
+    const bool has_children = last < n_present && is_known(pages, last);
     return !has_children || is_fine_enough(page.error, detail_px, footprint(page.core, eye));
   });
 }
@@ -114,7 +112,7 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
     return {PageField::count, "a leaf page other than the last is not whole chunks"};
   }
   if (page.level >= kMaxLevels) return {PageField::level, "a page's level is above 63"};
-  const Page* before = root ? nullptr : &pages[index - 1];
+  const Page* before = root || pages[index - 1].count == 0 ? nullptr : &pages[index - 1];
   if (before != nullptr && page.level != before->level && page.level + 1 != before->level) {
     return {PageField::level, "pages are not ordered by level, coarse to fine"};
   }
@@ -130,16 +128,15 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
     }
     // The level below starts after the last page of this one. Future children need no bookkeeping: what a level's first
     // page claims must follow what the level above claimed, which is this level.
-    const std::uint64_t next = root ? 1 : std::uint64_t{before->first_child} + before->n_children;
-    const bool continues = !root && before->level == page.level;
-    const bool to_come = std::uint64_t{page.first_child} + page.n_children > pages.size();
-    if (page.first_child <= index || page.first_child >= n || page.n_children > n - page.first_child ||
-        ((continues || to_come) && page.first_child != next)) {
+    const std::uint64_t next = root ? 1 : before ? std::uint64_t{before->first_child} + before->n_children : 0;
+    const std::uint64_t end = std::uint64_t{page.first_child} + page.n_children;
+    const bool continues = before != nullptr && before->level == page.level, to_come = !is_known(pages, end - 1);
+    if (page.first_child <= index || end > n || ((continues || to_come) && next > 0 && page.first_child != next)) {
       return {PageField::children, "the children of pages do not follow each other"};
     }
-    const std::size_t known = std::min<std::size_t>(pages.size(), std::size_t{page.first_child} + page.n_children);
-    for (std::size_t child = page.first_child; child < known; ++child) {
-      if (pages[child].parent != index) return {PageField::children, "a page's child names another page as its parent"};
+    for (std::uint64_t child = page.first_child; child < end; ++child) {
+      if (is_known(pages, child) && pages[child].parent != index)
+        return {PageField::children, "a page's child names another page as its parent"};
     }
   }
   if (!is_box(page.bounds)) return {PageField::bounds, "a page's box is not finite or has min > max"};

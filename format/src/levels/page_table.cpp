@@ -10,6 +10,7 @@
 #include "file/byte_writer.hpp"
 #include "file/chunk_summary.hpp"
 #include "file/layout_io.hpp"
+#include "rgs/checksum.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs::detail {
@@ -88,16 +89,64 @@ Status parse_record(ByteReader& in, const PageContext& context, std::uint32_t pa
   return {};
 }
 
-// Checks that pages from `from` on are contiguous, and that the last one ends their section.
-Status check_places(const PageContext& context, const PageTable& table, std::size_t from) {
+void put_head(const PageTable& table, std::uint32_t n_levels, ByteWriter& out) {
+  out.u32(static_cast<std::uint32_t>(table.pages.size()));
+  out.u32(n_levels);
+  out.u32(table.page_chunks);
+  out.u32(0);
+  out.u64(table.n_stored);
+  out.f32(table.quality_db);
+  out.pad_to(kLevelsHeadBytes);
+}
+
+void put_record(const lod::Page& page, const StoredPage& stored, ByteWriter& out) {
+  out.u64(stored.offset);
+  out.u64(stored.xxh3);
+  out.u32(stored.stored_bytes);
+  out.u32(page.count);
+  out.u32(page.parent);
+  out.u32(page.first_child);
+  out.u8(static_cast<std::uint8_t>(page.level));
+  out.u8(static_cast<std::uint8_t>(page.n_children));
+  out.i16(stored.scale_exponent);
+  out.f32(page.error);
+  for (const float value : page.bounds.min) out.f32(value);
+  for (const float value : page.bounds.max) out.f32(value);
+  for (const std::uint32_t value : stored.corner) out.u32(value);
+  out.u32(stored.n_step_sets);
+  for (const float value : page.core.min) out.f32(value);
+  for (const float value : page.core.max) out.f32(value);
+  out.zeros(kPageRecordBytes - kReservedField);
+}
+
+// XXH3 of the section that a whole table was parsed from: parsing loses nothing.
+std::uint64_t hash_of(const PageTable& table) {
+  ByteWriter head;
+  put_head(table, table.n_levels, head);
+  Hasher hash;
+  hash.update(head.bytes());
+  for (std::size_t i = 0; i < table.pages.size(); ++i) {
+    ByteWriter record;
+    put_record(table.pages[i], table.stored[i], record);
+    hash.update(record.bytes());
+  }
+  return hash.digest();
+}
+
+// Checks that pages from .. end - 1 follow known ones before them, and end their section if all are known.
+Status check_places(const PageContext& context, const PageTable& table, std::size_t from, std::size_t end) {
   const bool direct = context.pages.codec == static_cast<std::uint32_t>(Codec::none);
   const std::uint64_t section_end = context.pages.offset + context.pages.stored_bytes;
-  std::uint64_t end =
-      from == 0 ? context.pages.offset : table.stored[from - 1].offset + table.stored[from - 1].stored_bytes;
-  for (std::size_t i = from; i < table.stored.size(); ++i) {
+  const auto end_before = [&](std::size_t i) {
+    if (i == 0) return context.pages.offset;
+    const StoredPage& before = table.stored[i - 1];
+    return table.is_known(i - 1) ? before.offset + before.stored_bytes
+                                 : std::max(table.stored[i].offset, context.pages.offset);
+  };
+  for (std::size_t i = from; i < end; ++i) {
     const StoredPage& page = table.stored[i];
     const std::uint64_t at = record_at(context.levels.offset, i);
-    const std::uint64_t start = direct ? align_up(end, kPageAlignment) : end;
+    const std::uint64_t start = direct ? align_up(end_before(i), kPageAlignment) : end_before(i);
     if (page.offset < start) {
       return make_error(Errc::section_overlap, at + kOffsetField, "a page overlaps the bytes before it", start,
                         page.offset);
@@ -119,17 +168,19 @@ Status check_places(const PageContext& context, const PageTable& table, std::siz
       return make_error(Errc::size_mismatch, at + kStoredField, "a page reaches beyond its section", section_end,
                         page.stored_bytes);
     }
-    end = page.offset + page.stored_bytes;
   }
-  if (table.stored.size() == table.n_pages && end != section_end) {
-    return make_error(Errc::size_mismatch, end, "bytes after the last page", section_end, end);
+  const StoredPage& last = table.stored[end - 1];
+  if (end == table.n_pages && last.offset + last.stored_bytes != section_end) {
+    return make_error(Errc::size_mismatch, last.offset + last.stored_bytes, "bytes after the last page", section_end,
+                      last.offset + last.stored_bytes);
   }
   return {};
 }
 
-Status check_tree(const PageContext& context, PageTable& table, std::size_t from) {
+// The same for the tree. Sets Page::first, to the right number once all pages are known.
+Status check_tree(const PageContext& context, PageTable& table, std::size_t from, std::size_t end) {
   std::uint64_t first = from == 0 ? 0 : table.pages[from - 1].first + table.pages[from - 1].count;
-  for (std::size_t i = from; i < table.pages.size(); ++i) {
+  for (std::size_t i = from; i < end; ++i) {
     lod::Page& page = table.pages[i];
     const lod::PageFault fault = lod::check_page(table.pages, i, context.header.chunk_size, table.n_pages);
     if (fault.what != nullptr) {
@@ -138,63 +189,81 @@ Status check_tree(const PageContext& context, PageTable& table, std::size_t from
     page.first = first;
     first += page.count;
   }
-  const bool all = table.pages.size() == table.n_pages;
-  if (all ? first != table.n_stored : first > table.n_stored) {
+  const bool is_whole = from == 0 && end == table.n_pages;  // otherwise the sum may lack unknown pages
+  if (is_whole ? first != table.n_stored : first > table.n_stored) {
     return make_error(Errc::bad_value, context.levels.offset + 16,
                       "the pages' Gaussians do not add up to those of LODS", table.n_stored, first);
   }
   return {};
 }
 
-Status append(std::span<const std::byte> records, const PageContext& context, PageTable& table) {
-  const std::size_t from = table.pages.size(), n = from + records.size() / kPageRecordBytes;
-  // Not beyond twice the known pages, and never beyond the total.
-  const std::size_t room = std::min<std::size_t>(std::max(n, 2 * from), table.n_pages);
-  if (n > table.pages.capacity()) table.pages.reserve(room);
-  if (n > table.stored.capacity()) table.stored.reserve(room);
-  table.pages.resize(n);
-  table.stored.resize(n);
-  ByteReader in(records, record_at(context.levels.offset, from));
-  for (std::size_t i = from; i < n; ++i) {
-    if (Status s = parse_record(in, context, table.page_chunks, table.pages[i], table.stored[i]); !s) return s;
+Status check_range(const PageContext& context, PageTable& table, std::size_t from, std::size_t end) {
+  if (Status s = check_places(context, table, from, end); !s) return s;
+  return check_tree(context, table, from, end);
+}
+
+Status check_whole(const PageContext& context, const PageTable& table) {
+  const Header& h = context.header;
+  std::uint64_t leaves = 0, decoded = 0;  // at most 2^32 pages of at most 2^24 bytes
+  for (std::size_t i = 0; i < table.pages.size(); ++i) {
+    const lod::Page& page = table.pages[i];
+    if (page.level == 0) leaves += page.count;
+    decoded += page_layout(page.count, h.chunk_size, table.stored[i].n_step_sets, h.sh_degree).bytes;
   }
-  if (Status s = check_places(context, table, from); !s) return s;
-  return check_tree(context, table, from);
+  if (leaves != h.n_gaussians) {
+    return make_error(Errc::bad_value, context.levels.offset + 16,
+                      "the number of Gaussians in leaves differs from the header's", h.n_gaussians, leaves);
+  }
+  if (table.pages.front().level + 1 != table.n_levels) {
+    return make_error(Errc::bad_value, context.levels.offset + 4, "the number of levels differs from the pages'",
+                      table.pages.front().level + 1, table.n_levels);
+  }
+  if (context.pages.codec != static_cast<std::uint32_t>(Codec::none) && context.pages.decoded_bytes != decoded) {
+    return make_error(Errc::size_mismatch, context.pages_entry + 32, "a section's size contradicts its pages' counts",
+                      decoded, context.pages.decoded_bytes);
+  }
+  return {};
+}
+
+// Pages from .. end - 1 are new; `end` grows from `from` on.
+Status extend(std::span<const std::byte> records, const PageContext& context, PageTable& table, std::size_t from,
+              std::size_t& end) {
+  ByteReader in(records, record_at(context.levels.offset, from));
+  for (const std::size_t n = from + records.size() / kPageRecordBytes; end < n && !table.is_known(end); ++end) {
+    lod::Page page;
+    StoredPage stored;
+    if (Status s = parse_record(in, context, table.page_chunks, page, stored); !s) return s;
+    if (end > from && page.parent < end && !table.is_known(page.parent)) break;
+    table.pages[end] = page, table.stored[end] = stored;
+  }
+  // A known page behind them now has others before it.
+  if (Status s = check_range(context, table, from, table.is_known(end) ? end + 1 : end); !s) return s;
+  while (table.is_known(table.n_ordered)) ++table.n_ordered;
+  if (table.n_ordered < table.n_pages) return {};
+  if (from > 0) {
+    if (Status s = check_hash(context.levels, hash_of(table)); !s) return s;
+    if (Status s = check_range(context, table, 0, table.n_pages); !s) return s;
+  }
+  return check_whole(context, table);
 }
 
 }  // namespace
 
 std::vector<std::byte> write_page_table(const PageTable& table) {
   ByteWriter out;
-  out.u32(static_cast<std::uint32_t>(table.pages.size()));
-  out.u32(table.pages.front().level + 1);
-  out.u32(table.page_chunks);
-  out.u32(0);
-  out.u64(table.n_stored);
-  out.f32(table.quality_db);
-  out.pad_to(kLevelsHeadBytes);
+  put_head(table, table.pages.front().level + 1, out);
   for (std::size_t i = 0; i < table.pages.size(); ++i) {
-    const lod::Page& page = table.pages[i];
-    const StoredPage& stored = table.stored[i];
-    out.u64(stored.offset);
-    out.u64(stored.xxh3);
-    out.u32(stored.stored_bytes);
-    out.u32(page.count);
-    out.u32(page.parent);
-    out.u32(page.first_child);
-    out.u8(static_cast<std::uint8_t>(page.level));
-    out.u8(static_cast<std::uint8_t>(page.n_children));
-    out.i16(stored.scale_exponent);
-    out.f32(page.error);
-    for (const float value : page.bounds.min) out.f32(value);
-    for (const float value : page.bounds.max) out.f32(value);
-    for (const std::uint32_t value : stored.corner) out.u32(value);
-    out.u32(stored.n_step_sets);
-    for (const float value : page.core.min) out.f32(value + 0.f);  // no -0
-    for (const float value : page.core.max) out.f32(value + 0.f);
-    out.zeros(kPageRecordBytes - kReservedField);
+    lod::Page page = table.pages[i];
+    for (float& value : page.core.min) value += 0.f;  // no -0
+    for (float& value : page.core.max) value += 0.f;
+    put_record(page, table.stored[i], out);
   }
   return out.take();
+}
+
+Status check_hash(const SectionEntry& entry, std::uint64_t hash) {
+  if (hash == entry.xxh3) return {};
+  return make_error(Errc::checksum_mismatch, entry.offset, "a section's checksum does not match", entry.xxh3, hash);
 }
 
 Result<PageTable> parse_levels_head(std::span<const std::byte> bytes, const PageContext& context,
@@ -240,37 +309,28 @@ Result<PageTable> parse_levels_head(std::span<const std::byte> bytes, const Page
   return table;
 }
 
-Status append_pages(std::span<const std::byte> records, const PageContext& context, PageTable& table) {
-  const std::size_t before = table.pages.size();
-  Status appended = append(records, context, table);
-  if (!appended) {
+Status extend_page_table(std::span<const std::byte> records, const PageContext& context, PageTable& table,
+                         std::size_t from) {
+  const std::size_t before = table.pages.size(), n = from + records.size() / kPageRecordBytes;
+  const std::uint32_t n_ordered = table.n_ordered;
+  if (n > before) {
+    // Not beyond twice the known pages, and never beyond the total.
+    const std::size_t room = std::min<std::size_t>(std::max(n, 2 * before), table.n_pages);
+    if (n > table.pages.capacity()) table.pages.reserve(room);
+    if (n > table.stored.capacity()) table.stored.reserve(room);
+    table.pages.resize(n);
+    table.stored.resize(n);
+  }
+  std::size_t end = from;
+  Status extended = extend(records, context, table, from, end);
+  if (!extended) {
+    std::fill(table.pages.begin() + static_cast<std::ptrdiff_t>(from),
+              table.pages.begin() + static_cast<std::ptrdiff_t>(end), lod::Page());
     table.pages.resize(before);
     table.stored.resize(before);
+    table.n_ordered = n_ordered;
   }
-  return appended;
-}
-
-Status check_page_table(const PageTable& table, const PageContext& context) {
-  const Header& h = context.header;
-  std::uint64_t leaves = 0, decoded = 0;  // at most 2^32 pages of at most 2^24 bytes
-  for (std::size_t i = 0; i < table.pages.size(); ++i) {
-    const lod::Page& page = table.pages[i];
-    if (page.level == 0) leaves += page.count;
-    decoded += page_layout(page.count, h.chunk_size, table.stored[i].n_step_sets, h.sh_degree).bytes;
-  }
-  if (leaves != h.n_gaussians) {
-    return make_error(Errc::bad_value, context.levels.offset + 16,
-                      "the number of Gaussians in leaves differs from the header's", h.n_gaussians, leaves);
-  }
-  if (table.pages.front().level + 1 != table.n_levels) {
-    return make_error(Errc::bad_value, context.levels.offset + 4, "the number of levels differs from the pages'",
-                      table.pages.front().level + 1, table.n_levels);
-  }
-  if (context.pages.codec != static_cast<std::uint32_t>(Codec::none) && context.pages.decoded_bytes != decoded) {
-    return make_error(Errc::size_mismatch, context.pages_entry + 32, "a section's size contradicts its pages' counts",
-                      decoded, context.pages.decoded_bytes);
-  }
-  return {};
+  return extended;
 }
 
 Status check_decoded_bytes(const PageContext& context, const DecodeLimits& limits, std::uint64_t file_bytes) {

@@ -26,15 +26,18 @@ struct PageContext {
 
 std::vector<std::byte> write_page_table(const PageTable& table);
 
-// The section is read from front to back: its head, its records as they arrive, then checks of the whole table. All
-// these may fail with size_mismatch, reserved_bits, bad_value, section_overlap, section_gap or limit_exceeded.
+// The section is read in parts: its head, its records as they arrive, then checks of the whole table. All these may
+// fail with size_mismatch, reserved_bits, bad_value, section_overlap, section_gap or limit_exceeded.
 
 /// A table without pages. `bytes`: the section, or at least its first kLevelsHeadBytes if it is that long.
 Result<PageTable> parse_levels_head(std::span<const std::byte> bytes, const PageContext& context,
                                     const DecodeLimits& limits);
-/// Appends the next pages from complete records. After an error the table is unchanged.
-Status append_pages(std::span<const std::byte> records, const PageContext& context, PageTable& table);
-Status check_page_table(const PageTable& table, const PageContext& context);
+/// Takes pages `from` on, of which the first is unknown, from complete records, up to a known page or one whose parent
+/// is unknown, and checks them against known ones. When no page is left unknown, checks the whole table, and its hash
+/// unless all records came at once: the caller has checked it then. After an error the table is unchanged.
+Status extend_page_table(std::span<const std::byte> records, const PageContext& context, PageTable& table,
+                         std::size_t from);
+Status check_hash(const SectionEntry& entry, std::uint64_t hash);
 /// Checks that pages decode to no more than a file of `file_bytes` may.
 Status check_decoded_bytes(const PageContext& context, const DecodeLimits& limits, std::uint64_t file_bytes);
 

@@ -64,11 +64,6 @@ PageContext context_of(const FileView& head) {
   return {head.header(), *levels, *pages, place_of(levels), place_of(pages)};
 }
 
-Status check_hash(const SectionEntry& entry, std::uint64_t hash) {
-  if (hash == entry.xxh3) return {};
-  return make_error(Errc::checksum_mismatch, entry.offset, "a section's checksum does not match", entry.xxh3, hash);
-}
-
 Status too_short(std::span<const std::byte> bytes, const Header& header) {
   return make_error(Errc::truncated, bytes.size(), "the file ends before its first page", header.file_bytes,
                     bytes.size());
@@ -113,16 +108,9 @@ Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const Decod
   const PageContext context = context_of(file.head_);
   const auto section = FileView::bytes_of(context.levels, {&whole, 1});
   if (!section) return tl::unexpected(too_short(bytes, file.head_.header()).error());
-  if (Status s = check_hash(context.levels, xxh3(*section)); !s) return tl::unexpected(s.error());
-  auto table = parse_levels_head(*section, context, limits);
-  if (!table) return tl::unexpected(table.error());
-  file.table_ = *std::move(table);
-  if (Status s = append_pages(section->subspan(kLevelsHeadBytes), context, file.table_); !s)
-    return tl::unexpected(s.error());
-  if (Status s = check_page_table(file.table_, context); !s) return tl::unexpected(s.error());
+  if (Status s = file.read_table(*section, limits); !s) return tl::unexpected(s.error());
   if (Status s = check_decoded_bytes(context, limits, file.head_.header().file_bytes); !s)
     return tl::unexpected(s.error());
-  file.codec_ = static_cast<Codec>(context.pages.codec);
   if (file.codec_ != Codec::none && !file.complete()) {
     // file_bytes counts bytes that are missing, so the limit is checked again.
     std::uint64_t decoded = 0;
@@ -135,6 +123,21 @@ Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const Decod
     }
   }
   return file;
+}
+
+// `section`: LODS, or at least its first record. Errors come in one order, as far as the bytes are there: a damaged file
+// has one error.
+Status PagedFile::read_table(std::span<const std::byte> section, const DecodeLimits& limits) {
+  const PageContext context = context_of(head_);
+  is_verified_ = section.size() == context.levels.stored_bytes;
+  if (is_verified_) {
+    if (Status s = check_hash(context.levels, xxh3(section)); !s) return s;
+  }
+  auto table = parse_levels_head(section, context, limits);
+  if (!table) return tl::unexpected(table.error());
+  table_ = *std::move(table);
+  codec_ = static_cast<Codec>(context.pages.codec);
+  return extend_page_table(section.subspan(kLevelsHeadBytes), context, table_, 0);
 }
 
 Result<std::vector<FileRange>> PagedFile::needs(std::span<const FilePart> parts, const DecodeLimits& limits,
@@ -183,18 +186,10 @@ Result<PagedFile> PagedFile::parse_beginning(std::span<const FilePart> parts, co
   }
   SectionEntry first = context.levels;
   first.stored_bytes = std::min(first.stored_bytes, kLevelsHeadBytes + kPageRecordBytes);
-  const auto section = FileView::bytes_of(first, parts);
+  auto section = FileView::bytes_of(context.levels, parts);
+  if (!section) section = FileView::bytes_of(first, parts);
   if (!section) return tl::unexpected(too_short(from_front.front().bytes, file.head_.header()).error());
-  // In open()'s order, as far as the bytes are there: a damaged file has one error.
-  if (const auto all = FileView::bytes_of(context.levels, parts)) {
-    if (Status s = check_hash(context.levels, xxh3(*all)); !s) return tl::unexpected(s.error());
-  }
-  auto table = parse_levels_head(*section, context, limits);
-  if (!table) return tl::unexpected(table.error());
-  file.table_ = *std::move(table);
-  file.codec_ = static_cast<Codec>(context.pages.codec);
-  file.unread_.emplace();
-  file.unread_->update(section->first(kLevelsHeadBytes));
+  if (Status s = file.read_table(*section, limits); !s) return tl::unexpected(s.error());
   for (const FilePart& part : parts) {
     if (part.offset > file.unread_table().offset) continue;
     if (Status s = file.extend(part); !s) return tl::unexpected(s.error());
@@ -204,17 +199,28 @@ Result<PagedFile> PagedFile::parse_beginning(std::span<const FilePart> parts, co
   return file;
 }
 
-FileRange PagedFile::unread_table() const {
+FileRange PagedFile::unread_table(std::uint32_t below, std::uint64_t most) const {
   const SectionEntry& levels = *head_.find(SectionType::levels);
-  const std::uint64_t end = levels.offset + levels.stored_bytes;
-  if (!unread_) return {end, 0};
-  const std::uint64_t next = levels.offset + kLevelsHeadBytes + table_.pages.size() * kPageRecordBytes;
-  return {next, end - next};
+  std::uint64_t first = table_.n_ordered, end = table_.n_pages;
+  if (below != lod::kNoPage) {
+    first = table_.pages[below].first_child, end = first + table_.pages[below].n_children;
+    while (first < end && table_.is_known(first)) ++first;
+    if (first < end) end = table_.n_pages;
+  }
+  std::uint64_t next = first;
+  while (next < end && next < table_.pages.size() && !table_.is_known(next) && (next - first) * kPageRecordBytes < most)
+    ++next;
+  if (next == table_.pages.size()) next = end;
+  return {levels.offset + kLevelsHeadBytes + first * kPageRecordBytes,
+          std::min((next - first) * kPageRecordBytes, most)};
 }
 
-Status PagedFile::extend(const FilePart& part) {
-  if (!unread_) return {};
-  const FileRange unread = unread_table();
+Status PagedFile::extend(const FilePart& part, std::uint32_t below) {
+  if (is_verified_) return {};
+  const FileRange unread = unread_table(below);
+  if (unread.bytes == 0) {
+    return make_error(Errc::bad_value, unread.offset, "a page's child names another page as its parent");
+  }
   if (part.offset > unread.offset) {
     return make_error(Errc::bad_argument, unread.offset, "bytes of the table of pages before these are missing",
                       unread.offset, part.offset);
@@ -223,33 +229,19 @@ Status PagedFile::extend(const FilePart& part) {
   if (skipped >= part.bytes.size()) return {};
   const std::uint64_t bytes = std::min(unread.bytes, part.bytes.size() - skipped);
   const auto records = part.bytes.subspan(skipped, bytes / kPageRecordBytes * kPageRecordBytes);
-  return guard_memory([&] { return read_records(records); });
-}
-
-Status PagedFile::read_records(std::span<const std::byte> records) {
-  const PageContext context = context_of(head_);
-  const std::size_t before = table_.pages.size();
-  const bool last = before + records.size() / kPageRecordBytes == table_.n_pages;
-  Hasher hash = *unread_;
-  hash.update(records);
-  Status read;
-  if (last) read = check_hash(context.levels, hash.digest());
-  if (read) read = append_pages(records, context, table_);
-  if (read && last) read = check_page_table(table_, context);
-  if (!read) {
-    table_.pages.resize(before);
-    table_.stored.resize(before);
-    return read;
-  }
-  *unread_ = hash;
-  if (last) unread_.reset();
-  return {};
+  const SectionEntry& levels = *head_.find(SectionType::levels);
+  const std::uint64_t from = (unread.offset - levels.offset - kLevelsHeadBytes) / kPageRecordBytes;
+  return guard_memory([&] {
+    Status extended = extend_page_table(records, context_of(head_), table_, from);
+    is_verified_ = table_.n_ordered == table_.n_pages;
+    return extended;
+  });
 }
 
 Status PagedFile::reserve() {
   return guard_memory([&]() -> Status {
-    table_.pages.reserve(table_.n_pages);
-    table_.stored.reserve(table_.n_pages);
+    table_.pages.reserve(table_.n_pages), table_.pages.resize(table_.n_pages);
+    table_.stored.reserve(table_.n_pages), table_.stored.resize(table_.n_pages);
     return {};
   });
 }
@@ -269,9 +261,10 @@ std::uint64_t PagedFile::whole_memory_bytes() const {
 }
 
 std::uint32_t PagedFile::n_within(std::uint64_t file_bytes) const {
+  const auto known = std::span(table_.stored).first(table_.n_ordered);
   const auto end = std::ranges::partition_point(
-      table_.stored, [file_bytes](const StoredPage& page) { return page.offset + page.stored_bytes <= file_bytes; });
-  return static_cast<std::uint32_t>(end - table_.stored.begin());
+      known, [file_bytes](const StoredPage& page) { return page.offset + page.stored_bytes <= file_bytes; });
+  return static_cast<std::uint32_t>(end - known.begin());
 }
 
 std::uint32_t PagedFile::finest_present() const {

@@ -13,7 +13,7 @@
 namespace rgs::detail {
 namespace {
 
-constexpr std::uint64_t kLeastTableBytes = 64 << 10;  // of a read
+constexpr std::uint64_t kTableBytes = 256 << 10;  // of a read
 
 pages::event::Fault fault_of(Errc code) {
   if (exit_code(code) != exit_code(Errc::corrupt_data)) return pages::event::Fault::lost;
@@ -23,19 +23,15 @@ pages::event::Fault fault_of(Errc code) {
 }  // namespace
 
 void StreamedState::fetch(PageReader& reader, const pages::action::Read& run) {
-  const auto page_of = [this](std::uint32_t group) {
-    const std::shared_lock lock(table);
-    return file->pages()[group];
-  };
   const std::uint32_t end_of_run = run.first + run.n;
-  const lod::Page last = page_of(end_of_run - 1);
+  const lod::Page& last = file->pages()[end_of_run - 1];
   const std::uint32_t end = last.first_child + last.n_children;
   reader.begin_run();
   std::array<PageReader::Ticket, pages::kMostGroups> sent{};  // by group of the run, once decoded
   std::uint32_t reported = run.first;                         // groups before it have arrived or failed
   FileRange known;                                            // bytes of the last page read
   for (std::uint32_t group = run.first; group < end_of_run; ++group) {
-    const lod::Page above = page_of(group);
+    const lod::Page& above = file->pages()[group];
     Status read = guard_memory([&]() -> Status {
       for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
         if (Status put = reader.read(child, end); !put) return put;
@@ -101,31 +97,20 @@ void StreamedState::fetch(PageReader& reader, const pages::action::Read& run) {
   }
 }
 
-void StreamedState::extend_table(PageReader& reader, std::uint64_t n) {
+// One thread at a time, while others read known pages.
+void StreamedState::extend_table(PageReader& reader, std::uint32_t group) {
   const StreamTimer timer(StreamStep::table);
-  FileRange unread;
-  {
-    const std::shared_lock lock(table);
-    unread = file->unread_table();
-  }
-  const auto part = reader.read_table(unread, std::max(n, kLeastTableBytes));
-  // Waits until no page is being decoded, so not under the lock that frames need.
-  std::unique_lock alone(table, std::defer_lock);
-  if (part) alone.lock();
+  const auto part = reader.read_range(file->unread_table(group, kTableBytes));
+  const Status extended = part ? file->extend(*part, group) : tl::unexpected(part.error());
   const std::scoped_lock lock(pool->mutex);
   stats.bytes_read += reader.take_bytes_read();
-  if (!part) {
-    trouble = tl::unexpected(part.error());
-    is_troubled = true;
-    pool->tell(pages::event::TableFailed{id, pages::event::Fault::lost});
-    return;
-  }
-  is_troubled = false;
-  if (const Status extended = file->extend(*part); extended) {
-    pool->tell(pages::event::TableGrew{id, file->is_verified()});
+  is_troubled = !part;
+  if (extended) {
+    pool->tell(pages::event::TableGrew{id, group, file->is_verified()});
   } else {
-    damage = extended;
-    pool->tell(pages::event::TableFailed{id, pages::event::Fault::damaged});
+    (part ? damage : trouble) = extended;
+    using pages::event::Fault;
+    pool->tell(pages::event::TableFailed{id, part ? Fault::damaged : Fault::lost});
   }
 }
 
@@ -134,10 +119,10 @@ void StreamedState::probe(PageReader& reader) {
     const std::scoped_lock lock(pool->mutex);
     return readable;
   }();
-  const Status read = reader.read_again(known);
+  const auto read = reader.read_range(known);
   const std::scoped_lock lock(pool->mutex);
   stats.bytes_read += reader.take_bytes_read();
-  if (!read) trouble = read;
+  if (!read) trouble = tl::unexpected(read.error());
   pool->tell(pages::event::Probed{id, read.has_value()});
 }
 
@@ -156,7 +141,7 @@ void StreamedState::work_until_stopped(PageReader& reader) {
       work.notify_one();  // another thread may find more
       lock.unlock();
       if (const auto* read = std::get_if<Read>(&*task)) fetch(reader, *read);
-      if (const auto* more = std::get_if<ReadTable>(&*task)) extend_table(reader, more->bytes);
+      if (const auto* more = std::get_if<ReadTable>(&*task)) extend_table(reader, more->group);
       if (std::holds_alternative<Probe>(*task)) probe(reader);
       {
         const StreamTimer timer(StreamStep::lock);

@@ -22,18 +22,15 @@ std::uint64_t PageReader::bytes(const PagedFile& file, std::uint64_t read_bytes,
 
 Status PageReader::fill(std::uint32_t page, std::uint32_t end) {
   begin_ = end_ = 0;
-  std::uint64_t begin = 0, read_end = 0;
-  {
-    const std::shared_lock lock(table_);
-    begin = read_end = file_.stored(page).offset;
-    for (std::uint32_t next = page; next < end; ++next) {
-      const StoredPage& stored = file_.stored(next);
-      const std::uint64_t end_of_page = stored.offset + stored.stored_bytes;
-      if (end_of_page - begin > capacity_) break;
-      // If the end of the file is missing, reads what is before it.
-      if (next > page && end_of_page > source_.size()) break;
-      read_end = end_of_page;
-    }
+  const std::uint64_t begin = file_.stored(page).offset;
+  std::uint64_t read_end = begin;
+  for (std::uint32_t next = page; next < end; ++next) {
+    const StoredPage& stored = file_.stored(next);
+    const std::uint64_t end_of_page = stored.offset + stored.stored_bytes;
+    if (end_of_page - begin > capacity_) break;
+    // If the end of the file is missing, reads what is before it.
+    if (next > page && end_of_page > source_.size()) break;
+    read_end = end_of_page;
   }
   if (read_end == begin) {
     return make_error(Errc::limit_exceeded, begin, "a page's stored bytes are more than it decodes to", capacity_);
@@ -53,7 +50,6 @@ Status PageReader::fill(std::uint32_t page, std::uint32_t end) {
 }
 
 Status PageReader::decode(std::uint32_t page) {
-  const std::shared_lock lock(table_);
   const StoredPage& stored = file_.stored(page);
   const std::span<const std::byte> bytes(stored_.get() + (stored.offset - begin_), stored.stored_bytes);
   const auto rows = [&] {
@@ -69,12 +65,8 @@ Status PageReader::finish() {
 }
 
 Status PageReader::read(std::uint32_t page, std::uint32_t end) {
-  const auto is_there = [&] {
-    const std::shared_lock lock(table_);
-    const StoredPage& stored = file_.stored(page);
-    return stored.offset >= begin_ && stored.offset + stored.stored_bytes <= end_;
-  };
-  if (!is_there()) {
+  const StoredPage& stored = file_.stored(page);
+  if (stored.offset < begin_ || stored.offset + stored.stored_bytes > end_) {
     if (Status filled = fill(page, end); !filled) return filled;
   }
   Status put = decode(page);
@@ -84,19 +76,12 @@ Status PageReader::read(std::uint32_t page, std::uint32_t end) {
   return decode(page);
 }
 
-Status PageReader::read_again(const FileRange& range) {
+Result<FilePart> PageReader::read_range(const FileRange& range) {
   begin_run();
-  if (Status read = source_.read(range.offset, {stored_.get(), range.bytes}); !read) return read;
-  bytes_read_ += range.bytes;
-  return {};
-}
-
-Result<FilePart> PageReader::read_table(const FileRange& unread, std::uint64_t n) {
-  begin_run();
-  const std::span<std::byte> bytes(stored_.get(), std::min({n, unread.bytes, capacity_}));
-  if (Status read = source_.read(unread.offset, bytes); !read) return tl::unexpected(read.error());
+  const std::span<std::byte> bytes(stored_.get(), std::min(range.bytes, capacity_));
+  if (Status read = source_.read(range.offset, bytes); !read) return tl::unexpected(read.error());
   bytes_read_ += bytes.size();
-  return FilePart{unread.offset, bytes};
+  return FilePart{range.offset, bytes};
 }
 
 }  // namespace rgs::detail

@@ -6,9 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
-#include <mutex>
 #include <optional>
-#include <shared_mutex>
 #include <utility>
 
 #include "rgs/byte_source.hpp"
@@ -19,34 +17,13 @@
 
 namespace rgs::detail {
 
-/// Guards a table of pages. A waiting writer blocks new readers; otherwise threads that decode page after page would
-/// never all release it at once.
-class TableMutex {
- public:
-  void lock() {
-    const std::scoped_lock next(turn_);
-    table_.lock();
-  }
-  void unlock() { table_.unlock(); }
-  void lock_shared() {
-    const std::scoped_lock next(turn_);
-    table_.lock_shared();
-  }
-  void unlock_shared() { table_.unlock_shared(); }
-
- private:
-  std::mutex turn_;
-  std::shared_mutex table_;
-};
-
 class PageReader {
  public:
-  /// `read_bytes`: of one read, at least least_bytes(file). `table` guards the file's table of pages, which may grow.
-  /// All must outlive it. `writer`: needed if the store is on a device.
-  PageReader(const PagedFile& file, TableMutex& table, ByteSource& source, std::uint64_t read_bytes, PageStore& store,
+  /// `read_bytes`: of one read, at least least_bytes(file). All must outlive it. `writer`: needed if the store is on a
+  /// device.
+  PageReader(const PagedFile& file, ByteSource& source, std::uint64_t read_bytes, PageStore& store,
              std::optional<SlotWriter> writer)
       : file_(file),
-        table_(table),
         source_(source),
         store_(store),
         writer_(std::move(writer)),
@@ -78,13 +55,11 @@ class PageReader {
   Result<bool> is_done(Ticket ticket) { return writer_ ? writer_->is_done(ticket) : Result<bool>(true); }
   /// Sends what was stored and waits for it; after any return nothing is in flight. Errors: device_failed.
   Status finish();
-  /// Up to `n` bytes of the table of pages that are unread, valid until the next call. Errors: those of
+  /// The first bytes of a range that is not of pages, as many as fit, valid until the next call. Errors: those of
   /// ByteSource::read().
-  Result<FilePart> read_table(const FileRange& unread, std::uint64_t n);
+  Result<FilePart> read_range(const FileRange& range);
   /// The first few hundred bytes of the last read().
   FileRange last_read() const { return {begin_, std::min<std::uint64_t>(end_ - begin_, 512)}; }
-  /// Reads a range that was readable before. Errors: those of ByteSource::read().
-  Status read_again(const FileRange& range);
   /// Since the last call.
   std::uint64_t take_bytes_read() { return std::exchange(bytes_read_, 0); }
 
@@ -93,7 +68,6 @@ class PageReader {
   Status decode(std::uint32_t page);
 
   const PagedFile& file_;
-  TableMutex& table_;
   ByteSource& source_;
   PageStore& store_;
   std::optional<SlotWriter> writer_;

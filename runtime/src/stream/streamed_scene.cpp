@@ -72,13 +72,8 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
   const std::uint64_t whole = opened->whole_memory_bytes();
   if (Status taken = take(whole - std::min(whole, archive)); !taken) return taken;
   file = *std::move(opened);
-  if (Status reserved = file->reserve(); !reserved) return reserved;
-  for (const FilePart& part : parts) {
-    const FileRange unread = file->unread_table();
-    if (unread.bytes == 0 || part.offset > unread.offset || part.offset + part.bytes.size() <= unread.offset) continue;
-    if (Status extended = file->extend(part); !extended) return extended;
-  }
   subject = placed(subject_box(file->pages()), file->head().declarations().origin);
+  if (Status reserved = file->reserve(); !reserved) return reserved;
   memory.clear();
   const std::scoped_lock lock(pool->mutex);
   const std::uint64_t given = part_bytes + archive - std::min(whole, archive);
@@ -127,13 +122,12 @@ Status StreamedState::make_room_for_pages(bool prefetches) {
       if (!created) return tl::unexpected(created.error());
       writer.emplace(*std::move(created));
     }
-    readers.push_back(std::make_unique<PageReader>(*file, table, *source, read_bytes, *store, std::move(writer)));
+    readers.push_back(std::make_unique<PageReader>(*file, *source, read_bytes, *store, std::move(writer)));
   }
   const PageStore::Cost cost = store->cost();
   const std::scoped_lock lock(pool->mutex);
   id = pool->scheduler->add_scene({.pages = &file->pages(),
                                    .stored = &file->stored(0),
-                                   .n_pages = n_pages,
                                    .is_verified = file->is_verified(),
                                    .page_bytes = cost.page,
                                    .row_bytes = cost.row,

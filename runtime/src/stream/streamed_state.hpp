@@ -63,8 +63,7 @@ struct StreamedState {
   // Set by open(), then constant.
   std::shared_ptr<StreamPoolState> pool;
   std::unique_ptr<ByteSource> source;
-  std::optional<PagedFile> file;  // its table grows under both `table` and pool->mutex, locked in this order
-  TableMutex table;
+  std::optional<PagedFile> file;  // but one reader at a time adds pages, which others see with pool->mutex
   SceneBounds subject;
   pages::SceneId id = 0;
   bool is_scheduled = false;  // it has an id
@@ -121,7 +120,7 @@ struct StreamedState {
 
   // For reading threads, without the lock.
   void fetch(PageReader& reader, const pages::action::Read& read);
-  void extend_table(PageReader& reader, std::uint64_t n);
+  void extend_table(PageReader& reader, std::uint32_t group);
   void probe(PageReader& reader);
   void work_until_stopped(PageReader& reader);
 };

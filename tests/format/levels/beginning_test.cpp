@@ -73,6 +73,26 @@ Status extend(PagedFile& file, std::span<const std::byte> bytes, std::uint64_t f
   return file.extend({first, copy});
 }
 
+bool is_known(const PagedFile& file, std::uint64_t page) {
+  return page < file.pages().size() && file.pages()[page].count > 0;
+}
+
+// Reads some of the table below a random page of those whose children are not all known.
+Status extend_anywhere(PagedFile& file, std::span<const std::byte> bytes, SplitMix& random) {
+  std::vector<std::uint32_t> above;
+  for (std::uint32_t i = 0; i < file.pages().size(); ++i) {
+    const lod::Page& page = file.pages()[i];
+    if (page.n_children > 0 && !is_known(file, page.first_child + page.n_children - 1)) above.push_back(i);
+  }
+  if (above.empty()) return make_error(Errc::internal, 0, "some page's children name another page as their parent");
+  const std::uint32_t page = above[random.below(above.size())];
+  const FileRange unread = file.unread_table(page, 112 + random.below(900));
+  const auto part = bytes.subspan(unread.offset, unread.bytes);
+  Bytes copy(part.begin(), part.end());
+  copy.shrink_to_fit();
+  return file.extend({unread.offset, copy}, page);
+}
+
 void check_same_page(const PagedFile& a, const PagedFile& b, std::uint32_t i) {
   const lod::Page &p = a.pages()[i], &q = b.pages()[i];
   CHECK(p.level == q.level);
@@ -201,6 +221,41 @@ TEST_CASE("a table that arrives in pieces of any size equals the whole one") {
       CHECK(extend(*file, bytes, 0, bytes.size()));  // it requests nothing more
     }
   }
+}
+
+TEST_CASE("a table that is read below any known page, in any order, equals the whole one") {
+  std::vector<Bytes> files{many_pages(3000), many_pages(9000)};
+  for (const GoldenLevels& scene : all_golden_levels()) files.push_back(encode_levels(scene));
+  std::size_t n_gaps = 0;
+  for (const Bytes& bytes : files) {
+    const auto whole = PagedFile::open(bytes);
+    REQUIRE(whole);
+    for (std::uint64_t seed = 0; seed < 10; ++seed) {
+      CAPTURE(seed);
+      SplitMix random(seed);
+      auto file = open_from(bytes, section_of(bytes, "LODS") + 64 + 112 * (1 + random.below(5)));
+      REQUIRE(file);
+      REQUIRE(file->reserve());
+      REQUIRE(file->pages().size() == whole->n_pages());
+      while (!file->is_verified()) {
+        REQUIRE(extend_anywhere(*file, bytes, random));
+        std::uint32_t n_known = 0;
+        for (const lod::Page& page : file->pages()) n_known += page.count > 0;
+        n_gaps += n_known > file->n_pages();
+        CHECK(file->is_verified() == (n_known == whole->n_pages()));
+        CHECK(file->unread_table().bytes <= (whole->n_pages() - n_known) * 112);
+        // What is drawn is known, and as fine as it can be.
+        for (const std::uint32_t page : lod::drawn_pages(file->pages(), {{0.1, -2, 0.3}, 500, 0.01}, 0)) {
+          CHECK(is_known(*file, page));
+          const lod::Page& drawn = file->pages()[page];
+          CHECK((drawn.level == 0 || !is_known(*file, drawn.first_child + drawn.n_children - 1)));
+        }
+        CHECK(lod::finest_cut(file->pages(), bytes.size()).size() >= 1);
+      }
+      check_prefix(*file, *whole);
+    }
+  }
+  CHECK(n_gaps > 100);
 }
 
 TEST_CASE("pages of a prefix decode from ranges of the file alone") {
@@ -353,11 +408,50 @@ TEST_CASE("errors in a table with a valid hash are found however it is read") {
         if (extended && whole) check_prefix(*file, *whole);
         if (!extended && !whole) CHECK(extended.error().offset <= bytes.size());
       }
+      SplitMix random(i);
+      auto file = open_from(bytes, levels + 64 + 112);
+      Status extended = file ? file->reserve() : Status(tl::unexpected(file.error()));
+      while (extended && !file->is_verified()) extended = extend_anywhere(*file, bytes, random);
+      CHECK(extended.has_value() == whole.has_value());
+      if (whole) check_prefix(*file, *whole);
       ++(whole ? n_right : n_wrong);
     }
   }
   CHECK(n_wrong > 1000);
   CHECK(n_right > 100);
+}
+
+TEST_CASE("a part of the table that is refused changes nothing, in any order") {
+  const Bytes sound = many_pages(3000);
+  const auto whole = PagedFile::open(sound);
+  REQUIRE(whole);
+  const std::uint64_t levels = section_of(sound, "LODS"), end = table_end(sound);
+  std::size_t n_refused = 0;
+  for (std::uint64_t i = levels + 64 + 112; i < end; i += 13) {
+    CAPTURE(i - levels);
+    Bytes bytes = sound;
+    bytes[i] ^= std::byte{0x08};
+    SplitMix random(i);
+    auto file = open_from(bytes, levels + 64 + 112);
+    REQUIRE(file);
+    REQUIRE(file->reserve());
+    for (;;) {
+      std::vector<lod::Page> before = file->pages();
+      const std::uint32_t n_before = file->n_pages();
+      const Status extended = extend_anywhere(*file, bytes, random);
+      CHECK_FALSE(file->is_verified());
+      if (extended) continue;
+      CHECK(file->n_pages() == n_before);
+      for (std::size_t page = 0; page < before.size(); ++page) CHECK(is_known(*file, page) == (before[page].count > 0));
+      break;
+    }
+    // The right bytes do for the rest, unless the wrong ones were taken.
+    Status rest;
+    while (rest && !file->is_verified()) rest = extend_anywhere(*file, sound, random);
+    n_refused += file->is_verified();
+    if (file->is_verified()) check_prefix(*file, *whole);
+  }
+  CHECK(n_refused > 100);
 }
 
 TEST_CASE("one page only may claim children that are not known yet") {

@@ -109,13 +109,27 @@ class World {
   enum class Is : std::uint8_t { absent, read, placed };
   struct Scene {
     std::unique_ptr<Tree> tree;
-    std::vector<lod::Page> known;  // what the scheduler sees
+    std::vector<lod::Page> known;  // what the scheduler sees: unknown ones have no Gaussians
     pages::SceneId id = 0;
     std::vector<Is> groups;
     std::vector<std::uint32_t> pins;  // [pages] frames that draw it
     std::vector<Reader> readers;
     std::uint64_t root_bytes = 0;
     std::uint64_t n_reads = 0, n_probes = 0, n_table_reads = 0, n_evicted = 0;
+
+    std::uint32_t n_known() const {
+      return static_cast<std::uint32_t>(std::ranges::count_if(known, [](const auto& page) { return page.count > 0; }));
+    }
+    bool knows_all() const { return n_known() == known.size(); }
+    std::uint32_t n_groups() const {
+      return static_cast<std::uint32_t>(
+          std::ranges::count_if(tree->pages, [](const auto& page) { return page.n_children > 0; }));
+    }
+    std::uint32_t first_unknown(std::uint32_t group) const {
+      std::uint32_t page = known[group].first_child;
+      while (known[page].count > 0) ++page;
+      return page;
+    }
   };
   struct View {
     Scene* scene = nullptr;
@@ -150,16 +164,15 @@ class World {
     const auto n = static_cast<std::uint32_t>(scene->tree->pages.size());
     scene->root_bytes = options.page_bytes + options.row_bytes * scene->tree->pages[0].count;
     if (!take(scene->root_bytes)) return nullptr;
-    scene->known.reserve(n);
-    const auto n_known = static_cast<std::ptrdiff_t>(std::min(n, std::max(1U, options.n_known)));
-    scene->known.assign(scene->tree->pages.begin(), scene->tree->pages.begin() + n_known);
+    scene->known.resize(n);
+    const std::uint32_t n_known = std::min(n, std::max(1U, options.n_known));
+    std::copy_n(scene->tree->pages.begin(), n_known, scene->known.begin());
     scene->groups.resize(n);
     scene->pins.resize(n);
     scene->readers.resize(options.n_readers);
     scene->id = scheduler.add_scene({.pages = &scene->known,
                                      .stored = scene->tree->stored.data(),
-                                     .n_pages = n,
-                                     .is_verified = static_cast<std::uint32_t>(n_known) == n,
+                                     .is_verified = n_known == n,
                                      .page_bytes = options.page_bytes,
                                      .row_bytes = options.row_bytes,
                                      .n_readers = options.n_readers,
@@ -278,13 +291,16 @@ class World {
         for (std::uint32_t k = 0; k < n; ++k) CHECK(scene->groups[group + k] == Is::absent);
       }
       if (r.n_reported < read->n) return;
-    } else if (std::get_if<action::ReadTable>(&*r.task) != nullptr) {
+    } else if (const auto* more = std::get_if<action::ReadTable>(&*r.task)) {
       if (!fault) {
-        const auto& all = scene->tree->pages;
-        const std::size_t n = std::min(all.size(), scene->known.size() + rows);
-        scene->known.insert(scene->known.end(), all.begin() + static_cast<std::ptrdiff_t>(scene->known.size()),
-                            all.begin() + static_cast<std::ptrdiff_t>(n));
-        tell(event::TableGrew{scene->id, n == all.size()});
+        std::vector<lod::Page>& known = scene->known;
+        std::uint32_t page = scene->first_unknown(more->group);
+        for (; rows > 0 && page < known.size() && known[page].count == 0; --rows, ++page) {
+          const lod::Page& next = scene->tree->pages[page];
+          if (known[next.parent].count == 0) break;
+          known[page] = next;
+        }
+        tell(event::TableGrew{scene->id, more->group, scene->knows_all()});
       } else {
         tell(event::TableFailed{scene->id, *fault});
       }
@@ -368,8 +384,9 @@ class World {
       if (const auto* read = std::get_if<action::Read>(&action)) {
         Scene& scene = scene_of(read->scene);
         for (std::uint32_t group = read->first; group < read->first + read->n; ++group) {
-          REQUIRE(group < scene.known.size());
-          CHECK(scene.known[group].n_children > 0);
+          const lod::Page& above = scene.known[group];
+          REQUIRE(above.n_children > 0);
+          for (std::uint32_t k = 0; k < above.n_children; ++k) CHECK(scene.known[above.first_child + k].count > 0);
           CHECK(scene.groups[group] == Is::absent);
           scene.groups[group] = Is::read;
         }
@@ -377,7 +394,9 @@ class World {
         begin(scene, action);
       } else if (const auto* more = std::get_if<action::ReadTable>(&action)) {
         Scene& scene = scene_of(more->scene);
-        CHECK(scene.known.size() < scene.tree->pages.size());
+        const lod::Page& above = scene.known[more->group];
+        REQUIRE(above.n_children > 0);
+        CHECK(scene.first_unknown(more->group) < above.first_child + above.n_children);
         ++scene.n_table_reads;
         begin(scene, action);
       } else if (const auto* probe = std::get_if<action::Probe>(&action)) {
@@ -480,7 +499,8 @@ class World {
       is_drawn[page] = 1;
     }
     for (std::uint32_t page = 0; page < pages.size(); ++page) {
-      if (pages[page].n_children > 0 && pages[page].first_child < pages.size()) continue;
+      const bool has_children = pages[page].n_children > 0 && pages[pages[page].first_child].count > 0;
+      if (pages[page].count == 0 || has_children) continue;
       if (!volume.may_show(pages[page].bounds)) continue;
       int n = 0;
       for (std::uint32_t above = page;; above = pages[above].parent) {

@@ -35,7 +35,8 @@ pages::Look over(float detail_px = 0) {
 std::uint32_t count(const World& world, const World::Scene* scene, Residency::State state) {
   const Residency& residency = world.scheduler.residency(scene->id);
   std::uint32_t n = 0;
-  for (std::uint32_t group = 0; group < residency.n_groups(); ++group) n += residency.state(group) == state;
+  for (std::uint32_t page = 0; page < residency.n_pages(); ++page)
+    n += scene->tree->pages[page].n_children > 0 && residency.state(page) == state;
   return n;
 }
 
@@ -47,7 +48,7 @@ struct Lone {
 
   explicit Lone(const World::Options& options = {}, std::uint64_t budget = kAmple)
       : world(budget), scene(world.open(tree(), options)), view(world.add_view(scene)) {}
-  std::uint32_t n_groups() const { return world.scheduler.residency(scene->id).n_groups(); }
+  std::uint32_t n_groups() const { return scene->n_groups(); }
   /// All awake readers ask, and those with work fail or not, until none is awake.
   template <class FaultOf>
   void run(const FaultOf& fault_of) {
@@ -216,7 +217,7 @@ TEST_CASE("more unreadable groups than a list of wants holds leave time for ever
   world.draw(view, over());
   const auto is_lost = [&](std::uint32_t group) { return scene->known[group].level == 1 && group % 16 != 0; };
   std::uint32_t n_lost = 0, n_others = 0;
-  const std::uint32_t n_groups = world.scheduler.residency(scene->id).n_groups();
+  const std::uint32_t n_groups = scene->n_groups();
   for (std::uint32_t group = 0; group < n_groups; ++group) ++(is_lost(group) ? n_lost : n_others);
   REQUIRE(n_lost > pages::kMostWants + 100);
   for (int n = 0; count(world, scene, Residency::State::resident) < n_others; ++n) {
@@ -312,8 +313,26 @@ TEST_CASE("the table is read as far as views want it; the rest follows at rest, 
   CHECK(!lone.view->verdict);
   lone.world.settle();
   CHECK(lone.view->verdict == Verdict::complete);
-  CHECK(lone.scene->known.size() == lone.scene->tree->pages.size());
+  CHECK(lone.scene->knows_all());
   CHECK(lone.scene->n_reads == 0);
+}
+
+TEST_CASE("the table is read where a view looks before the rest of it") {
+  Lone lone({.n_readers = 1, .n_known = 1, .most_bytes = 1, .prefetches = false});
+  World& world = lone.world;
+  const pages::Look corner = look_from(5, 80, 3, 0, 1);
+  const pages::ViewVolume volume(corner.view, corner.low_pass);
+  world.draw(lone.view, corner);
+  while (world.draw(lone.view, corner), world.cut(lone.view).missing > 0) {
+    REQUIRE(world.ask(lone.scene, 0));
+    if (const auto* more = std::get_if<pages::action::ReadTable>(&*lone.scene->readers[0].task))
+      CHECK(volume.may_show(lone.scene->known[more->group].bounds));
+    while (lone.scene->readers[0].state == State::busy) world.finish(lone.scene, 0, {}, 1);
+  }
+  CHECK(lone.scene->n_table_reads > 0);
+  CHECK(lone.scene->n_known() < lone.scene->known.size() / 2);
+  world.settle();
+  CHECK(lone.scene->knows_all());
 }
 
 TEST_CASE("what no view wants leaves first, then what is wanted clearly less, of whichever scene") {

@@ -199,8 +199,7 @@ class Chaos {
       World::Frame frame = world_.begin_frame(view.get());
       world_.end_frame(0);
       const pages::Cut cut = world_.cut(view.get());
-      CHECK((*view->verdict == pages::action::Verdict::complete) ==
-            (cut.missing == 0 && view->scene->known.size() == view->scene->tree->pages.size()));
+      CHECK((*view->verdict == pages::action::Verdict::complete) == (cut.missing == 0 && view->scene->knows_all()));
       if (cut.missing == 0) {
         CHECK(frame.pages == World::expected(*view));
         ++tally_.complete_at_rest;

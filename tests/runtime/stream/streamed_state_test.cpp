@@ -58,6 +58,34 @@ TEST_CASE("while a frame is held open its view is chosen again, and afterwards n
   opened.pool->release(all);
 }
 
+TEST_CASE("a view needs no part of the table but what it looks at") {
+  const Bytes bytes = town({.n = 200000, .sh_degree = 0, .page_chunks = 1, .has_large = false});
+  const auto whole = PagedFile::open(bytes);
+  REQUIRE(whole);
+  Opened opened(bytes, false, 3, 1);  // reads are of one page, or of as many bytes of the table
+  const Camera corner = camera_at({18, 4, 18}, {25, 0, 25});
+  const pages::Look look = opened.rule(0).look(corner);
+  const pages::ViewVolume volume(look.view, look.low_pass);
+  const auto record = [&](std::uint64_t page) {
+    return whole->head().find(SectionType::levels)->offset + kLevelsHeadBytes + page * kPageRecordBytes;
+  };
+  const auto leaf = std::ranges::find(whole->pages(), 0U, &lod::Page::level);
+  const auto seen =
+      std::ranges::find_if(leaf, whole->pages().end(), [&](const auto& page) { return volume.may_show(page.bounds); });
+  REQUIRE(seen != whole->pages().end());
+  // Leaves that it does not see, but for some with which a read may end.
+  opened.script->shut_from = record(static_cast<std::uint64_t>(leaf - whole->pages().begin()) + 300);
+  opened.script->shut_to = record(whole->pages()[seen->parent].first_child);
+  REQUIRE(opened.script->shut_from + 1000 * kPageRecordBytes < opened.script->shut_to);
+  opened.script->is_shut = true;
+  opened.frame(corner, 0);
+  opened.await([&] { return opened.state->residency().n_resident() > 1; });
+  test::await([&] { return opened.frame(corner, 0).cut().missing == 0; });
+  CHECK(opened.refine(corner, 0, 1, 0) == false);  // only the whole table is known to be sound
+  opened.script->open_gate();
+  CHECK(opened.refine(corner, 0) == true);
+}
+
 TEST_CASE("a frame whose list of pages finds no room is not called complete") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes);
@@ -84,7 +112,7 @@ TEST_CASE("refine() waits for room that frames, reads and views of others releas
   Opened opened(bytes, false, 1);
   StreamedState& s = *opened.state;
   StreamPoolState& pool = *opened.pool;
-  const auto at_rest = [&] { return s.file->is_verified() && pool.scheduler->is_at_rest(s.id); };
+  const auto at_rest = [&] { return pool.scheduler->is_at_rest(s.id); };
   opened.frame(over(), 1e9F, 1);  // the root, and the rest of the table
   opened.await(at_rest);
   std::uint64_t taken = 0;
@@ -131,7 +159,7 @@ TEST_CASE("refine() waits for room that frames, reads and views of others releas
   lone.stop();
   lone.frame(over(), 1e9F, 1);
   lone.frame(over(), 1e9F, 2);
-  lone.await([&] { return lone.state->file->is_verified() && !lone.pool->scheduler->is_reading(lone.state->id); });
+  lone.await([&] { return lone.pool->scheduler->is_at_rest(lone.state->id); });
   const std::uint64_t rest = lone.use_up();
   CHECK(lone.refine(over(), 1e9F, 3, 0) == false);
   complete = std::async(std::launch::async, [&] { return lone.refine(over(), 1e9F, 3); });
