@@ -13,7 +13,7 @@
 namespace rgs::detail {
 namespace {
 
-constexpr std::uint64_t kTableBytes = 256 << 10;  // of a read
+constexpr std::uint64_t kTableBytes = 128 << 10;  // of a read
 
 pages::event::Fault fault_of(Errc code) {
   if (exit_code(code) != exit_code(Errc::corrupt_data)) return pages::event::Fault::lost;
