@@ -61,8 +61,8 @@ struct Levels {
   }
 };
 
-// Of a tree that is not whole yet (PagedFile::open_beginning()), pages beyond `pages` and those without Gaussians are
-// unknown, and count as absent.
+// Of a tree that is not whole yet (PagedFile::open_beginning()), pages beyond `pages` and those that have neither a
+// parent nor Gaussians are unknown, and count as absent.
 
 enum class Walk : std::uint8_t { down, on, end };
 /// Visits pages from the root on, in the order of leaves. visit(page) says what follows: the page's children, which are

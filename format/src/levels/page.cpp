@@ -38,7 +38,7 @@ std::vector<std::uint32_t> pages_until(const std::vector<Page>& pages, const IsD
 }
 
 bool is_known(const std::vector<Page>& pages, std::uint64_t page) {
-  return page < pages.size() && pages[page].count != 0;
+  return page < pages.size() && (pages[page].count != 0 || pages[page].parent != kNoPage);
 }
 
 }  // namespace
@@ -46,7 +46,7 @@ bool is_known(const std::vector<Page>& pages, std::uint64_t page) {
 std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level) {
   std::vector<std::uint32_t> of_level;
   for (std::size_t i = 0; i < pages.size(); ++i) {
-    if (pages[i].level == level && pages[i].count != 0) of_level.push_back(static_cast<std::uint32_t>(i));
+    if (pages[i].level == level && is_known(pages, i)) of_level.push_back(static_cast<std::uint32_t>(i));
   }
   return of_level;
 }
@@ -112,7 +112,7 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
     return {PageField::count, "a leaf page other than the last is not whole chunks"};
   }
   if (page.level >= kMaxLevels) return {PageField::level, "a page's level is above 63"};
-  const Page* before = root || pages[index - 1].count == 0 ? nullptr : &pages[index - 1];
+  const Page* before = root || !is_known(pages, index - 1) ? nullptr : &pages[index - 1];
   if (before != nullptr && page.level != before->level && page.level + 1 != before->level) {
     return {PageField::level, "pages are not ordered by level, coarse to fine"};
   }
