@@ -141,7 +141,7 @@ struct Read {
   SceneId scene;
   std::uint32_t first, n;
 };
-/// Read more of the table of pages, from the group's first unknown page on.
+/// Read more of the table of pages, from the group's first unknown page on; lod::kNoPage: from the first of all.
 struct ReadTable {
   SceneId scene;
   std::uint32_t group;

@@ -23,7 +23,7 @@ Residency::Residency(const std::vector<lod::Page>& pages)
 void Residency::extend(std::uint32_t group) {
   for (; group < n_pages() && pages_[group].n_children > 0 && !groups_[group].is_known; ++group) {
     const lod::Page& last = pages_[pages_[group].first_child + pages_[group].n_children - 1];
-    if (last.count == 0 || last.parent != group) return;
+    if (last.parent != group) return;
     groups_[group].is_known = true;
   }
 }
@@ -32,7 +32,7 @@ void Residency::extend(std::uint32_t group) {
 std::uint32_t Residency::first_unknown() {
   while (first_unknown_ < n_pages() && (pages_[first_unknown_].n_children == 0 || is_known(first_unknown_)))
     ++first_unknown_;
-  return first_unknown_;
+  return first_unknown_ < n_pages() ? first_unknown_ : lod::kNoPage;
 }
 
 void Residency::count_below(std::uint32_t group, int n) {

@@ -58,7 +58,7 @@ class Residency {
 
   std::uint32_t n_pages() const { return static_cast<std::uint32_t>(pages_.size()); }  ///< with the unknown ones
   bool is_known(std::uint32_t group) const { return groups_[group].is_known; }
-  /// The first group that is not; n_pages(): none.
+  /// The first group that is not; lod::kNoPage: none, though pages may be unknown that no other claims.
   std::uint32_t first_unknown();
   /// Calls f(group) for the groups of a known group's pages.
   template <class F>

@@ -30,7 +30,7 @@ template <class IsDrawn>
 std::vector<std::uint32_t> pages_until(const std::vector<Page>& pages, const IsDrawn& is_drawn) {
   std::vector<std::uint32_t> drawn;
   walk_pages(pages, [&](std::uint32_t i) {
-    if (pages[i].n_children != 0 && !is_drawn(pages[i])) return Walk::down;
+    if (pages[i].n_children != 0 && !is_drawn(i)) return Walk::down;
     drawn.push_back(i);
     return Walk::on;
   });
@@ -70,7 +70,7 @@ std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint6
       const Page& page = pages[by_error[i]];
       count -= page.count;
       for (std::uint32_t child = page.first_child; child < page.first_child + page.n_children; ++child) {
-        if (child < n_present && is_known(pages, child)) {
+        if (child < n_present && child < pages.size() && pages[child].parent == by_error[i]) {
           count += pages[child].count;
         } else {
           present = false;
@@ -84,7 +84,7 @@ std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint6
     }
   }
   if (!found) return {};
-  return pages_until(pages, [&](const Page& page) { return page.error <= error; });
+  return pages_until(pages, [&](std::uint32_t i) { return pages[i].error <= error; });
 }
 
 double footprint(const Box& core, const Eye& eye) {
@@ -94,9 +94,10 @@ double footprint(const Box& core, const Eye& eye) {
 std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
                                        std::uint32_t n_present) {
   if (n_present == 0) return {};
-  return pages_until(pages, [&](const Page& page) {
+  return pages_until(pages, [&](std::uint32_t i) {
+    const Page& page = pages[i];
     const std::uint64_t last = std::uint64_t{page.first_child} + page.n_children - 1;
-    const bool has_children = last < n_present && is_known(pages, last);
+    const bool has_children = last < n_present && last < pages.size() && pages[last].parent == i;
     return !has_children || is_fine_enough(page.error, detail_px, footprint(page.core, eye));
   });
 }
@@ -148,7 +149,10 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
   if (root) return {};
   if (page.parent >= index) return {PageField::parent, "a page's parent does not precede it"};
   const Page& parent = pages[page.parent];
-  if (index < parent.first_child || index - parent.first_child >= parent.n_children || page.level + 1 != parent.level) {
+  // Its siblings before it are known and have the same parent: no two pages can share children.
+  const bool is_first = index == parent.first_child;
+  if (index < parent.first_child || index - parent.first_child >= parent.n_children || page.level + 1 != parent.level ||
+      (!is_first && pages[index - 1].parent != page.parent)) {
     return {PageField::parent, "a page is not a child of the page that it names as its parent"};
   }
   if (!contains(parent.bounds, page.bounds)) return {PageField::bounds, "a page's box reaches beyond its parent's"};

@@ -11,6 +11,7 @@
 #include "file/chunk_summary.hpp"
 #include "file/layout_io.hpp"
 #include "rgs/checksum.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs::detail {
@@ -189,8 +190,7 @@ Status check_tree(const PageContext& context, PageTable& table, std::size_t from
     page.first = first;
     first += page.count;
   }
-  const bool is_whole = from == 0 && end == table.n_pages;  // otherwise the sum may lack unknown pages
-  if (is_whole ? first != table.n_stored : first > table.n_stored) {
+  if (from == 0 && end == table.n_pages && first != table.n_stored) {
     return make_error(Errc::bad_value, context.levels.offset + 16,
                       "the pages' Gaussians do not add up to those of LODS", table.n_stored, first);
   }
@@ -237,7 +237,13 @@ Status extend(std::span<const std::byte> records, const PageContext& context, Pa
     table.pages[end] = page, table.stored[end] = stored;
   }
   // A known page behind them now has others before it.
-  if (Status s = check_range(context, table, from, table.is_known(end) ? end + 1 : end); !s) return s;
+  const bool joins = table.is_known(end);
+  if (Status s = check_range(context, table, from, joins ? end + 1 : end); !s) return s;
+  if (joins && table.pages[end].n_children > 0 &&
+      table.pages[end].first_child != table.pages[end - 1].first_child + table.pages[end - 1].n_children) {
+    return make_error(Errc::bad_value, record_at(context.levels.offset, end) + kChildrenField,
+                      "the children of pages do not follow each other");
+  }
   while (table.is_known(table.n_ordered)) ++table.n_ordered;
   if (table.n_ordered < table.n_pages) return {};
   if (from > 0) {
@@ -322,7 +328,7 @@ Status extend_page_table(std::span<const std::byte> records, const PageContext& 
     table.stored.resize(n);
   }
   std::size_t end = from;
-  Status extended = extend(records, context, table, from, end);
+  Status extended = guard_memory([&] { return extend(records, context, table, from, end); });
   if (!extended) {
     std::fill(table.pages.begin() + static_cast<std::ptrdiff_t>(from),
               table.pages.begin() + static_cast<std::ptrdiff_t>(end), lod::Page());

@@ -210,14 +210,14 @@ FileRange PagedFile::unread_table(std::uint32_t below, std::uint64_t most) const
   std::uint64_t next = first;
   while (next < end && next < table_.pages.size() && !table_.is_known(next) && (next - first) * kPageRecordBytes < most)
     ++next;
-  if (next == table_.pages.size()) next = end;
+  if (next >= table_.pages.size()) next = end;
   return {levels.offset + kLevelsHeadBytes + first * kPageRecordBytes,
           std::min((next - first) * kPageRecordBytes, most)};
 }
 
 Status PagedFile::extend(const FilePart& part, std::uint32_t below) {
   if (is_verified_) return {};
-  const FileRange unread = unread_table(below);
+  const FileRange unread = unread_table(below, std::max<std::uint64_t>(part.bytes.size(), 1));
   if (unread.bytes == 0) {
     return make_error(Errc::bad_value, unread.offset, "a page's child names another page as its parent");
   }

@@ -104,14 +104,15 @@ void StreamedState::extend_table(PageReader& reader, std::uint32_t group) {
   const Status extended = part ? file->extend(*part, group) : tl::unexpected(part.error());
   const std::scoped_lock lock(pool->mutex);
   stats.bytes_read += reader.take_bytes_read();
-  is_troubled = !part;
   if (extended) {
+    is_troubled = false;
     pool->tell(pages::event::TableGrew{id, group, file->is_verified()});
-  } else {
-    (part ? damage : trouble) = extended;
-    using pages::event::Fault;
-    pool->tell(pages::event::TableFailed{id, part ? Fault::damaged : Fault::lost});
+    return;
   }
+  const pages::event::Fault fault = fault_of(extended.error().code);
+  is_troubled = fault == pages::event::Fault::lost;
+  (is_troubled ? trouble : damage) = extended;
+  pool->tell(pages::event::TableFailed{id, fault});
 }
 
 void StreamedState::probe(PageReader& reader) {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstring>
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <random>
 #include <string>
@@ -452,6 +453,53 @@ TEST_CASE("a part of the table that is refused changes nothing, in any order") {
     if (file->is_verified()) check_prefix(*file, *whole);
   }
   CHECK(n_refused > 100);
+}
+
+TEST_CASE("two pages cannot share children, in whatever order they are read") {
+  // Of level 1 a page `late`, first of its parent's, also claims the last child of `early`, and the page behind names it.
+  const Bytes sound = many_pages(9000);
+  const auto whole = PagedFile::open(sound);
+  REQUIRE(whole);
+  const auto& pages = whole->pages();
+  const auto record = [&](std::uint64_t page) { return section_of(sound, "LODS") + 64 + 112 * page; };
+  std::uint32_t early = 0, late = 0;
+  for (std::uint32_t i = 1; i < pages.size(); ++i) {
+    if (pages[i].level != 1) continue;
+    if (early == 0) early = i;
+    if (i == pages[pages[i].parent].first_child && pages[i].parent > pages[early].parent + 1) late = i;
+  }
+  REQUIRE(late > 0);
+  const std::uint32_t shared = pages[early].first_child + pages[early].n_children - 1;
+  Bytes bytes = sound;
+  put(std::span(bytes), record(late) + 28, shared);
+  bytes[record(late) + 33] = std::byte{2};
+  put(std::span(bytes), record(shared + 1) + 24, late);
+  for (const std::uint64_t box : {40U, 80U}) {  // bounds and core are those of `late`
+    std::copy_n(sound.begin() + static_cast<std::ptrdiff_t>(record(late) + box), 24,
+                bytes.begin() + static_cast<std::ptrdiff_t>(record(shared + 1) + box));
+  }
+  fix_hashes(bytes);
+  auto file = open_from(bytes, record(1));
+  REQUIRE(file);
+  REQUIRE(file->reserve());
+  const auto read = [&](std::uint32_t below, std::uint64_t n) {
+    const FileRange unread = file->unread_table(below, 112 * n);
+    return file->extend({unread.offset, std::span<const std::byte>(bytes).subspan(unread.offset, unread.bytes)}, below);
+  };
+  // What is above them, and no more of their groups.
+  const std::function<void(std::uint32_t)> reach = [&](std::uint32_t page) {
+    if (is_known(*file, page)) return;
+    reach(pages[page].parent);
+    REQUIRE(read(pages[page].parent, page - pages[pages[page].parent].first_child + 1));
+  };
+  reach(late);
+  REQUIRE_FALSE(is_known(*file, late - 1));
+  reach(early);
+  REQUIRE(read(early, pages[early].n_children));
+  const Status shares = read(late, 1);
+  REQUIRE_FALSE(shares);
+  CHECK(shares.error().code == Errc::bad_value);
+  CHECK(shares.error().offset == record(shared + 1) + 24);
 }
 
 TEST_CASE("one page only may claim children that are not known yet") {

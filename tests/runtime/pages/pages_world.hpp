@@ -394,9 +394,12 @@ class World {
         begin(scene, action);
       } else if (const auto* more = std::get_if<action::ReadTable>(&action)) {
         Scene& scene = scene_of(more->scene);
-        const lod::Page& above = scene.known[more->group];
-        REQUIRE(above.n_children > 0);
-        CHECK(scene.first_unknown(more->group) < above.first_child + above.n_children);
+        CHECK(!scene.knows_all());
+        if (more->group != lod::kNoPage) {
+          const lod::Page& above = scene.known[more->group];
+          REQUIRE(above.n_children > 0);
+          CHECK(scene.first_unknown(more->group) < above.first_child + above.n_children);
+        }
         ++scene.n_table_reads;
         begin(scene, action);
       } else if (const auto* probe = std::get_if<action::Probe>(&action)) {

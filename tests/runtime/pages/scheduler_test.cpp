@@ -317,6 +317,26 @@ TEST_CASE("the table is read as far as views want it; the rest follows at rest, 
   CHECK(lone.scene->n_reads == 0);
 }
 
+TEST_CASE("pages of the table that no other page claims are read in the end, where they are refused") {
+  Tree liar = tree();
+  liar.pages.push_back(liar.pages.back());
+  liar.stored.push_back(liar.stored.back());
+  World world(kAmple);
+  World::Scene* const scene =
+      world.open(std::move(liar), {.n_readers = 1, .n_known = static_cast<std::uint32_t>(tree().pages.size())});
+  World::View* const view = world.add_view(scene);
+  world.draw(view, over(1e6F));
+  for (int n = 0; n < pages::kMostTries; ++n) {
+    REQUIRE(world.ask(scene, 0));
+    const auto* more = std::get_if<pages::action::ReadTable>(&*scene->readers[0].task);
+    REQUIRE(more != nullptr);
+    CHECK(more->group == lod::kNoPage);
+    world.finish(scene, 0, Fault::damaged);
+    world.now += 10s;
+  }
+  CHECK(!world.ask(scene, 0));
+}
+
 TEST_CASE("the table is read where a view looks before the rest of it") {
   Lone lone({.n_readers = 1, .n_known = 1, .most_bytes = 1, .prefetches = false});
   World& world = lone.world;
