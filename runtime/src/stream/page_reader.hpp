@@ -55,7 +55,7 @@ class PageReader {
   Result<bool> is_done(Ticket ticket) { return writer_ ? writer_->is_done(ticket) : Result<bool>(true); }
   /// Sends what was stored and waits for it; after any return nothing is in flight. Errors: device_failed.
   Status finish();
-  /// The first bytes of a range that is not of pages, as many as fit, valid until the next call. Errors: those of
+  /// The first bytes of any range of the file, as many as fit, valid until the next call. Errors: those of
   /// ByteSource::read().
   Result<FilePart> read_range(const FileRange& range);
   /// The first few hundred bytes of the last read().
