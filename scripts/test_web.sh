@@ -17,9 +17,11 @@ scene() (
     ../../release/bin/rgs-convert --overwrite scene.ply packed.rgs &&
     ../../release/bin/rgs-convert --overwrite --profile archive:small scene.ply low.rgs &&
     ../../release/bin/rgs-convert --overwrite --profile direct scene.ply direct.rgs &&
-    ../../release/bin/rgs-convert --overwrite --lod scene.ply levels.rgs
+    ../../release/bin/rgs-convert --overwrite --lod scene.ply levels.rgs &&
+    ../../release/bin/rgs-make-scene --overwrite --seed 1 --gaussians 800k --degree 0 wide.ply &&
+    ../../release/bin/rgs-convert --overwrite --lod wide.ply wide.rgs && rm wide.ply
 )
-{ [ -f build/web/scenes/low.rgs ] && [ build/web/scenes/levels.rgs -nt build/release/bin/rgs-convert ]; } || quiet scenes scene
+{ [ -f build/web/scenes/wide.rgs ] && [ build/web/scenes/levels.rgs -nt build/release/bin/rgs-convert ]; } || quiet scenes scene
 quiet page sh scripts/build_page.sh
 . scripts/node.sh
 

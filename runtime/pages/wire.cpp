@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "pages/wire.hpp"
 
+#include <algorithm>
 #include <initializer_list>
 #include <iterator>
 #include <utility>
@@ -36,6 +37,23 @@ Box box_of(Numbers& in) {
   for (float& x : box.min) x = in.next<float>();
   for (float& x : box.max) x = in.next<float>();
   return box;
+}
+
+void take_page(Numbers& in, lod::Page& page, StoredPage& stored) {
+  page.level = in.index();
+  const double parent = in.number();
+  page.parent = parent < 0 ? lod::kNoPage : static_cast<std::uint32_t>(parent);
+  page.first_child = in.index();
+  page.n_children = in.index();
+  page.first = in.bytes();
+  page.count = in.index();
+  page.error = in.next<float>();
+  page.bounds = box_of(in);
+  page.core = box_of(in);
+  stored.offset = in.bytes();
+  stored.stored_bytes = in.index();
+  stored.n_step_sets = in.index();
+  stored.scale_exponent = in.next<std::int16_t>();
 }
 
 void put_box(const Box& box, std::vector<double>& numbers) {
@@ -86,28 +104,14 @@ void put_page(const lod::Page& page, const StoredPage& stored, std::vector<doubl
 Wire::Wire(std::span<const double> setup, std::span<const double> pages)
     : scheduler_(static_cast<std::uint64_t>(setup.front())) {
   const std::size_t n = pages.size() / kPageNumbers;
-  pages_.reserve(n);
-  stored_.reserve(n);
+  pages_.resize(n);
+  stored_.resize(n);
   Numbers in(pages);
-  while (!in.is_empty()) {
-    lod::Page& page = pages_.emplace_back();
-    page.level = in.index();
-    if (const double parent = in.number(); parent >= 0) page.parent = static_cast<std::uint32_t>(parent);
-    page.first_child = in.index();
-    page.n_children = in.index();
-    page.first = in.bytes();
-    page.count = in.index();
-    page.error = in.next<float>();
-    page.bounds = box_of(in);
-    page.core = box_of(in);
-    StoredPage& stored = stored_.emplace_back();
-    stored.offset = in.bytes();
-    stored.stored_bytes = in.index();
-    stored.n_step_sets = in.index();
-    stored.scale_exponent = in.next<std::int16_t>();
-  }
+  for (std::size_t i = 0; i < n; ++i) take_page(in, pages_[i], stored_[i]);
+  const auto is_unknown = [](const lod::Page& page) { return page.parent == lod::kNoPage; };
+  const bool is_verified = std::find_if(pages_.begin() + 1, pages_.end(), is_unknown) == pages_.end();
   Numbers of(setup.subspan(1));
-  SceneSetup scene{.pages = &pages_, .stored = stored_.data(), .is_verified = true};
+  SceneSetup scene{.pages = &pages_, .stored = stored_.data(), .is_verified = is_verified};
   scene.page_bytes = of.bytes();
   scene.row_bytes = of.bytes();
   scene.n_readers = of.index();
@@ -151,6 +155,16 @@ std::span<const double> Wire::step(std::span<const double> events, double now) {
       case WireEvent::probed: tell(event::Probed{scene_, in.number() != 0}); break;
       case WireEvent::take: tell(event::Take{in.bytes()}); break;
       case WireEvent::release: tell(event::Release{in.bytes()}); break;
+      case WireEvent::table_grew: {
+        const std::uint32_t group = in.index();
+        const bool is_verified = in.number() != 0;
+        std::uint32_t page = in.index();
+        for (const std::uint32_t end = page + in.index(); page < end; ++page)
+          take_page(in, pages_[page], stored_[page]);
+        tell(event::TableGrew{scene_, group, is_verified});
+        break;
+      }
+      case WireEvent::table_failed: tell(event::TableFailed{scene_, in.next<event::Fault>()}); break;
     }
   }
   return actions_;
@@ -178,6 +192,8 @@ void Wire::tell(const Event& event) {
       put(WireAction::read, {number(read->first), number(read->n)});
     } else if (std::holds_alternative<action::Probe>(action)) {
       put(WireAction::probe);
+    } else if (const auto* table = std::get_if<action::ReadTable>(&action)) {
+      put(WireAction::read_table, {number(table->group)});
     } else if (const auto* evict = std::get_if<action::Evict>(&action)) {
       put(WireAction::evict, {number(evict->group)});
     } else if (const auto* draw = std::get_if<action::Draw>(&action)) {

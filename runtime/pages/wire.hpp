@@ -32,6 +32,9 @@ enum class WireEvent : std::uint8_t {
   probed,   ///< is there
   take,     ///< bytes
   release,  ///< bytes
+  /// group, table is verified, first page, n, records of the pages [n, kPageNumbers], those that stay unknown included
+  table_grew,
+  table_failed,  ///< fault
 };
 /// Codes of actions, and their fields: those of pages::action, but for the scene.
 enum class WireAction : std::uint8_t {
@@ -42,12 +45,13 @@ enum class WireAction : std::uint8_t {
   taken,    ///< is taken
   wake_at,  ///< time
   wake,
+  read_table,  ///< group; lod::kNoPage: any
 };
 
 class Wire {
  public:
   /// `setup`: budget beside the root, bytes a page, bytes a Gaussian, readers, most bytes of a read, most bytes between
-  /// its parts, prefetches; the table of pages is complete. `pages` [n, kPageNumbers].
+  /// its parts, prefetches. `pages` [n, kPageNumbers]: all pages, of which unknown ones have neither parent nor Gaussians.
   Wire(std::span<const double> setup, std::span<const double> pages);
   ViewId add_view();
   /// `now`: nanoseconds. The actions are valid until the next step.
@@ -58,7 +62,11 @@ class Wire {
   double n_wanted(ViewId view) const {
     return scheduler_.is_at_rest(scene_) ? 0 : static_cast<double>(scheduler_.last_cut(view).wanted);
   }
-  std::uint32_t n_quarantined() const { return scheduler_.residency(scene_).n_quarantined(); }
+  /// Groups that are too damaged to be read again; a table that is counts as one.
+  std::uint32_t n_quarantined() const {
+    const Residency& residency = scheduler_.residency(scene_);
+    return residency.n_quarantined() + residency.is_broken();
+  }
 
  private:
   struct Frame {

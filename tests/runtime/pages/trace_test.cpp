@@ -42,9 +42,11 @@ class Trace {
  public:
   std::string text;
 
-  Trace(const Tree& tree, std::vector<double> setup) : tree_(tree), wire_(setup, numbers_of(tree)) {
+  /// The wire knows pages 0 .. n_known - 1.
+  Trace(const Tree& tree, std::vector<double> setup, std::size_t n_known = ~std::size_t{0})
+      : tree_(tree), known_(beginning_of(tree, n_known)), wire_(setup, numbers_of(known_, 0, known_.pages.size())) {
     line("setup", setup);
-    const std::vector<double> all = numbers_of(tree);
+    const std::vector<double> all = numbers_of(known_, 0, known_.pages.size());
     for (std::size_t at = 0; at < all.size(); at += pages::kPageNumbers)
       line("page", std::span(all).subspan(at, pages::kPageNumbers));
     view = wire_.add_view();
@@ -53,7 +55,9 @@ class Trace {
   /// Tells one event, and does what a driver would: keeps what readers are to do, and when they wake.
   template <class... T>
   void tell(WireEvent code, T... fields) {
-    const std::vector<double> event{static_cast<double>(code), static_cast<double>(fields)...};
+    tell_all({static_cast<double>(code), static_cast<double>(fields)...});
+  }
+  void tell_all(const std::vector<double>& event) {
     const std::span<const double> actions = wire_.step(event, now);
     text += "at ";
     put(text, now);
@@ -70,6 +74,10 @@ class Trace {
         case WireAction::probe:
           tasks.push_back({0, 0});
           at += 1;
+          break;
+        case WireAction::read_table:
+          tasks.push_back({field(1), kTable});
+          at += 2;
           break;
         case WireAction::evict:
           ++n_evicted;
@@ -122,7 +130,9 @@ class Trace {
     const Task task = tasks.front();
     tasks.erase(tasks.begin());
     if (task.n == 0) tell(WireEvent::probed, !fault);
-    for (std::uint32_t i = 0; i < task.n; ++i) {
+    if (task.n == kTable && fault) tell(WireEvent::table_failed, static_cast<int>(*fault));
+    if (task.n == kTable && !fault) grow(task.first);
+    for (std::uint32_t i = 0; i < task.n && task.n != kTable; ++i) {
       if (!fault) {
         tell(WireEvent::arrived, task.first + i);
         continue;
@@ -139,8 +149,13 @@ class Trace {
   }
   const std::vector<lod::Page>& tree() const { return tree_.pages; }
 
+  bool knows_all() const {
+    return std::ranges::none_of(known_.pages, [](const lod::Page& page) { return page.count == 0; });
+  }
+
+  static constexpr std::uint32_t kTable = ~0U;
   struct Task {
-    std::uint32_t first, n;  // of a read; n = 0: a probe
+    std::uint32_t first, n;  // of a read; n = 0: a probe; n = kTable: of the table, below group `first`
   };
   double now = 0;
   pages::ViewId view = 0;
@@ -152,10 +167,29 @@ class Trace {
   const Wire& wire() const { return wire_; }
 
  private:
-  static std::vector<double> numbers_of(const Tree& tree) {
+  static Tree beginning_of(Tree tree, std::size_t n_known) {
+    for (std::size_t i = n_known; i < tree.pages.size(); ++i) tree.pages[i] = {}, tree.stored[i] = {};
+    return tree;
+  }
+  static std::vector<double> numbers_of(const Tree& tree, std::size_t first, std::size_t end) {
     std::vector<double> numbers;
-    for (std::size_t i = 0; i < tree.pages.size(); ++i) pages::put_page(tree.pages[i], tree.stored[i], numbers);
+    for (std::size_t i = first; i < end; ++i) pages::put_page(tree.pages[i], tree.stored[i], numbers);
     return numbers;
+  }
+  /// A few more pages become known; a page that stays unknown is told with them.
+  void grow(std::uint32_t group) {
+    std::vector<lod::Page>& pages = known_.pages;
+    std::size_t first = group == lod::kNoPage ? 0 : pages[group].first_child;
+    while (pages[first].count > 0) ++first;
+    const std::size_t end = std::min(first + 7, pages.size()), told = std::min(end + 1, pages.size());
+    for (std::size_t i = first; i < end && pages[i].count == 0 && pages[tree_.pages[i].parent].count > 0; ++i)
+      pages[i] = tree_.pages[i], known_.stored[i] = tree_.stored[i];
+    std::vector<double> event{static_cast<double>(WireEvent::table_grew), static_cast<double>(group),
+                              static_cast<double>(knows_all()), static_cast<double>(first),
+                              static_cast<double>(told - first)};
+    const std::vector<double> records = numbers_of(known_, first, told);
+    event.insert(event.end(), records.begin(), records.end());
+    tell_all(event);
   }
   void line(std::string_view name, std::span<const double> values) {
     text += name;
@@ -163,7 +197,7 @@ class Trace {
     text += '\n';
   }
 
-  Tree tree_;
+  Tree tree_, known_;
   Wire wire_;
   bool has_drawn_ = false;
 };
@@ -273,4 +307,43 @@ TEST_CASE("a trace of a picture's camera that moves and turns") {
     trace.now += 40 * kMillisecond;
   }
   check_golden("picture", trace);
+}
+
+TEST_CASE("a trace of a table of pages that is read where views look, with failures") {
+  Trace trace(tree(9, 5), setup(1e6), 4);
+  Seeded random(3);
+  const std::vector<double> position{80, 3, 70};
+  for (int n = 0; n < 200 && !trace.knows_all(); ++n) {
+    trace.look(position, 8);
+    trace.draw();
+    for (trace.ask(2); !trace.tasks.empty(); trace.ask(2)) {
+      const bool is_table = trace.tasks.front().n == Trace::kTable;
+      if (!is_table || !random.happens(0.3)) {
+        trace.finish();
+      } else {
+        trace.finish(random.happens(0.5) ? Fault::lost : Fault::checksum);
+      }
+    }
+    trace.now = std::max(trace.now + kMillisecond, trace.wakes);
+  }
+  CHECK(trace.knows_all());
+  CHECK(trace.wire().n_quarantined() == 0);
+  trace.draw();
+  CHECK(trace.drawn == lod::drawn_pages(trace.tree(), lod::Eye{{80, 3, 70}, 700, 0.5}, 8));
+  check_golden("table", trace);
+}
+
+TEST_CASE("a trace of a table that is damaged for good") {
+  Trace trace(tree(9, 5), setup(1e6), 4);
+  for (int n = 0; n < 20; ++n) {
+    trace.look({80, 3, 70}, 0);
+    trace.draw();
+    for (trace.ask(2); !trace.tasks.empty(); trace.ask(2)) {
+      trace.finish(trace.tasks.front().n == Trace::kTable ? std::optional(Fault::damaged) : std::nullopt);
+    }
+    trace.now = std::max(trace.now + kMillisecond, trace.wakes);
+  }
+  CHECK(trace.wire().n_quarantined() == 1);
+  CHECK(trace.wire().n_wanted(trace.view) == 0);
+  check_golden("broken_table", trace);
 }

@@ -1,6 +1,6 @@
 // decoder.ts - decodes one .rgs file in one instance of rgs.wasm, synchronously, in a worker.
 // SPDX-License-Identifier: Apache-2.0
-import { outOfMemory, RgsError, type RgsErrorCode } from "./errors.js";
+import { allocate, outOfMemory, RgsError, type RgsErrorCode } from "./errors.js";
 import type { Box, Vector3 } from "./head.js";
 
 /** Decoded Gaussians, structure of arrays. */
@@ -82,8 +82,8 @@ interface Exports extends Heap {
   rgs_add_part(file: number, offset: number, address: number, bytes: number): void;
   rgs_needs(file: number, fileBytes: number): number;
   rgs_open_parts(file: number, fileBytes: number): number;
-  rgs_unread_table(file: number): void;
-  rgs_extend(file: number, offset: number, address: number, bytes: number): number;
+  rgs_unread_table(file: number, below: number, most: number): void;
+  rgs_extend(file: number, below: number, offset: number, address: number, bytes: number): number;
   rgs_head(file: number): void;
   rgs_levels(file: number): void;
   rgs_read_page(file: number, page: number, address: number, bytes: number, asStored: number): number;
@@ -130,16 +130,6 @@ const kMostMemory = 2 ** 32 - 2 ** 20;
 
 const shBytes = (degree: number): number => [4, 12, 28, 48][degree] as number;
 const shFloats = (degree: number): number => 3 * (degree + 1) ** 2;
-
-/** Typed arrays, or host_out_of_memory. */
-function allocate<T>(make: () => T): T {
-  try {
-    return make();
-  } catch (error) {
-    if (error instanceof RangeError) throw outOfMemory();
-    throw error;
-  }
-}
 
 function emptyGaussians(n: number, shDegree: number): Gaussians {
   return allocate(() => ({
@@ -208,19 +198,22 @@ export class Decoder {
     return this.check(() => this.wasm.rgs_open_parts(this.file, fileBytes)) === 1;
   }
 
-  unreadTable(): Range {
-    this.run(() => this.wasm.rgs_unread_table(this.file));
+  /** What of the page table extend() needs next, below a known page. */
+  unreadTable(below: number, most: number): Range {
+    this.run(() => this.wasm.rgs_unread_table(this.file, below, most));
     const values = this.numbers();
     return { offset: values[0] as number, bytes: values[1] as number };
   }
 
-  extend(offset: number, bytes: Uint8Array): void {
+  /** For Levels. */
+  extend(below: number, offset: number, bytes: Uint8Array): Float64Array {
     this.check(() => {
       const address = this.put(bytes);
-      const status = this.wasm.rgs_extend(this.file, offset, address, bytes.length);
+      const status = this.wasm.rgs_extend(this.file, below, offset, address, bytes.length);
       this.wasm.rgs_free(address);
       return status;
     });
+    return this.numbers();
   }
 
   /** For parseHead(). */

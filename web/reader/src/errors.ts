@@ -50,6 +50,16 @@ export function outOfMemory(): RgsError {
   });
 }
 
+/** Typed arrays, or host_out_of_memory. */
+export function allocate<T>(make: () => T): T {
+  try {
+    return make();
+  } catch (error) {
+    if (error instanceof RangeError) throw outOfMemory();
+    throw error;
+  }
+}
+
 export class RgsError extends Error implements RgsErrorFields {
   override readonly name = "RgsError";
   readonly code: RgsErrorCode;

@@ -1,5 +1,6 @@
 // head.ts - header, declarations, sections and pages, from the numbers of rgs_head() and rgs_levels() in wasm/reader.cpp.
 // SPDX-License-Identifier: Apache-2.0
+import { allocate } from "./errors.js";
 
 const kAxes = ["undeclared", "right", "left", "up", "down", "forward", "backward"] as const;
 const kColourSpaces = ["undeclared", "srgb_display", "linear_display"] as const;
@@ -114,7 +115,7 @@ export interface Page {
   /** Its children are the pages firstChild .. firstChild + nChildren - 1. */
   readonly firstChild: number;
   readonly nChildren: number;
-  /** Index of its first Gaussian, counted over all pages in order. */
+  /** Index of its first Gaussian, counted over all pages in order: once all are known. */
   readonly first: number;
   /** Gaussians in the page. */
   readonly count: number;
@@ -235,6 +236,9 @@ export function parseHead(values: Float64Array, text: Uint8Array): Head {
 
 const kLevelsNumbers = 6;
 const kPageNumbers = 23;
+const kParent = 1;
+const kFirst = 4;
+const kCount = 5;
 
 /** The tree of pages, coarse to fine: page 0 is the root. */
 export class Levels {
@@ -247,8 +251,13 @@ export class Levels {
   /** The PSNR that Page.error stands for: a page's picture against that of its descendants, dB; 0: not stated. */
   readonly qualityDb: number;
   readonly codec: Codec;
+  /** All pages are known. */
+  isComplete = false;
+  /** Of all pages, [nPages, kPageNumbers]; unknown ones have no parent. @internal */
+  readonly pageNumbers: Float64Array;
 
-  constructor(private readonly values: Float64Array) {
+  /** `values` of rgs_levels(). @internal */
+  constructor(values: Float64Array) {
     const in_ = new Numbers(values);
     this.nPages = in_.next();
     this.nLevels = in_.next();
@@ -256,18 +265,34 @@ export class Levels {
     this.pageChunks = in_.next();
     this.qualityDb = in_.next();
     this.codec = in_.of(kCodecs);
+    this.pageNumbers = allocate(() => new Float64Array(kPageNumbers * this.nPages));
+    for (let at = kParent; at < this.pageNumbers.length; at += kPageNumbers) this.pageNumbers[at] = -1;
+    this.extend(values);
   }
 
-  /** Of all pages, [nPages, kPageNumbers]. @internal */
-  get pageNumbers(): Float64Array {
-    return this.values.subarray(kLevelsNumbers);
+  /** Takes the pages of rgs_levels() or rgs_extend(); returns what the scheduler is told of them. @internal */
+  extend(values: Float64Array): Float64Array {
+    const told = values.subarray(kLevelsNumbers);
+    this.isComplete = told[0] === 1;
+    const { pageNumbers } = this;
+    pageNumbers.set(told.subarray(3), kPageNumbers * (told[1] as number));
+    let first = 0;
+    for (let at = 0; this.isComplete && at < pageNumbers.length; at += kPageNumbers) {
+      pageNumbers[at + kFirst] = first;
+      first += pageNumbers[at + kCount] as number;
+    }
+    return told;
   }
 
-  /** `index` below nPages. */
+  /** Not before its record of the table is read: `table` of OpenOptions. */
+  isKnown(index: number): boolean {
+    return index === 0 || (this.pageNumbers[kPageNumbers * index + kParent] ?? -1) >= 0;
+  }
+
+  /** `index` of a known page. */
   page(index: number): Page {
-    if (!Number.isInteger(index) || index < 0 || index >= this.nPages) throw new RangeError(`no page ${index}`);
-    const begin = kLevelsNumbers + kPageNumbers * index;
-    const in_ = new Numbers(this.values.subarray(begin, begin + kPageNumbers));
+    if (!this.isKnown(index)) throw new RangeError(`no page ${index}`);
+    const in_ = new Numbers(this.pageNumbers.subarray(kPageNumbers * index, kPageNumbers * (index + 1)));
     return {
       index,
       level: in_.next(),
@@ -286,12 +311,12 @@ export class Levels {
     };
   }
 
-  /** All pages of one level. */
+  /** All known pages of one level. */
   ofLevel(level: number): Page[] {
     const pages: Page[] = [];
     for (let i = 0; i < this.nPages; ++i) {
       // The level is a page's first number.
-      if (this.values[kLevelsNumbers + kPageNumbers * i] === level) pages.push(this.page(i));
+      if (this.isKnown(i) && this.pageNumbers[kPageNumbers * i] === level) pages.push(this.page(i));
     }
     return pages;
   }

@@ -36,7 +36,7 @@ export interface Look {
 const kFaults = ["lost", "checksum", "damaged"] as const;
 
 // In the order of WireEvent in runtime/pages/wire.hpp.
-const kEvents = ["looks", "frame", "frameEnds", "idle", "done", "arrived", "failed", "probed", "take", "release"] as const;
+const kEvents = ["looks", "frame", "frameEnds", "idle", "done", "arrived", "failed", "probed", "take", "release", "tableGrew", "tableFailed"] as const;
 
 /** A name and fields; a group is the children of one page, and has its number. */
 export type PageEvent =
@@ -55,7 +55,13 @@ export type PageEvent =
   | readonly ["probed", isThere: boolean]
   /** Of the budget, for other things than pages: taken. */
   | readonly ["take", bytes: number]
-  | readonly ["release", bytes: number];
+  | readonly ["release", bytes: number]
+  /** As RgsFile.readTable() returns it. */
+  | readonly ["tableGrew", group: number, pages: Float64Array]
+  | readonly ["tableFailed", fault: (typeof kFaults)[number]];
+
+/** Of readTable: the first page of all that is not known. */
+export const kAnyGroup = 0xffffffff;
 
 export type PageAction =
   /** Read and decode groups first .. first + n - 1. */
@@ -67,7 +73,9 @@ export type PageAction =
   | { is: "taken"; isTaken: boolean }
   /** Idle readers should ask again at that time. */
   | { is: "wakeAt"; at: number }
-  | { is: "wake" };
+  | { is: "wake" }
+  /** RgsFile.readTable(group) */
+  | { is: "readTable"; group: number };
 
 interface Exports extends Heap {
   rgs_pages_new(setup: number, nSetup: number, pages: number, nPages: number): number;
@@ -89,9 +97,11 @@ function lookNumbers({ position, focalPx, zNear, detailPx, mostGaussians, pictur
 }
 
 function eventNumbers([name, ...fields]: PageEvent): number[] {
-  const numbersOf = (field: (typeof fields)[number]): number[] =>
-    typeof field === "object" ? lookNumbers(field) : [typeof field === "string" ? kFaults.indexOf(field) : Number(field)];
-  return [kEvents.indexOf(name), ...fields.flatMap(numbersOf)];
+  const numbersOf = (field: (typeof fields)[number]): Iterable<number> => {
+    if (typeof field !== "object") return [typeof field === "string" ? kFaults.indexOf(field) : Number(field)];
+    return field instanceof Float64Array ? field : lookNumbers(field);
+  };
+  return [kEvents.indexOf(name), ...fields.flatMap((field) => [...numbersOf(field)])];
 }
 
 /** Codes as in WireAction in runtime/pages/wire.hpp. */
@@ -122,8 +132,11 @@ function* actionsOf(numbers: Float64Array): Generator<PageAction> {
       case 5:
         yield { is: "wakeAt", at: next() / kMillisecond };
         break;
-      default:
+      case 6:
         yield { is: "wake" };
+        break;
+      default:
+        yield { is: "readTable", group: next() };
     }
   }
 }
@@ -181,7 +194,7 @@ export class PageScheduler {
     return this.wasm.rgs_pages_wanted(this.wire, view);
   }
 
-  /** Groups that are too damaged to be read again. */
+  /** Groups that are too damaged to be read again; a table of pages that is counts as one. */
   get nQuarantined(): number {
     return this.wasm.rgs_pages_quarantined(this.wire);
   }

@@ -4,7 +4,7 @@ import { Client, type Port } from "./client.js";
 import type { Gaussians, Groups, Limits, Range, StoredGaussians, ZstdStream } from "./decoder.js";
 import { RgsError } from "./errors.js";
 import { type Box, type Declarations, type Head, type Header, Levels, parseHead, type Provenance, type Section } from "./head.js";
-import { type PageSchedule, PageScheduler } from "./pages.js";
+import { kAnyGroup, type PageEvent, type PageSchedule, PageScheduler } from "./pages.js";
 import type { Requests } from "./service.js";
 import { BlobSource, MemorySource, type RangeSource, UrlSource, type UrlOptions } from "./source.js";
 
@@ -26,6 +26,8 @@ export interface ReadOptions {
 
 export interface OpenOptions extends ReadOptions {
   limits?: Limits;
+  /** Of the table of pages, "beginning" reads what the first 64 KiB have; the rest is up to readTable(). */
+  table?: "whole" | "beginning";
   /** For a URL. */
   url?: UrlOptions;
   /** The compiled rgs.wasm, for callers that load it themselves; otherwise the worker fetches it from beside its script. */
@@ -38,6 +40,8 @@ export interface OpenOptions extends ReadOptions {
 const kMagic = [0x89, 0x52, 0x47, 0x53, 0x0d, 0x0a, 0x1a, 0x0a];
 const kFirstBytes = 1 << 16;
 const kPieceBytes = 1 << 22;
+/** Of the table of pages where a view waits for it. */
+const kTableBytes = 1 << 17;
 /** Most requests in flight. */
 const kPieces = 3;
 /** Sections that grow with the scene. */
@@ -182,19 +186,31 @@ export class RgsFile {
     return this.subject;
   }
 
-  /** Pages 0 .. nPresent - 1 lie within the actual file. */
+  /** Pages 0 .. nPresent - 1 lie within the actual file. Of a file that was cut off, known pages alone may count. */
   get nPresent(): number {
     const { levels } = this;
-    if (!levels) return 0;
     let low = 0;
-    let high = levels.nPages;
+    let high = levels?.nPages ?? 0;
+    if (this.fileBytes >= this.header.fileBytes) return high;
     while (low < high) {
       const middle = (low + high) >>> 1;
-      const page = levels.page(middle);
-      if (page.offset + page.storedBytes <= this.fileBytes) low = middle + 1;
+      if (this.isPresent(middle)) low = middle + 1;
       else high = middle;
     }
     return low;
+  }
+
+  /**
+   * Reads more of the table of pages as the scheduler's readTable asks for it: from a page's first unknown child on, or from the first
+   * unknown page of all. Returns what to tell the scheduler. One at a time. Errors: those of open() for the table; RangeError.
+   */
+  async readTable(group = kAnyGroup, { signal }: ReadOptions = {}, most = kTableBytes): Promise<PageEvent> {
+    const { levels } = this;
+    if (!levels || (group !== kAnyGroup && !levels.isKnown(group))) throw new RangeError(`no page ${group}`);
+    const range = await this.client.call("unreadTable", { below: group, most }, { signal });
+    const bytes = await readExactly(this.source, range, signal);
+    const values = await this.client.call("extend", { below: group, offset: range.offset, bytes }, { signal, transfer: [own(bytes)] });
+    return ["tableGrew", group, levels.extend(values)];
   }
 
   /** Gaussians of a page; checks its checksum and every value. */
@@ -229,10 +245,17 @@ export class RgsFile {
     return { nGaussians, shDegree, chunkSize, scaleExponent };
   }
 
+  private isPresent(index: number): boolean {
+    const { levels } = this;
+    if (!levels?.isKnown(index)) return false;
+    const { offset, storedBytes } = levels.page(index);
+    return offset + storedBytes <= this.fileBytes;
+  }
+
   private async storedPage(page: number, options: ReadOptions): Promise<Uint8Array> {
     if (!this.levels) throw new RgsError({ code: "bad_argument", text: "the file has no levels of detail, so it has no pages" });
     const { offset, storedBytes } = this.levels.page(page);
-    if (offset + storedBytes > this.fileBytes) {
+    if (!this.isPresent(page)) {
       throw new RgsError({
         code: "pages_missing",
         text: "the end of the file is missing, including this page",
@@ -464,23 +487,12 @@ export async function openWith(start: () => Port, source: Source, options: OpenO
       if (missing.length === 0) break;
       await Promise.all(missing.map(part));
     }
-    const { head, unread: table, subject } = await client.call("openParts", { fileBytes }, { signal });
-    let unread = table;
-    while (unread && unread.bytes > 0) {
-      const bytes = Math.min(kPieceBytes, unread.bytes, Math.max(0, size - unread.offset));
-      if (bytes === 0) {
-        throw new RgsError({ code: "truncated", text: "the file ends before its first page", offset: size });
-      }
-      const range = { offset: unread.offset, bytes };
-      const records = await readExactly(from, range, signal);
-      const before: number = unread.bytes;
-      unread = await client.call("extend", { offset: range.offset, bytes: records }, { signal, transfer: [own(records)] });
-      if (unread.bytes === before) {
-        throw new RgsError({ code: "truncated", text: "the file ends inside its table of pages", offset: size });
-      }
+    const { head, levels, subject } = await client.call("openParts", { fileBytes }, { signal });
+    const file = new RgsFile(client, from, parseHead(head.values, head.text), levels && new Levels(levels), fileBytes, subject);
+    if (options.table !== "beginning") {
+      while (file.levels?.isComplete === false) await file.readTable(kAnyGroup, options, kPieceBytes);
     }
-    const levels = unread ? new Levels(await client.call("levels", {}, { signal })) : null;
-    return new RgsFile(client, from, parseHead(head.values, head.text), levels, fileBytes, subject);
+    return file;
   } catch (error) {
     client.end();
     throw error;

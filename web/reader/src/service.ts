@@ -15,10 +15,11 @@ export interface Requests {
   start: [{ limits: Limits; wasm?: WebAssembly.Module | undefined }, void];
   part: [{ offset: number; bytes: Uint8Array }, void];
   needs: [{ fileBytes: number }, Range[]];
-  /** `unread`: the rest of the page table; null without levels of detail. `subject`: of the pages that are known. */
-  openParts: [{ fileBytes: number }, { head: { values: Float64Array; text: Uint8Array }; unread: Range | null; subject: Box | null }];
-  extend: [{ offset: number; bytes: Uint8Array }, Range];
-  levels: [Record<string, never>, Float64Array];
+  /** `levels` and `subject`, of the pages that are known: null without levels of detail. */
+  openParts: [{ fileBytes: number }, { head: { values: Float64Array; text: Uint8Array }; levels: Float64Array | null; subject: Box | null }];
+  unreadTable: [{ below: number; most: number }, Range];
+  /** For Levels. */
+  extend: [{ below: number; offset: number; bytes: Uint8Array }, Float64Array];
   /** The compiled rgs.wasm. */
   module: [Record<string, never>, WebAssembly.Module];
   page: [{ page: number; bytes: Uint8Array; shDegree: number }, Gaussians];
@@ -124,14 +125,13 @@ export class Service {
         return this.opened.needs(request.args.fileBytes);
       case "openParts": {
         const hasLevels = this.opened.openParts(request.args.fileBytes);
-        const subject = hasLevels ? this.opened.subjectBox() : null;
-        return { head: this.opened.head(), unread: hasLevels ? this.opened.unreadTable() : null, subject };
+        const levels = hasLevels ? this.opened.levels() : null;
+        return { head: this.opened.head(), levels, subject: hasLevels ? this.opened.subjectBox() : null };
       }
+      case "unreadTable":
+        return this.opened.unreadTable(request.args.below, request.args.most);
       case "extend":
-        this.opened.extend(request.args.offset, request.args.bytes);
-        return this.opened.unreadTable();
-      case "levels":
-        return this.opened.levels();
+        return this.opened.extend(request.args.below, request.args.offset, request.args.bytes);
       case "module":
         return this.module;
       case "page":

@@ -13,7 +13,10 @@ export function filesIn(folder) {
   return readdirSync(folder).filter((name) => name.endsWith(".rgs")).sort().map((name) => join(folder, name));
 }
 
-/** Folder of packed.rgs, direct.rgs and levels.rgs, one scene of 60,000 Gaussians, that scripts/test_web.sh makes. */
+/**
+ * Folder of packed.rgs, direct.rgs and levels.rgs, one scene of 60,000 Gaussians, and wide.rgs, whose table of pages is longer than what is
+ * read first; scripts/test_web.sh makes them.
+ */
 export function scenes() {
   const folder = process.env.RGS_WEB_SCENES;
   if (!folder) throw new Error("RGS_WEB_SCENES is not set: sh scripts/test_web.sh");

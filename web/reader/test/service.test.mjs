@@ -39,7 +39,7 @@ test("work on a large file ends when it is cancelled", async () => {
   });
   await ask(1, "start", { limits: {}, wasm });
   await ask(2, "part", { offset: 0, bytes });
-  assert.equal((await ask(3, "openParts", { fileBytes: bytes.length })).result?.unread, null);
+  assert.equal((await ask(3, "openParts", { fileBytes: bytes.length })).result?.levels, null);
   const read = async (first) => {
     await ask(first, "whole", { bytes: bytes.length });
     await ask(first + 1, "wholePart", { offset: 0, bytes });

@@ -107,6 +107,57 @@ test("the beginning of a file with levels gives its pages, and says that others 
   file.close();
 });
 
+test("the table of pages is read where it is wanted", async () => {
+  const bytes = new Uint8Array(readFileSync(join(scenes(), "wide.rgs")));
+  const whole = await open(bytes);
+  const { nPages } = whole.levels;
+  const ranges = [];
+  let damage = -1;
+  const source = {
+    size: bytes.length,
+    async read(offset, n) {
+      ranges.push([offset, n]);
+      const part = bytes.slice(offset, offset + n);
+      if (damage >= offset && damage < offset + n) part[damage - offset] ^= 1;
+      return part;
+    },
+  };
+  const file = await open(source, { table: "beginning" });
+  assert.deepEqual(ranges, [[0, 1 << 16]]);
+  const { levels } = file;
+  const known = () => Array.from({ length: nPages }, (_, i) => i).filter((i) => levels.isKnown(i));
+  const nKnown = known().length;
+  assert.ok(nKnown > 500 && nKnown < nPages);
+  assert.ok(!levels.isComplete && whole.levels.isComplete);
+  assert.deepEqual(file.subjectBox.min.map(Math.sign), whole.subjectBox.min.map(Math.sign));
+  assert.equal(levels.ofLevel(0).at(-1).index, nKnown - 1);
+  assert.throws(() => levels.page(nPages - 1), RangeError);
+  assert.equal((await failure(file.readPage(nPages - 1))).name, "RangeError");
+  assert.equal((await failure(file.readTable(nPages - 1))).name, "RangeError");
+  // Below the last page that has children: theirs become known, what is before them does not.
+  const last = whole.levels.page(whole.levels.ofLevel(1).at(-1).index);
+  await file.readTable(last.index, {}, 112 * 2);
+  assert.deepEqual(known().slice(nKnown), [last.firstChild, last.firstChild + 1]);
+  await file.readTable(last.index);
+  assert.deepEqual(known().slice(nKnown), Array.from({ length: last.nChildren }, (_, k) => last.firstChild + k));
+  assert.deepEqual(await file.readPage(last.firstChild), await whole.readPage(last.firstChild));
+  // Wrong bytes are noticed by the last part, and may be right the next time. A page's own checksum is in bytes 8 to 15 of its record.
+  damage = file.sections.find(({ type }) => type === "LODS").offset + 64 + 112 * nKnown + 8;
+  const refused = await failure(file.readTable());
+  assert.deepEqual([refused.code, levels.isComplete, levels.isKnown(nKnown)], ["checksum_mismatch", false, false]);
+  damage = -1;
+  await file.readTable(undefined, {}, 112 * 20 + 50);
+  assert.equal(known().length, nKnown + last.nChildren + 20);
+  while (!levels.isComplete) await file.readTable();
+  assert.equal(ranges.length, 7);
+  for (let i = 0; i < nPages; ++i) assert.deepEqual(levels.page(i), whole.levels.page(i));
+  assert.equal(file.nPresent, nPages);
+  for (const each of [file, whole]) each.close();
+  // A file that ends inside its table is refused at once.
+  const cut = await failure(open(bytes.subarray(0, 70_000), { table: "beginning" }));
+  assert.deepEqual([cut.code, cut.offset], ["truncated", 70_000]);
+});
+
 test("a damaged page is refused alone", async () => {
   const whole = await open(levels);
   const { offset } = whole.levels.page(5);

@@ -178,6 +178,15 @@ Status give_page(File& file, std::uint32_t page, const PageRows& decoded, bool a
   return {};
 }
 
+void put_levels(const PagedFile& paged, std::uint32_t first, std::uint32_t most) {
+  const std::uint32_t n = std::min(most, paged.n_pages_in_all() - first);
+  numbers.clear();
+  numbers.reserve(9 + pages::kPageNumbers * n);
+  put(paged.n_pages_in_all(), paged.n_levels(), paged.n_stored(), paged.page_chunks(), paged.quality_db(),
+      static_cast<int>(paged.codec()), paged.is_verified(), first, n);
+  for (std::uint32_t i = first; i < first + n; ++i) pages::put_page(paged.pages()[i], paged.stored(i), numbers);
+}
+
 Result<PageRows> decode_page(File& file, std::uint32_t page, std::span<const std::byte> stored) {
   if (!file.decoder) file.decoder = std::make_unique<PageDecoder>(*file.paged);
   file.page.resize(file.paged->decoded_bytes(page));
@@ -325,6 +334,11 @@ RGS_EXPORT(rgs_open_parts) int rgs_open_parts(File* file, double file_bytes) {
   if (levels) {
     auto paged = PagedFile::open_beginning(file->parts, file->limits, known(file_bytes));
     if (!paged) return fail(paged.error());
+    const FileRange unread = paged->unread_table();
+    const std::uint64_t size = whole_bytes(*file, file_bytes);
+    if (unread.offset + unread.bytes > size)
+      return fail({Errc::truncated, size, "the file ends before its first page"});
+    if (const Status s = paged->reserve(); !s) return fail(s.error());
     file->paged = *std::move(paged);
   } else {
     auto view = FileView::open_head(file->parts, whole_bytes(*file, file_bytes), file->limits);
@@ -336,15 +350,22 @@ RGS_EXPORT(rgs_open_parts) int rgs_open_parts(File* file, double file_bytes) {
   return levels ? 1 : 0;
 }
 
-/// The unread range of the page table, in rgs_numbers().
-RGS_EXPORT(rgs_unread_table) void rgs_unread_table(File* file) {
-  const FileRange range = file->paged->unread_table();
+/// PagedFile::unread_table(): offset and bytes in rgs_numbers().
+RGS_EXPORT(rgs_unread_table) void rgs_unread_table(File* file, std::uint32_t below, std::uint32_t most) {
+  const FileRange range = file->paged->unread_table(below, most);
   numbers.clear();
   put(range.offset, range.bytes);
 }
-RGS_EXPORT(rgs_extend) int rgs_extend(File* file, double offset, const std::byte* bytes, std::uint32_t size) {
-  const Status s = file->paged->extend({static_cast<std::uint64_t>(offset), {bytes, size}});
-  return s ? 0 : fail(s.error());
+/// PagedFile::extend(); then what may have become known, as by rgs_levels().
+RGS_EXPORT(rgs_extend)
+int rgs_extend(File* file, std::uint32_t below, double offset, const std::byte* bytes, std::uint32_t size) {
+  PagedFile& paged = *file->paged;
+  // With the pages before it that are known.
+  const std::uint32_t first = below == lod::kNoPage ? paged.n_pages() : paged.pages()[below].first_child;
+  const Status s = paged.extend({static_cast<std::uint64_t>(offset), {bytes, size}}, below);
+  if (!s) return fail(s.error());
+  put_levels(paged, first, lod::kMaxChildren + size / kPageRecordBytes);
+  return 0;
 }
 
 /// Header, declarations, provenance, sections, in the order in which src/head.ts reads them.
@@ -380,16 +401,10 @@ RGS_EXPORT(rgs_head) void rgs_head(File* file) {
   }
 }
 
-/// The tree of pages: one record about all of them, then one for each page.
+/// The tree of pages: one record about all of them, whether the table is verified, number of the first page and count of those that
+/// follow, a record each. Unknown ones are among them, without parent and Gaussians.
 RGS_EXPORT(rgs_levels) void rgs_levels(File* file) {
-  const PagedFile& paged = *file->paged;
-  numbers.clear();
-  numbers.reserve(6 + pages::kPageNumbers * paged.n_pages());
-  put(paged.n_pages(), paged.n_levels(), paged.n_stored(), paged.page_chunks(), paged.quality_db(),
-      static_cast<int>(paged.codec()));
-  for (std::uint32_t i = 0; i < paged.n_pages(); ++i) {
-    pages::put_page(paged.pages()[i], paged.stored(i), numbers);
-  }
+  put_levels(*file->paged, 0, file->paged->n_pages());
 }
 
 /// Decodes a page from its stored bytes to rgs_rows(), and checks every value.
@@ -492,10 +507,11 @@ RGS_EXPORT(rgs_tables) void rgs_tables(File* file) {
           .n_step_sets = static_cast<std::uint32_t>(view.header().n_step_sets)};
 }
 
-/// subject_box() of a file with levels of detail, of one that is read early, or of a whole one: min and max in rgs_numbers().
+/// subject_box() of the known pages of a file with levels of detail, of one that is read early, or of a whole one: min and max in rgs_numbers().
 RGS_EXPORT(rgs_subject_box) void rgs_subject_box(File* file) {
   numbers.clear();
-  put_box(file->paged ? subject_box(file->paged->pages()) : subject_box(*file->view));
+  const auto& paged = file->paged;
+  put_box(paged ? subject_box(std::span(paged->pages()).first(paged->n_pages())) : subject_box(*file->view));
 }
 /// The same of means [n, 3] and opacities [n].
 RGS_EXPORT(rgs_subject_box_of)

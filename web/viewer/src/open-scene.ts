@@ -49,6 +49,7 @@ export async function readFile({ entry, file, onProgress }: { entry: SceneEntry;
   try {
     const rgs = await open(blob ?? new URL(entry.url, document.baseURI), {
       ...(worker ? { worker } : {}),
+      table: "beginning",
       onProgress: ({ done, total }) => onProgress(done, total ?? 0),
     });
     return { kind: "rgs", opened: beginFile(rgs, onProgress) };

@@ -37,9 +37,13 @@ export interface Pages<T> {
   /** The children of a page. */
   childrenOf(page: number): readonly number[];
   read(page: number): Promise<T>;
+  /** RgsFile.readTable() */
+  readTable(group: number): Promise<PageEvent>;
 }
 
-function faultOf(error: unknown): "lost" | "checksum" | "damaged" {
+type Fault = "lost" | "checksum" | "damaged";
+
+function faultOf(error: unknown): Fault {
   const { code } = error as { code?: string };
   return code === "read_failed" ? "lost" : code === "checksum_mismatch" ? "checksum" : "damaged";
 }
@@ -123,6 +127,9 @@ export class PageDriver<T> {
           case "read":
             void this.work(this.read(action.first, action.n));
             break;
+          case "readTable":
+            void this.work(this.readTable(action.group));
+            break;
           case "probe":
             void this.work(this.probe());
             break;
@@ -180,14 +187,30 @@ export class PageDriver<T> {
         this.tell(["arrived", group]);
         continue;
       }
-      const fault = faultOf(failed.reason);
-      if (fault !== "lost") this.setFound();
-      else if (this.nFound === nFound) this.setTrouble(failed.reason);
-      const { nQuarantined } = this.scheduler;
-      this.tell(["failed", group, fault === "lost" ? first + n - group : 1, fault]);
-      if (this.scheduler.nQuarantined > nQuarantined) this.sayDamage(failed.reason);
+      const fault = this.fail(failed.reason, nFound, (fault) => ["failed", group, fault === "lost" ? first + n - group : 1, fault]);
       if (fault === "lost") return;
     }
+  }
+
+  private async readTable(group: number): Promise<void> {
+    const { nFound } = this;
+    const grew = await this.pages.readTable(group).catch((error: unknown) => {
+      if (!this.hasEnded) this.fail(error, nFound, (fault) => ["tableFailed", fault]);
+    });
+    if (!grew || this.hasEnded) return;
+    this.setFound();
+    this.tell(grew);
+  }
+
+  /** `nFound`: before the read. */
+  private fail(error: unknown, nFound: number, event: (fault: Fault) => PageEvent): Fault {
+    const fault = faultOf(error);
+    if (fault !== "lost") this.setFound();
+    else if (this.nFound === nFound) this.setTrouble(error);
+    const { nQuarantined } = this.scheduler;
+    this.tell(event(fault));
+    if (this.scheduler.nQuarantined > nQuarantined) this.sayDamage(error);
+    return fault;
   }
 
   private async probe(): Promise<void> {

@@ -1,7 +1,7 @@
 // rgs-scene.ts - an opened .rgs file, drawn part by part while it is read, or by pages from coarse to fine.
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf, type Colour, RgsResource } from "@roofgs/playcanvas";
-import type { Look, PageScheduler, Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
+import type { Look, PageEvent, PageScheduler, Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
 import { kSchedule, PageDriver, type Trouble } from "./page-driver.js";
 import { type Box, Scene, type Tint } from "./scene.js";
 import type { Side, Stage } from "./stage.js";
@@ -95,11 +95,11 @@ export class RgsScene extends Scene {
         this.read += levels.page(index).storedBytes;
         return stored;
       };
-      this.driver = new PageDriver(scheduler, { childrenOf, read }, first, { ...on, changed: () => this.stage.request() });
+      const readTable = (group: number): Promise<PageEvent> => file.readTable(group, { signal: this.stop.signal });
+      this.driver = new PageDriver(scheduler, { childrenOf, read, readTable }, first, { ...on, changed: () => this.stage.request() });
       this.rebuild(this.driver, [0]);
-      if (file.nPresent < levels.nPages) {
-        on.damaged({ code: "pages_missing", text: `the file has ${file.nPresent} of its ${levels.nPages} pages` });
-      }
+      const { fileBytes } = file.header;
+      if (file.fileBytes < fileBytes) on.damaged({ code: "pages_missing", text: `the file has ${file.fileBytes} of its ${fileBytes} bytes` });
     } else {
       this.drawn = [0];
       this.addPart(first);

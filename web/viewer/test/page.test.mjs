@@ -932,6 +932,35 @@ inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly
   assert.notEqual(await still(page, "#stage"), plain);
 });
 
+const wideOnly = { view: { ...one.view, scenes: [scene("wide.rgs")] }, files: { "scenes/0/wide.rgs": join(scenes(), "wide.rgs"), "cameras.json": join(scenes(), "cameras.json") } };
+let readTable;
+let openTable;
+const tableIsRead = new Promise((resolve) => (readTable = resolve));
+const tableIsOpen = new Promise((resolve) => (openTable = resolve));
+/** Holds what opening a file does not need of its table. */
+const holdTable = async (url, begin) => {
+  if (!url.endsWith("wide.rgs") || begin === 0 || begin >= (await firstPage())) return;
+  readTable();
+  await tableIsOpen;
+};
+async function firstPage() {
+  const file = await open(readFileSync(join(scenes(), "wide.rgs")));
+  const { offset } = file.levels.page(0);
+  file.close();
+  return offset;
+}
+inBrowser("the first picture does not wait for the whole table of pages", { ...wideOnly, hold: holdTable }, async ({ page }) => {
+  await page.locator("#stats").check();
+  await untilDrawn(page, 50);
+  // Few pages are wanted from far away, of which some may be unknown; then idle readers read the table.
+  await page.locator("#detail").fill("16");
+  await page.locator("#picture").focus();
+  for (let i = 0; i < 12; ++i) await page.keyboard.press("-");
+  await tableIsRead;
+  openTable();
+  await page.waitForFunction(() => /\d pages(?!, )/.test(document.getElementById("overlay").textContent));
+});
+
 /** docs/format/FORMAT.md, "Error and cut", of every page by itself. */
 function drawnPages({ levels, declarations }, { position, focalPx, detailPx }) {
   const isFine = ({ error, core: { min, max } }) => {

@@ -150,27 +150,37 @@ test("the difference of two pictures", () => {
   assert.throws(() => difference(a, b.subarray(4)), RangeError);
 });
 
-/** A driver of a tree of 44 pages, that of a golden trace; the test answers its reads, in a time that it tells. */
-async function driven() {
+/** A driver of a tree of 44 pages, that of a golden trace, of which `nKnown` are known; the test answers its reads, in a time that it tells. */
+async function driven(nKnown = Infinity) {
   const trace = readFileSync(join(golden, "pages/failures.txt"), "utf8").split("\n");
   const pages = trace.filter((line) => line.startsWith("page ")).map((line) => line.slice(5).split(" ").map(Number));
   const childrenOf = (page) => Array.from({ length: pages[page][3] }, (_, i) => pages[page][2] + i);
   const { kSchedule, PageDriver } = modules["page-driver"];
   const module = new WebAssembly.Module(readFileSync(fileURLToPath(import.meta.resolve("@roofgs/reader/rgs.wasm"))));
-  const scheduler = await PageScheduler.start(module, Float64Array.from(pages.flat()), kSchedule);
+  const known = pages.map((_, page) => page < nKnown);
+  const numbersOf = (from, end) => Float64Array.from(pages.slice(from, end).flatMap((page, i) => (known[from + i] ? page : [0, -1, ...page.slice(2).fill(0)])));
+  const scheduler = await PageScheduler.start(module, numbersOf(0, pages.length), kSchedule);
   const log = { now: 0, open: [], nChanges: 0, said: [], timer: null };
   const read = (page) => new Promise((resolve, reject) => log.open.push({ page, resolve, reject }));
+  const readTable = (group) => read(`table ${group}`);
+  /** Up to six more pages are known. */
+  const grow = (group) => {
+    const first = known.findIndex((isKnown, page) => !isKnown && (pages[page][1] === group || group === 0xffffffff));
+    for (let page = first; page < Math.min(first + 6, pages.length) && !known[page] && known[pages[page][1]]; ++page) known[page] = true;
+    const isComplete = !known.includes(false);
+    return ["tableGrew", group, Float64Array.of(Number(isComplete), first, Math.min(6, pages.length - first), ...numbersOf(first, first + 6))];
+  };
   const on = { changed: () => (log.nChanges += 1), waiting: (error) => log.said.push(error?.code ?? "goes on"), damaged: ({ code }) => log.said.push(code) };
   const startTimer = (ms, ring) => {
     const timer = { at: log.now + ms, ring };
     log.timer = timer;
     return () => log.timer === timer && (log.timer = null);
   };
-  const driver = new PageDriver(scheduler, { childrenOf, read }, "page 0", on, { now: () => log.now, startTimer });
+  const driver = new PageDriver(scheduler, { childrenOf, read, readTable }, "page 0", on, { now: () => log.now, startTimer });
   const answer = async (page, code) => {
     const [found] = log.open.splice(log.open.findIndex((each) => each.page === page), 1);
     if (code) found.reject({ code });
-    else found.resolve(`page ${page}`);
+    else found.resolve(typeof page === "string" ? grow(Number(page.slice(6))) : `page ${page}`);
     await new Promise(setImmediate);
   };
   const open = () => log.open.map(({ page }) => page);
@@ -293,6 +303,41 @@ test("a damaged group is quarantined, after six tries if a checksum does not mat
   assert.deepEqual([driver.nWanted, open(), log.timer], [0, [], null]);
   // Later ones are not said.
   assert.deepEqual(log.said, ["bad_value"]);
+});
+
+test("the table of pages is read where a view looks, and the rest of it when readers are idle", async () => {
+  const { log, pages, driver, look, answer, answerAll, open, pause } = await driven(5);
+  const near = { position: [pages[2][13], 1, pages[2][15]], detailPx: 1 };
+  look(near);
+  assert.deepEqual(open(), [1, 2, 3, 4, "table 2"]);
+  for (const page of [1, 2]) await answer(page);
+  await answer("table 2", "read_failed");
+  for (const page of [3, 4]) await answer(page);
+  await answer(0); // the source answers, so only that range fails
+  assert.deepEqual(look(near), [3, 4, 2]);
+  assert.ok(driver.nWanted > 0);
+  assert.deepEqual([pause(), open()], [250, ["table 2"]]);
+  await answer("table 2");
+  assert.deepEqual(open().slice(0, 2), [5, 6]);
+  await answerAll();
+  const leaves = pages.flatMap(([level], page) => (level === 0 ? [page] : []));
+  assert.deepEqual(look({ detailPx: 0 }), leaves);
+  assert.deepEqual([driver.nWanted, open(), log.timer, log.said], [0, [], null, []]);
+});
+
+test("a damaged table is read six times and said once; what is known of it is drawn", async () => {
+  const { log, driver, look, answerAll, open, pause } = await driven(5);
+  look();
+  const codeOf = (page) => (typeof page === "string" ? "checksum_mismatch" : undefined);
+  await answerAll(codeOf);
+  for (const ms of [250, 500, 1000, 2000, 4000]) {
+    assert.deepEqual(log.said, []);
+    assert.ok(look().length === 3 && driver.nWanted > 0);
+    assert.equal(pause(), ms);
+    await answerAll(codeOf);
+  }
+  assert.deepEqual(look(), [3, 4, 2]);
+  assert.deepEqual([driver.nWanted, open(), log.timer, log.said], [0, [], null, ["checksum_mismatch"]]);
 });
 
 test("closed while it waits, a file is read no more and nothing is said of it", async () => {
