@@ -1,12 +1,6 @@
-// spz.cpp - Niantic's .spz: six arrays of codes, in one gzip stream (versions 2, 3) or in a zstd stream each (4).
+// spz.cpp - Niantic's .spz: six arrays of codes, in one gzip stream (versions 2, 3) or in a zstd stream each (4). Where
+// they are: spz_header.cpp.
 //
-// Sources: the format's README (github.com/nianticlabs/spz) for versions 2 and 3 and for extensions; version 4's framing
-// from files:
-//   0 "NGSP"  4 u32 version  8 u32 n  12 u8 SH degree  13 u8 fractional bits  14 u8 flags
-//   15 u8 streams, 6, without SH 5 (versions 2, 3: reserved)   16 u32 offset of the stream table   20 zeros up to 32
-//   [extensions]   table: u64 stored bytes, u64 decoded bytes of each stream; then the streams without gaps
-// Versions 2 and 3: the first 16 bytes, the streams, [extensions], all in one gzip member.
-// Extensions, if flag 2 is set: records of u32 type (vendor << 16 | number), u32 bytes, so many bytes.
 // Streams: means 3 x i24 fixed point; alpha u8; colour 3 x u8; log-scale 3 x u8; rotation u32 (version 2: 3 x u8);
 // SH u8 [coefficients - 1, 3].
 // SPDX-License-Identifier: Apache-2.0
@@ -28,140 +22,25 @@
 #include "rgs/encode.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/spatial_order.hpp"
+#include "spz_header.hpp"
 
 namespace rgs::detail {
 namespace {
 
-constexpr std::uint32_t kMagicSpz = 0x5053474E;
-constexpr std::uint64_t kGzipHeaderBytes = 16, kHeaderBytesV4 = 32, kStreams = 6, kShStream = 5;
-constexpr std::uint8_t kFlagAntialiased = 1, kFlagExtensions = 2;
-
-struct SpzHeader {
-  std::uint32_t version = 0, n = 0;
-  std::uint8_t sh_degree = 0, fractional_bits = 0, flags = 0;
-
-  std::uint64_t n_streams() const { return sh_degree == 0 ? kStreams - 1 : kStreams; }
-  std::uint64_t rotation_bytes() const { return version == 2 ? 3 : 4; }
-  std::array<std::uint64_t, kStreams> sizes() const {
-    const std::uint64_t count = n, rest = static_cast<std::uint64_t>(sh_coefficients(sh_degree)) - 1;
-    return {9 * count, count, 3 * count, 3 * count, rotation_bytes() * count, 3 * rest * count};
-  }
-  std::uint64_t decoded_bytes() const {
-    std::uint64_t sum = 0;
-    for (const std::uint64_t size : sizes()) sum += size;
-    return sum;
-  }
-};
-using Streams = std::array<std::span<const std::byte>, kStreams>;
+constexpr std::size_t kShStream = 5;
+using Streams = std::array<std::span<const std::byte>, kSpzStreams>;
 
 struct SpzContent {
   SpzHeader header;
-  std::vector<std::byte> body;        // the streams, one after the other
-  std::vector<std::byte> extensions;  // records
-  std::uint64_t extensions_at = 0;    // their offset in the file, or in the decompressed gzip stream
+  std::vector<std::byte> body;  // the streams, one after the other
+  SpzExtensions extensions;
 };
 
-// The 16 bytes common to all versions. Error offsets are those of the unpacked header.
-Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLimits& limits, std::uint64_t file_bytes) {
-  if (load<std::uint32_t>(bytes, 0) != kMagicSpz) return make_error(Errc::bad_magic, 0, "is not an SPZ file");
-  SpzHeader h;
-  h.version = load<std::uint32_t>(bytes, 4);
-  h.n = load<std::uint32_t>(bytes, 8);
-  h.sh_degree = load_u8(bytes, 12);
-  h.fractional_bits = load_u8(bytes, 13);
-  h.flags = load_u8(bytes, 14);
-  if (h.version < 2 || h.version > 4) {
-    return make_error(Errc::unsupported_version, 4, "an SPZ version other than 2, 3 and 4", Error::kNone, h.version);
-  }
-  if (h.sh_degree > kMaxShDegree) {
-    return make_error(Errc::unsupported_feature, 12, "the SH degree is not 0 to 3", kMaxShDegree, h.sh_degree);
-  }
-  if (h.fractional_bits > 24)
-    return make_error(Errc::bad_header, 13, "more than 24 fractional bits", 24, h.fractional_bits);
-  if ((h.flags & ~(kFlagAntialiased | kFlagExtensions)) != 0) {
-    return make_error(Errc::reserved_bits, 14, "an unknown flag is set", 0, h.flags);
-  }
-  if (h.n > limits.max_gaussians) {
-    return make_error(Errc::limit_exceeded, 8, "more Gaussians than the caller allows", limits.max_gaussians, h.n);
-  }
-  if (const Status s = check_expansion(h.decoded_bytes(), file_bytes, 8, limits); !s) return tl::unexpected(s.error());
-  return h;
-}
-
-// ---- extensions -----------------------------------------------------------------------------------------------------
-
-constexpr std::uint32_t kSafeOrbitCamera = 0xADBE0002, kCoordinateSystem = 0xADBE0003, kGeoreference = 0x4E530001;
-constexpr std::uint64_t kSafeOrbitBytes = 12, kMaxExtensionBytes = std::uint64_t{16} << 20;
-
-// By the value of Adobe's extension, from 1. 0 is "unspecified", which the reference library reads as no extension.
-using enum Axis;
-constexpr Axes kCoordinateSystems[] = {
-    {left, down, backward}, {right, down, backward}, {left, up, backward}, {right, up, backward},
-    {left, down, forward},  {right, down, forward},  {left, up, forward},  {right, up, forward},
-    {left, forward, down},  {right, forward, down},  {left, forward, up},  {right, forward, up},
-    {left, backward, down}, {right, backward, down}, {left, backward, up}, {right, backward, up}};
-
-struct Extensions {
-  std::optional<Axes> axes;
-  std::vector<std::string> unused;
-};
-
-std::string unused_text(const char* name, std::uint32_t type, std::uint64_t bytes) {
+std::string unused_text(const SpzExtensions::Record& record) {
   char text[96];
-  std::snprintf(text, sizeof text, "SPZ extension 0x%08X (%s, %llu bytes)", type, name,
-                static_cast<unsigned long long>(bytes));
+  std::snprintf(text, sizeof text, "SPZ extension 0x%08X (%s, %llu bytes)", record.type, record.name,
+                static_cast<unsigned long long>(record.bytes));
   return text;
-}
-
-// A type does not say whether a reader may skip it, and the axes show that extensions can change what the streams mean.
-// So only known ones are skipped, unless the caller takes the risk.
-Result<Extensions> parse_extensions(const SpzContent& content, bool skip_unknown) {
-  const std::span<const std::byte> block = content.extensions;
-  Extensions out;
-  for (std::uint64_t at = 0; at < block.size();) {
-    const std::uint64_t offset = content.extensions_at + at, rest = block.size() - at;
-    if (rest < 8) return make_error(Errc::truncated, offset, "the extensions end inside a record", 8, rest);
-    const auto type = load<std::uint32_t>(block, at);
-    // The reference library's first builds wrote this record without its length.
-    if (type == kSafeOrbitCamera && rest == 4 + kSafeOrbitBytes) {
-      out.unused.push_back(unused_text("safe orbit camera", type, kSafeOrbitBytes));
-      break;
-    }
-    const auto bytes = load<std::uint32_t>(block, at + 4);
-    const bool known = type == kSafeOrbitCamera || type == kCoordinateSystem || type == kGeoreference;
-    if (!known && !skip_unknown) {
-      return make_error(Errc::unsupported_feature, offset,
-                        "an SPZ extension of unknown type, which may change what the file means; rgs-convert "
-                        "--skip-unknown-extensions reads past it",
-                        Error::kNone, type);
-    }
-    if (bytes > rest - 8) {
-      return make_error(Errc::truncated, offset + 4, "an extension is longer than the bytes left for extensions",
-                        rest - 8, bytes);
-    }
-    if (type == kCoordinateSystem) {
-      if (bytes != 4) {
-        return make_error(Errc::bad_header, offset + 4, "the coordinate system extension is not 4 bytes", 4, bytes);
-      }
-      const auto value = load<std::uint32_t>(block, at + 8);
-      if (value > std::size(kCoordinateSystems)) {
-        return make_error(Errc::bad_value, offset + 8, "no such coordinate system", std::size(kCoordinateSystems),
-                          value);
-      }
-      if (out.axes) return make_error(Errc::bad_header, offset, "a second coordinate system");
-      if (value != 0) out.axes = kCoordinateSystems[value - 1];
-    } else if (type == kSafeOrbitCamera && bytes != kSafeOrbitBytes) {
-      return make_error(Errc::bad_header, offset + 4, "the safe orbit extension is not 12 bytes", kSafeOrbitBytes,
-                        bytes);
-    } else {
-      out.unused.push_back(unused_text(type == kSafeOrbitCamera ? "safe orbit camera"
-                                       : type == kGeoreference  ? "georeference"
-                                                                : "unknown",
-                                       type, bytes));
-    }
-    at += 8 + std::uint64_t{bytes};
-  }
-  return out;
 }
 
 // ---- gzip -----------------------------------------------------------------------------------------------------------
@@ -192,16 +71,16 @@ class Inflater {
     }
     return {};
   }
-  /// The rest of the stream. Errors: those of read(); limit_exceeded beyond kMaxExtensionBytes.
+  /// The rest of the stream. Errors: those of read(); limit_exceeded beyond kSpzMostExtensionBytes.
   Result<std::vector<std::byte>> rest() {
     std::vector<std::byte> out;
     for (std::array<std::byte, 4096> piece{};;) {
       const auto got = some(piece);
       if (!got) return tl::unexpected(got.error());
       if (*got == 0) return out;
-      if (out.size() + *got > kMaxExtensionBytes) {
+      if (out.size() + *got > kSpzMostExtensionBytes) {
         return make_error(Errc::limit_exceeded, consumed_, "more bytes of extensions than any file needs",
-                          kMaxExtensionBytes);
+                          kSpzMostExtensionBytes);
       }
       out.insert(out.end(), piece.begin(), piece.begin() + static_cast<std::ptrdiff_t>(*got));
     }
@@ -256,81 +135,46 @@ bool is_gzip(std::span<const std::byte> bytes) {
   return bytes.size() >= 2 && load<std::uint16_t>(bytes, 0) == 0x8B1F;
 }
 
-Result<SpzContent> unpack_gzip(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+Result<SpzContent> unpack_gzip(std::span<const std::byte> bytes, const ReadOptions& options) {
   auto inflater = Inflater::begin(bytes);
   if (!inflater) throw std::bad_alloc();
-  std::array<std::byte, kGzipHeaderBytes> head{};
+  std::array<std::byte, kSpzHeaderBytes> head{};
   if (const Status s = inflater->read(head); !s) return tl::unexpected(s.error());
-  const auto header = parse_header(head, limits, bytes.size());
+  const auto header = parse_spz_header(head, options.limits, bytes.size(), true);
   if (!header) return tl::unexpected(header.error());
-  if (header->version > 3) {
-    return make_error(Errc::bad_header, 4, "SPZ of version 4 inside a gzip stream", 3, header->version);
-  }
-  if (head[15] != std::byte{0}) return make_error(Errc::reserved_bits, 15, "a reserved byte is not zero");
-  SpzContent content{*header, {}, {}, kGzipHeaderBytes + header->decoded_bytes()};
-  content.body.resize(header->decoded_bytes());
+  SpzContent content{*header, std::vector<std::byte>(header->decoded_bytes()), {}};
   if (const Status s = inflater->read(content.body); !s) return tl::unexpected(s.error());
-  if ((header->flags & kFlagExtensions) != 0) {
+  std::vector<std::byte> records;
+  if (header->has_extensions()) {
     auto rest = inflater->rest();
     if (!rest) return tl::unexpected(rest.error());
-    content.extensions = std::move(*rest);
+    records = std::move(*rest);
   }
   if (const Status s = inflater->finish(); !s) return tl::unexpected(s.error());
+  auto extensions =
+      parse_spz_extensions(records, kSpzHeaderBytes + content.body.size(), options.skip_unknown_extensions);
+  if (!extensions) return tl::unexpected(extensions.error());
+  content.extensions = std::move(*extensions);
   return content;
 }
 
 // ---- zstd -----------------------------------------------------------------------------------------------------------
 
-Result<SpzContent> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  if (bytes.size() < kHeaderBytesV4) {
-    return make_error(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderBytesV4, bytes.size());
-  }
-  const auto header = parse_header(bytes, limits, bytes.size());
-  if (!header) return tl::unexpected(header.error());
-  if (header->version < 4)
-    return make_error(Errc::bad_header, 4, "SPZ below version 4 without gzip", 4, header->version);
-  const std::uint64_t n_streams = header->n_streams();
-  if (load_u8(bytes, 15) != n_streams) {
-    return make_error(Errc::bad_header, 15, "the number of streams is not that of its SH degree", n_streams,
-                      load_u8(bytes, 15));
-  }
-  if (std::ranges::any_of(bytes.subspan(20, 12), [](std::byte b) { return b != std::byte{0}; })) {
-    return make_error(Errc::reserved_bits, 20, "reserved bytes are not zero");
-  }
-  const std::uint64_t table = load<std::uint32_t>(bytes, 16);
-  if (table < kHeaderBytesV4 || table > bytes.size() || bytes.size() - table < 16 * n_streams) {
-    return make_error(Errc::bad_header, 16, "the stream table lies outside the file", Error::kNone, table);
-  }
-  if (table != kHeaderBytesV4 && (header->flags & kFlagExtensions) == 0) {
-    return make_error(Errc::section_gap, kHeaderBytesV4, "bytes between header and stream table", kHeaderBytesV4,
-                      table);
-  }
-  SpzContent content{*header, {}, {}, kHeaderBytesV4};
-  const auto extensions = bytes.first(table).subspan(kHeaderBytesV4);
-  content.extensions.assign(extensions.begin(), extensions.end());
-  content.body.resize(header->decoded_bytes());
-  const auto sizes = header->sizes();
-  std::uint64_t at = table + 16 * n_streams, to = 0;
-  for (std::uint64_t i = 0; i < n_streams; ++i) {
-    const std::uint64_t entry = table + 16 * i;
-    const auto stored = load<std::uint64_t>(bytes, entry), decoded = load<std::uint64_t>(bytes, entry + 8);
-    if (decoded != sizes[i]) {
-      return make_error(Errc::size_mismatch, entry + 8, "a stream's size contradicts the number of Gaussians", sizes[i],
-                        decoded);
-    }
-    if (stored > bytes.size() - at) {
-      return make_error(Errc::truncated, entry, "a stream ends past the end of the file", bytes.size() - at, stored);
-    }
+Result<SpzContent> unpack_zstd(std::span<const std::byte> bytes, const ReadOptions& options) {
+  auto layout = spz_layout(bytes, options.limits, bytes.size(), false, options.skip_unknown_extensions);
+  if (!layout) return tl::unexpected(layout.error());
+  SpzContent content{layout->header, std::vector<std::byte>(layout->header.decoded_bytes()),
+                     std::move(layout->extensions)};
+  std::uint64_t to = 0;
+  for (const auto& [offset, stored, decoded] : layout->streams) {
     const std::size_t got =
-        decoded == 0 ? 0 : ZSTD_decompress(content.body.data() + to, decoded, bytes.data() + at, stored);
+        decoded == 0 ? 0 : ZSTD_decompress(content.body.data() + to, decoded, bytes.data() + offset, stored);
     if (ZSTD_isError(got) != 0 || got != decoded) {
-      return make_error(Errc::bad_value, at, "a zstd stream is damaged", decoded,
+      return make_error(Errc::bad_value, offset, "a zstd stream is damaged", decoded,
                         ZSTD_isError(got) != 0 ? Error::kNone : static_cast<std::uint64_t>(got));
     }
-    at += stored;
     to += decoded;
   }
-  if (at != bytes.size()) return make_error(Errc::trailing_bytes, at, "bytes after the last stream");
   return content;
 }
 
@@ -479,12 +323,12 @@ SplatCloud decode_streams(const SpzHeader& header, const Streams& in) {
   return cloud;
 }
 
-using CodedStreams = std::array<std::vector<std::byte>, kStreams>;
+using CodedStreams = std::array<std::vector<std::byte>, kSpzStreams>;
 
 CodedStreams encode_streams(const SplatView& splats, const SpzHeader& header) {
   CodedStreams out;
   const auto sizes = header.sizes();
-  for (std::size_t i = 0; i < kStreams; ++i) out[i].resize(sizes[i]);
+  for (std::size_t i = 0; i < kSpzStreams; ++i) out[i].resize(sizes[i]);
   for (std::uint64_t i = 0; i < 3 * splats.n; ++i) {
     const double fixed = std::floor(std::ldexp(static_cast<double>(splats.mean[i]), header.fractional_bits) + 0.5);
     const auto code = static_cast<std::uint32_t>(static_cast<std::int32_t>(fixed));
@@ -580,17 +424,17 @@ std::vector<std::byte> compress_deflate(const std::vector<std::byte>& stream, st
 
 template <class Compress>
 CodedStreams compress_all(const CodedStreams& streams, Compress compress) {
-  std::array<std::future<std::vector<std::byte>>, kStreams> compressed;
-  for (std::size_t i = kStreams; i-- > 0;) {  // SH, which takes longest, first
+  std::array<std::future<std::vector<std::byte>>, kSpzStreams> compressed;
+  for (std::size_t i = kSpzStreams; i-- > 0;) {  // SH, which takes longest, first
     compressed[i] = std::async(std::launch::async | std::launch::deferred, compress, std::cref(streams[i]), i);
   }
   CodedStreams out;
-  for (std::size_t i = 0; i < kStreams; ++i) out[i] = compressed[i].get();
+  for (std::size_t i = 0; i < kSpzStreams; ++i) out[i] = compressed[i].get();
   return out;
 }
 
 void store_shared_header(std::span<std::byte> file, const SpzHeader& header) {
-  store(file, 0, kMagicSpz);
+  store(file, 0, kSpzMagic);
   store(file, 4, header.version);
   store(file, 8, header.n);
   store(file, 12, header.sh_degree);
@@ -599,12 +443,12 @@ void store_shared_header(std::span<std::byte> file, const SpzHeader& header) {
 }
 
 std::vector<std::byte> pack_zstd(const SpzHeader& header, const CodedStreams& streams) {
-  std::vector<std::byte> file(kHeaderBytesV4 + 16 * header.n_streams());
+  std::vector<std::byte> file(kSpzHeaderBytesV4 + 16 * header.n_streams());
   store_shared_header(file, header);
   store(std::span(file), 15, static_cast<std::uint8_t>(header.n_streams()));
-  store(std::span(file), 16, static_cast<std::uint32_t>(kHeaderBytesV4));
+  store(std::span(file), 16, static_cast<std::uint32_t>(kSpzHeaderBytesV4));
   const CodedStreams compressed = compress_all(streams, compress_zstd);
-  std::uint64_t entry = kHeaderBytesV4;
+  std::uint64_t entry = kSpzHeaderBytesV4;
   for (std::size_t i = 0; i < header.n_streams(); ++i, entry += 16) {
     store(std::span(file), entry, static_cast<std::uint64_t>(compressed[i].size()));
     store(std::span(file), entry + 8, static_cast<std::uint64_t>(streams[i].size()));
@@ -617,7 +461,7 @@ std::vector<std::byte> pack_zstd(const SpzHeader& header, const CodedStreams& st
 std::vector<std::byte> pack_gzip(const SpzHeader& header, CodedStreams streams) {
   constexpr std::array<std::uint8_t, 10> kHead{0x1F, 0x8B, 8, 0, 0, 0, 0, 0, 2, 255};
   constexpr std::array<std::uint8_t, 2> kEmptyLastBlock{3, 0};
-  std::array<std::byte, kGzipHeaderBytes> head{};
+  std::array<std::byte, kSpzHeaderBytes> head{};
   store_shared_header(head, header);
   streams[0].insert(streams[0].begin(), head.begin(), head.end());
   uLong crc = crc32_z(0, nullptr, 0);
@@ -654,29 +498,29 @@ Result<int> choose_fractional_bits(const SplatView& splats) {
 }
 
 bool is_spz(std::span<const std::byte> bytes) {
-  if (!is_gzip(bytes)) return bytes.size() >= 4 && load<std::uint32_t>(bytes, 0) == kMagicSpz;
+  if (!is_gzip(bytes)) return bytes.size() >= 4 && load<std::uint32_t>(bytes, 0) == kSpzMagic;
   auto inflater = Inflater::begin(bytes);
   std::array<std::byte, 4> magic{};
-  return inflater && inflater->read(magic) && load<std::uint32_t>(magic, 0) == kMagicSpz;
+  return inflater && inflater->read(magic) && load<std::uint32_t>(magic, 0) == kSpzMagic;
 }
 
 Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions& options) {
-  const auto content = is_gzip(bytes) ? unpack_gzip(bytes, options.limits) : unpack_zstd(bytes, options.limits);
+  const auto content = is_gzip(bytes) ? unpack_gzip(bytes, options) : unpack_zstd(bytes, options);
   if (!content) return tl::unexpected(content.error());
-  auto extensions = parse_extensions(*content, options.skip_unknown_extensions);
-  if (!extensions) return tl::unexpected(extensions.error());
+  const SpzExtensions& extensions = content->extensions;
   const SpzHeader& header = content->header;
   Streams streams;
   std::uint64_t at = 0;
   const auto sizes = header.sizes();
-  for (std::size_t i = 0; i < kStreams; at += sizes[i++]) streams[i] = std::span(content->body).subspan(at, sizes[i]);
+  for (std::size_t i = 0; i < kSpzStreams; at += sizes[i++])
+    streams[i] = std::span(content->body).subspan(at, sizes[i]);
   SplatFile file;
   file.format = SplatFormat::spz;
   file.bytes = bytes.size();
-  file.axes = extensions->axes.value_or(options.spz_axes);
-  file.axes_assumed = !extensions->axes;
-  file.aa_mode = (header.flags & kFlagAntialiased) != 0 ? AaMode::mip_splatting : AaMode::classic;
-  file.unused = std::move(extensions->unused);
+  file.axes = extensions.axes.value_or(options.spz_axes);
+  file.axes_assumed = !extensions.axes;
+  file.aa_mode = header.is_antialiased() ? AaMode::mip_splatting : AaMode::classic;
+  for (const auto& record : extensions.unused) file.unused.push_back(unused_text(record));
   file.cloud = decode_streams(header, streams);
   return file;
 }
@@ -689,7 +533,7 @@ Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mod
   header.n = static_cast<std::uint32_t>(splats.n);
   header.sh_degree = static_cast<std::uint8_t>(splats.sh_degree);
   header.fractional_bits = static_cast<std::uint8_t>(*fractional_bits);
-  header.flags = aa_mode == AaMode::mip_splatting ? kFlagAntialiased : 0;
+  header.flags = aa_mode == AaMode::mip_splatting ? kSpzAntialiased : 0;
   const CodedStreams streams = encode_streams(splats, header);
   return version < 4 ? pack_gzip(header, streams) : pack_zstd(header, streams);
 }

@@ -1,7 +1,7 @@
 #!/bin/sh
 # build-wasm.sh - builds the format library for WebAssembly: sh build-wasm.sh [OUT], by default dist/rgs.wasm beside this file.
-# Debian's clang-19 compiles RGS_FORMAT_PORTABLE of format/CMakeLists.txt, the scheduler of pages in runtime/pages, the .cpp files in
-# wasm/ and the decoder of Zstandard. Its sources are not in Debian's packages; they come with the npm package zstd-napi.
+# Debian's clang-19 compiles RGS_FORMAT_PORTABLE of format/CMakeLists.txt, the scheduler of pages in runtime/pages, the framing of .spz,
+# the .cpp files in wasm/ and the decoder of Zstandard. Its sources are not in Debian's packages; they come with the npm package zstd-napi.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
@@ -41,7 +41,7 @@ decoder="common/debug common/entropy_common common/error_private common/fse_deco
     -ffp-contract=off -fno-exceptions -ffunction-sections -fdata-sections -DNDEBUG -Wall -Wextra -Werror"
   echo "cxx_flags = -std=c++20 -fno-rtti -fno-threadsafe-statics -nostdinc++ -isystem $llvm/include/wasm32-wasi/c++/v1 $
     -isystem /usr/include/wasm32-wasi -isystem $build/include -DXXH_INLINE_ALL -I$root/format/include -I$root/format/src $
-    -I$root/kernels/math/include -I$root/runtime $
+    -I$root/kernels/math/include -I$root/runtime -I$root/converter/formats -I$root/converter/formats/include $
     -isystem $zstd"
   echo "c_flags = -std=c11 -isystem /usr/include/wasm32-wasi -I$zstd -DZSTD_DISABLE_ASM -DZSTD_LEGACY_SUPPORT=0 $
     -DZSTD_STRIP_ERROR_STRINGS -DXXH_NAMESPACE=ZSTD_ -DDEBUGLEVEL=0 -Wno-unused-parameter -Wno-unused-function"
@@ -66,7 +66,7 @@ rule link
     case $small in *" $source "*) echo "  size = -Oz" ;; esac
     objects="$objects $build/$source.o"
   done
-  for source in "$root"/runtime/pages/*.cpp; do
+  for source in "$root"/runtime/pages/*.cpp "$root/converter/formats/spz_header.cpp"; do
     echo "build $build/pages/$(basename "$source").o: cxx $source"
     echo "  size = -Oz"
     objects="$objects $build/pages/$(basename "$source").o"

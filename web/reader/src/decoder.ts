@@ -1,7 +1,7 @@
 // decoder.ts - decodes one .rgs file in one instance of rgs.wasm, synchronously, in a worker.
 // SPDX-License-Identifier: Apache-2.0
 import { allocate, outOfMemory, RgsError, type RgsErrorCode } from "./errors.js";
-import type { Box, Vector3 } from "./head.js";
+import { type Axis, type Box, kAxes, type Vector3 } from "./head.js";
 
 /** Decoded Gaussians, structure of arrays. */
 export interface Gaussians {
@@ -51,10 +51,16 @@ export interface Limits {
   maxDecodedBytes?: number;
 }
 
-/** Zstandard frames, and the bytes that they decompress to. */
-export interface ZstdStream {
-  frames: Uint8Array;
-  size: number;
+/** Of a .spz. */
+export interface SpzHeader {
+  version: number;
+  n: number;
+  shDegree: number;
+  /** Steps of positions are 2^-fractionalBits. */
+  fractionalBits: number;
+  antialiased: boolean;
+  /** Null if the file declares none. */
+  axes: readonly [Axis, Axis, Axis] | null;
 }
 
 export interface Range {
@@ -96,6 +102,8 @@ interface Exports extends Heap {
   rgs_subject_box(file: number): void;
   rgs_subject_box_of(means: number, opacities: number, n: number): void;
   rgs_source_index(file: number): number;
+  rgs_spz_most(beginning: number, fileBytes: number): number;
+  rgs_spz(address: number, bytes: number, fileBytes: number, inGzip: number): number;
   rgs_decompress(frames: number, size: number, content: number, contentSize: number): number;
 }
 
@@ -174,6 +182,26 @@ export class Decoder {
     this.run(() => this.wasm.rgs_add_part(this.file, offset, this.put(bytes), bytes.length));
   }
 
+  /** Bytes that the gzip stream of an .spz may hold, by its first 16. */
+  spzMost(beginning: Uint8Array, fileBytes: number): number {
+    this.with(beginning, (at) => this.wasm.rgs_spz_most(at, fileBytes));
+    return this.numbers()[0] as number;
+  }
+
+  /** Of a whole .spz of version 4, or of what its gzip stream holds; where its streams are, and their decoded size. */
+  spz(content: Uint8Array, fileBytes: number, inGzip: boolean): [SpzHeader, (Range & { size: number })[]] {
+    this.with(content, (at) => this.wasm.rgs_spz(at, content.length, fileBytes, Number(inGzip)));
+    const [version, n, shDegree, fractionalBits, antialiased, ...rest] = this.numbers() as unknown as number[];
+    const axes = rest.splice(0, 3).map((code) => kAxes[code]);
+    const header = { version, n, shDegree, fractionalBits, antialiased: antialiased === 1, axes: axes[0] === "undeclared" ? null : axes } as SpzHeader;
+    const places = [];
+    while (rest.length > 0) {
+      const [offset, bytes, size] = rest.splice(0, 3) as [number, number, number];
+      places.push({ offset, bytes, size });
+    }
+    return [header, places];
+  }
+
   /** The content of Zstandard frames; null if it is not `size` bytes. */
   decompress(frames: Uint8Array, size: number): Uint8Array | null {
     return this.run(() => {
@@ -207,12 +235,7 @@ export class Decoder {
 
   /** For Levels. */
   extend(below: number, offset: number, bytes: Uint8Array): Float64Array {
-    this.check(() => {
-      const address = this.put(bytes);
-      const status = this.wasm.rgs_extend(this.file, below, offset, address, bytes.length);
-      this.wasm.rgs_free(address);
-      return status;
-    });
+    this.with(bytes, (at) => this.wasm.rgs_extend(this.file, below, offset, at, bytes.length));
     return this.numbers();
   }
 
@@ -365,12 +388,7 @@ export class Decoder {
   }
 
   private decodePage(page: number, stored: Uint8Array, asStored: boolean): void {
-    this.check(() => {
-      const address = this.put(stored);
-      const status = this.wasm.rgs_read_page(this.file, page, address, stored.length, asStored ? 1 : 0);
-      this.wasm.rgs_free(address);
-      return status;
-    });
+    this.with(stored, (at) => this.wasm.rgs_read_page(this.file, page, at, stored.length, Number(asStored)));
   }
 
   /** Copies the rows that were decoded last to `out`, from row `at` on. */
@@ -433,6 +451,16 @@ export class Decoder {
     const address = this.allocate(bytes.length);
     new Uint8Array(this.wasm.memory.buffer, address, bytes.length).set(bytes);
     return address;
+  }
+
+  /** Calls what may fail with bytes in this module's memory. */
+  private with(bytes: Uint8Array, f: (address: number) => number): void {
+    this.check(() => {
+      const address = this.put(bytes);
+      const status = f(address);
+      this.wasm.rgs_free(address);
+      return status;
+    });
   }
 
   private numbers(): Float64Array {

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { allocate } from "./errors.js";
 
-const kAxes = ["undeclared", "right", "left", "up", "down", "forward", "backward"] as const;
+export const kAxes = ["undeclared", "right", "left", "up", "down", "forward", "backward"] as const;
 const kColourSpaces = ["undeclared", "srgb_display", "linear_display"] as const;
 const kShBases = ["undeclared", "real_3dgs"] as const;
 const kKernels = ["undeclared", "gaussian_ewa"] as const;

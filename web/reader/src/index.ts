@@ -1,6 +1,6 @@
 // index.ts - exports that the entries for browsers and Node share.
 // SPDX-License-Identifier: Apache-2.0
-export type { Gaussians, Limits, StoredGaussians, ZstdStream } from "./decoder.js";
+export type { Gaussians, Limits, StoredGaussians } from "./decoder.js";
 export { RgsError, type RgsErrorCode } from "./errors.js";
 export type {
   Axis,
@@ -17,3 +17,4 @@ export type {
 export type { OpenOptions, Progress, ReadOptions, RgsFile, Source } from "./reader.js";
 export type { Look, PageAction, PageEvent, PageSchedule, PageScheduler } from "./pages.js";
 export type { RangeSource, UrlOptions } from "./source.js";
+export type { Spz } from "./spz.js";

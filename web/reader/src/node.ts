@@ -2,10 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 import { type TransferListItem, Worker } from "node:worker_threads";
 import type { Port } from "./client.js";
-import type { ZstdStream } from "./decoder.js";
 import type { Box } from "./head.js";
-import { decompressWith, type OpenOptions, openWith, type RgsFile, type Source, subjectBoxWith } from "./reader.js";
+import { type OpenOptions, openWith, readSpzWith, type RgsFile, type Source, subjectBoxWith } from "./reader.js";
 import type { Answer } from "./service.js";
+import type { Spz } from "./spz.js";
 export * from "./index.js";
 
 function startWorker(): Port {
@@ -33,7 +33,7 @@ export function subjectBox(means: Float32Array, opacities: Float32Array, options
   return subjectBoxWith(startWorker, means, opacities, options);
 }
 
-/** The contents of Zstandard streams, null for those that are damaged or have another size. */
-export function decompress(streams: ZstdStream[], options: Pick<OpenOptions, "wasm"> = {}): Promise<(Uint8Array | null)[]> {
-  return decompressWith(startWorker, streams, options);
+/** The streams of a .spz, as bytes; the file as a whole. Rejects with an RgsError. */
+export function readSpz(bytes: Uint8Array<ArrayBuffer>, options: Pick<OpenOptions, "wasm"> = {}): Promise<Spz> {
+  return readSpzWith(startWorker, bytes, options);
 }

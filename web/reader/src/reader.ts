@@ -1,11 +1,12 @@
 // reader.ts - opens a file, and reads it whole, part by part, or by pages.
 // SPDX-License-Identifier: Apache-2.0
 import { Client, type Port } from "./client.js";
-import type { Gaussians, Groups, Limits, Range, StoredGaussians, ZstdStream } from "./decoder.js";
+import type { Gaussians, Groups, Limits, Range, StoredGaussians } from "./decoder.js";
 import { RgsError } from "./errors.js";
 import { type Box, type Declarations, type Head, type Header, Levels, parseHead, type Provenance, type Section } from "./head.js";
 import { kAnyGroup, type PageEvent, type PageSchedule, PageScheduler } from "./pages.js";
 import type { Requests } from "./service.js";
+import type { Spz } from "./spz.js";
 import { BlobSource, MemorySource, type RangeSource, UrlSource, type UrlOptions } from "./source.js";
 
 export type Source = ArrayBuffer | ArrayBufferView | Blob | URL | string | RangeSource;
@@ -514,6 +515,6 @@ export function subjectBoxWith(start: () => Port, means: Float32Array, opacities
   return askWorker(start, "subjectBoxOf", { means, opacities }, options);
 }
 
-export function decompressWith(start: () => Port, streams: ZstdStream[], options: Pick<OpenOptions, "wasm">): Promise<(Uint8Array | null)[]> {
-  return askWorker(start, "decompress", { streams }, options);
+export function readSpzWith(start: () => Port, bytes: Uint8Array<ArrayBuffer>, options: Pick<OpenOptions, "wasm">): Promise<Spz> {
+  return askWorker(start, "spz", { bytes }, options);
 }

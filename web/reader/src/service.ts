@@ -1,8 +1,9 @@
 // service.ts - the worker: answers the requests of one RgsFile, one after the other.
 // SPDX-License-Identifier: Apache-2.0
-import { buffersOf, Decoder, type Gaussians, type Groups, type Limits, type Range, type StoredGaussians, type ZstdStream } from "./decoder.js";
+import { buffersOf, Decoder, type Gaussians, type Groups, type Limits, type Range, type StoredGaussians } from "./decoder.js";
 import { RgsError, type RgsErrorFields } from "./errors.js";
 import { type Box, parseHead } from "./head.js";
+import { type Spz, unpackSpz } from "./spz.js";
 
 interface Shape {
   shDegree: number;
@@ -36,7 +37,7 @@ export interface Requests {
   /** After openEarly or wholeStored. */
   subjectBox: [Record<string, never>, Box];
   subjectBoxOf: [{ means: Float32Array; opacities: Float32Array }, Box];
-  decompress: [{ streams: ZstdStream[] }, (Uint8Array | null)[]];
+  spz: [{ bytes: Uint8Array<ArrayBuffer> }, Spz];
   /** Releases the memory of the whole file. */
   endWhole: [Record<string, never>, void];
   /** Ends the request of that id with `cancelled`, if it waits or runs. */
@@ -179,8 +180,8 @@ export class Service {
         return this.wholeFile.decoder.subjectBox();
       case "subjectBoxOf":
         return this.opened.subjectBoxOf(request.args.means, request.args.opacities);
-      case "decompress":
-        return request.args.streams.map(({ frames, size }) => this.opened.decompress(frames, size));
+      case "spz":
+        return unpackSpz(this.opened, request.args.bytes);
       case "endWhole":
         this.whole = undefined;
         return undefined;

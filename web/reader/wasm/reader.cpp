@@ -24,6 +24,7 @@
 #include "rgs/decode.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/subject_box.hpp"
+#include "spz_header.hpp"
 
 #define RGS_EXPORT(name) extern "C" [[clang::export_name(#name)]]
 
@@ -527,6 +528,29 @@ RGS_EXPORT(rgs_source_index) int rgs_source_index(File* file) {
   if (view.find(SectionType::permutation) == nullptr) return 0;
   for (std::uint64_t i = 0; i < view.header().n_gaussians; ++i) put(view.source_index(i));
   return 1;
+}
+
+/// Bytes that the gzip stream of an .spz of version 2 or 3 may hold, by its first 16, in rgs_numbers().
+RGS_EXPORT(rgs_spz_most) int rgs_spz_most(const std::byte* beginning, double file_bytes) {
+  const auto header =
+      detail::parse_spz_header({beginning, detail::kSpzHeaderBytes}, {}, static_cast<std::uint64_t>(file_bytes), true);
+  if (!header) return fail(header.error());
+  numbers.clear();
+  put(detail::kSpzHeaderBytes + header->decoded_bytes() +
+      (header->has_extensions() ? detail::kSpzMostExtensionBytes : 0));
+  return 0;
+}
+
+/// spz_layout(): header, axes as codes, 0 if none are declared, then offset, stored and decoded bytes of each stream.
+RGS_EXPORT(rgs_spz) int rgs_spz(const std::byte* bytes, std::uint32_t size, double file_bytes, int in_gzip) {
+  const auto layout = detail::spz_layout({bytes, size}, {}, static_cast<std::uint64_t>(file_bytes), in_gzip != 0);
+  if (!layout) return fail(layout.error());
+  const detail::SpzHeader& h = layout->header;
+  numbers.clear();
+  put(h.version, h.n, h.sh_degree, h.fractional_bits, h.is_antialiased());
+  for (const Axis axis : layout->extensions.axes.value_or(Axes{})) put(static_cast<int>(axis));
+  for (const auto& stream : layout->streams) put(stream.offset, stream.stored_bytes, stream.decoded_bytes);
+  return 0;
 }
 
 /// The content of Zstandard frames. Writes to their heads. 1: they are damaged, or it is not of that size.

@@ -1,13 +1,17 @@
 // spz-resource.ts - the engine's resource for .spz, without its parser: that reads only version 4, and loads a script.
 // SPDX-License-Identifier: Apache-2.0
-import { decompress } from "@roofgs/reader";
+import { readSpz as read, type Spz } from "@roofgs/reader";
 import { type BoundingBox, type GraphicsDevice, type GSplatResourceBase, Vec3 } from "playcanvas";
 import { GSplatSpzResource } from "playcanvas/scripts/esm/parsers/spz-parser.mjs";
 import { worker } from "./reader-worker.js";
-import { type Header, kRest, type SpzAxes, type Streams, decompressSpz } from "./spz.js";
+import { axesOf, smallestThree, type SpzAxes } from "./spz.js";
+
+/** SH coefficients beyond degree 0, per channel. */
+const kRest = [0, 3, 8, 15];
 
 /** The data that the engine's resource expects; it looks for the streams by their names. */
-function dataOf({ n, fractionalBits, shDegree, antialiased }: Header, streams: Streams): object {
+function dataOf({ version, n, fractionalBits, shDegree, antialiased, streams: { rotations, ...rest } }: Spz): object {
+  const streams = { ...rest, rotations: version === 2 ? smallestThree(rotations) : rotations };
   const getCenters = (): Float32Array => {
     const { positions } = streams;
     const centers = new Float32Array(3 * n);
@@ -30,7 +34,8 @@ function dataOf({ n, fractionalBits, shDegree, antialiased }: Header, streams: S
 }
 
 export async function readSpz(device: GraphicsDevice, contents: ArrayBuffer): Promise<{ resource: GSplatResourceBase; antialiased: boolean; axes: SpzAxes | null; opacities: Float32Array }> {
-  const { header, streams, axes } = await decompressSpz(contents, (streams) => decompress(streams, worker ? { worker } : {}));
-  if (header.n === 0) throw new Error("it holds no Gaussians");
-  return { resource: new GSplatSpzResource(device, dataOf(header, streams)), antialiased: header.antialiased, axes, opacities: Float32Array.from(streams.alphas, (code) => code / 255) };
+  const spz = await read(new Uint8Array(contents), worker ? { worker } : {});
+  if (spz.n === 0) throw new Error("it holds no Gaussians");
+  const axes = axesOf(spz);
+  return { resource: new GSplatSpzResource(device, dataOf(spz)), antialiased: spz.antialiased, axes, opacities: Float32Array.from(spz.streams.alphas, (code) => code / 255) };
 }

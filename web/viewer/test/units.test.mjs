@@ -10,7 +10,7 @@ import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 import { build } from "vite";
 import { program } from "../../playcanvas/test/pictures.mjs";
-import { decompress } from "../../reader/dist/node.js";
+import { readSpz } from "../../reader/dist/node.js";
 import { PageScheduler } from "../../reader/dist/pages.js";
 import { golden } from "../../reader/test/dump.mjs";
 
@@ -410,20 +410,20 @@ test("what is in a file is told by its first bytes", () => {
 });
 
 const kSpzHeader = (version, n, { degree = 0, bits = 12, flags = 0, streams = 0, table = 32 } = {}) => {
-  const bytes = Buffer.alloc(version === 4 ? 32 : 16);
+  const bytes = Buffer.alloc(version < 4 ? 16 : 32);
   bytes.write("NGSP", 0, "latin1");
   bytes.writeUInt32LE(version, 4);
   bytes.writeUInt32LE(n, 8);
   bytes.set([degree, bits, flags, streams], 12);
-  if (version === 4) bytes.writeUInt32LE(table, 16);
+  if (version >= 4) bytes.writeUInt32LE(table, 16);
   return bytes;
 };
-const unfold = (bytes) => modules.spz.decompressSpz(Uint8Array.from(bytes).buffer, decompress);
+const unfold = (bytes) => readSpz(Uint8Array.from(bytes));
 
 test("an SPZ is unfolded to its streams", async () => {
   const body = Buffer.from(Array.from({ length: 20 }, (_, i) => i));
-  const { header, streams } = await unfold(gzipSync(Buffer.concat([kSpzHeader(3, 1), body])));
-  assert.deepEqual([header.version, header.n, header.shDegree, header.fractionalBits, header.antialiased], [3, 1, 0, 12, false]);
+  const { streams, ...header } = await unfold(gzipSync(Buffer.concat([kSpzHeader(3, 1), body])));
+  assert.deepEqual(header, { version: 3, n: 1, shDegree: 0, fractionalBits: 12, antialiased: false, axes: null });
   assert.deepEqual([...streams.positions], [0, 1, 2, 3, 4, 5, 6, 7, 8]);
   assert.deepEqual([streams.alphas, streams.colors, streams.scales, streams.rotations, streams.sh].map((stream) => [...stream]), [[9], [10, 11, 12], [13, 14, 15], [16, 17, 18, 19], []]);
 });
@@ -541,9 +541,14 @@ test("an SPZ declares its axes by a record, and other records change nothing", a
   const declared = [[axes(6), "ply"], [axes(4), "opengl"], [axes(0), null], [orbit, null], [Buffer.alloc(0), null],
     [Buffer.concat([georeference, axes(4), orbit]), "opengl"], [Buffer.concat([words(0xadbe0002), words(0, 0, 0)]), null]];
   for (const [records, expected] of declared) {
-    for (const file of files(records)) assert.equal((await unfold(file)).axes, expected, records.toString("hex"));
+    for (const file of files(records)) assert.equal(modules.spz.axesOf(await unfold(file)), expected, records.toString("hex"));
   }
-  const refused = [[axes(5), "unsupported_feature", 8], [axes(17), "bad_value", 8], [words(0x12340001, 0), "unsupported_feature", 0], [words(0xadbe0003, 8, 6, 0), "bad_header", 4],
+  for (const file of files(axes(5))) {
+    const turned = await unfold(file);
+    assert.deepEqual(turned.axes, ["left", "down", "forward"]);
+    assert.throws(() => modules.spz.axesOf(turned), { code: "unsupported_feature" });
+  }
+  const refused = [[Buffer.concat([axes(6), axes(6)]), "bad_header", 12], [words(0xadbe0002, 16, 0, 0, 0, 0), "bad_header", 4], [axes(17), "bad_value", 8], [words(0x12340001, 0), "unsupported_feature", 0], [words(0xadbe0003, 8, 6, 0), "bad_header", 4],
     [words(0x4e530001, 5, 0), "truncated", 4], [words(0x4e530001), "truncated", 0]];
   for (const [records, code, at] of refused) {
     const begins = [36, 32];
@@ -567,6 +572,9 @@ test("a damaged SPZ is an error with code and byte, and makes no large allocatio
   await fails(kSpzHeader(4, 1, { streams: 6 }), "bad_header", 15);
   await fails(kSpzHeader(4, 1, { streams: 5 }), "bad_header", 16);
   await fails(kSpzHeader(4, 1, { streams: 5, table: 0xfffffff0 }), "bad_header", 16);
+  const reserved = kSpzHeader(4, 1, { streams: 5 });
+  reserved[31] = 1;
+  await fails(reserved, "reserved_bits", 20);
   const table = Buffer.alloc(80);
   [9, 1, 3, 3, 4].forEach((size, i) => table.writeBigUInt64LE(BigInt(size), 16 * i + 8));
   await fails(Buffer.concat([kSpzHeader(4, 2, { streams: 5 }), table]), "size_mismatch", 40);
@@ -579,6 +587,7 @@ test("a damaged SPZ is an error with code and byte, and makes no large allocatio
   // Unfolds to 100 MB, of which 36 bytes are read.
   await fails(gzip(Buffer.concat([kSpzHeader(3, 1), Buffer.alloc(1e8)])), "trailing_bytes", 36);
   await fails(gzip(kSpzHeader(3, 1)).subarray(0, 20), "corrupt_data", 0);
-  await fails(gzip(kSpzHeader(4, 1)), "unsupported_version", 4);
+  await fails(gzip(kSpzHeader(4, 1)), "bad_header", 4);
+  await fails(gzip(kSpzHeader(3, 1, { streams: 1 })), "reserved_bits", 15);
   await fails(gzip(Buffer.from("no SPZ at all, but text")), "bad_magic", 0);
 });
