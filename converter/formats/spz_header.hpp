@@ -17,7 +17,7 @@ namespace rgs::detail {
 
 inline constexpr std::uint32_t kSpzMagic = 0x5053474E;
 inline constexpr std::uint64_t kSpzHeaderBytes = 16, kSpzHeaderBytesV4 = 32, kSpzStreams = 6;
-inline constexpr std::uint64_t kSpzMostExtensionBytes = std::uint64_t{16} << 20;
+inline constexpr std::uint64_t kSpzMostExtensionBytes = std::uint64_t{16} << 20;  // of a gzip stream
 inline constexpr std::uint8_t kSpzAntialiased = 1, kSpzHasExtensions = 2;
 
 struct SpzHeader {
@@ -55,9 +55,9 @@ struct SpzLayout {
 Result<SpzHeader> parse_spz_header(std::span<const std::byte> bytes, const DecodeLimits& limits,
                                    std::uint64_t file_bytes, bool in_gzip);
 
-/// `offset`: of the records in the file, or in the content of its gzip stream. unsupported_feature for unknown types,
-/// unless they are to be skipped.
-Result<SpzExtensions> parse_spz_extensions(std::span<const std::byte> records, std::uint64_t offset, bool skip_unknown);
+/// `begin`: offset of the records in the file, or in the content of its gzip stream. Errors: truncated, bad_header,
+/// bad_value; unsupported_feature for unknown types, unless they are to be skipped.
+Result<SpzExtensions> parse_spz_extensions(std::span<const std::byte> records, std::uint64_t begin, bool skip_unknown);
 
 /// A whole file of version 4, or the content of a gzip stream, in which streams are as they are decoded. Errors: those of
 /// the two above; truncated, section_gap, size_mismatch, trailing_bytes.

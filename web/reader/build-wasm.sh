@@ -25,7 +25,8 @@ done
 # The same sources as in CMake.
 portable=$(sed -nE '/^set\(RGS_FORMAT_PORTABLE/,/^\)/s/^ +(src.*\.cpp)$/\1/p' "$root/format/CMakeLists.txt")
 stand_ins=$(sed -nE 's/^set\(RGS_FORMAT_STAND_INS (.*)\)$/\1/p' "$root/format/CMakeLists.txt")
-# The package's size is limited: what decodes Gaussians is compiled for speed, what opens files and what is told of pages for size.
+# The package's size is limited: what decodes Gaussians is compiled for speed, all else for size, and what opens files and chooses pages
+# for the least.
 fast=" src/archive/archive_decode.cpp src/archive/archive_kernels.cpp src/archive/point_decode.cpp src/archive/rans.cpp \
 src/file/row_kernels.cpp src/packed/codec_kernels.cpp src/packed/codec_sh.cpp src/packed/frame_decoder.cpp src/packed/inflater.cpp "
 small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/open.cpp src/file/result.cpp src/file/splat_cloud.cpp \
@@ -67,9 +68,9 @@ rule link
     objects="$objects $build/$source.o"
   done
   for source in "$root"/runtime/pages/*.cpp "$root/converter/formats/spz_header.cpp"; do
-    echo "build $build/pages/$(basename "$source").o: cxx $source"
+    echo "build $build/others/$(basename "$source").o: cxx $source"
     echo "  size = -Oz"
-    objects="$objects $build/pages/$(basename "$source").o"
+    objects="$objects $build/others/$(basename "$source").o"
   done
   for source in reader pages no_console; do
     echo "build $build/$source.o: cxx $here/wasm/$source.cpp"

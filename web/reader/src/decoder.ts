@@ -1,4 +1,4 @@
-// decoder.ts - decodes one .rgs file in one instance of rgs.wasm, synchronously, in a worker.
+// decoder.ts - decodes one file in one instance of rgs.wasm, synchronously, in a worker.
 // SPDX-License-Identifier: Apache-2.0
 import { allocate, outOfMemory, RgsError, type RgsErrorCode } from "./errors.js";
 import { type Axis, type Box, kAxes, type Vector3 } from "./head.js";
@@ -279,7 +279,6 @@ export class Decoder {
 
   /** Memory for a whole file, to be filled with putWhole() before openWhole(). */
   allocateWhole(bytes: number): number {
-    if (bytes > kMostMemory) throw outOfMemory();
     return this.run(() => this.allocate(bytes));
   }
 
@@ -442,7 +441,7 @@ export class Decoder {
   }
 
   private allocate(bytes: number): number {
-    const address = this.wasm.rgs_allocate(bytes) >>> 0;
+    const address = bytes > kMostMemory ? 0 : this.wasm.rgs_allocate(bytes) >>> 0;
     if (address === 0) throw outOfMemory();
     return address;
   }

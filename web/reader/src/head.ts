@@ -286,7 +286,7 @@ export class Levels {
 
   /** Not before its record of the table is read: `table` of OpenOptions. */
   isKnown(index: number): boolean {
-    return index === 0 || (this.pageNumbers[kPageNumbers * index + kParent] ?? -1) >= 0;
+    return index === 0 || (Number.isInteger(index) && (this.pageNumbers[kPageNumbers * index + kParent] ?? -1) >= 0);
   }
 
   /** `index` of a known page. */

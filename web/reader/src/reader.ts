@@ -203,15 +203,17 @@ export class RgsFile {
 
   /**
    * Reads more of the table of pages as the scheduler's readTable asks for it: from a page's first unknown child on, or from the first
-   * unknown page of all. Returns what to tell the scheduler. One at a time. Errors: those of open() for the table; RangeError.
+   * unknown page of all. Returns what to tell the scheduler. One at a time. Errors: those of open() for the table; bad_argument
+   * without levels; RangeError.
    */
   async readTable(group = kAnyGroup, { signal }: ReadOptions = {}, most = kTableBytes): Promise<PageEvent> {
-    const { levels } = this;
-    if (!levels || (group !== kAnyGroup && !levels.isKnown(group))) throw new RangeError(`no page ${group}`);
+    const { tree } = this;
+    if (group !== kAnyGroup) tree.page(group);
     const range = await this.client.call("unreadTable", { below: group, most }, { signal });
     const bytes = await readExactly(this.source, range, signal);
-    const values = await this.client.call("extend", { below: group, offset: range.offset, bytes }, { signal, transfer: [own(bytes)] });
-    return ["tableGrew", group, levels.extend(values)];
+    // To its end, so that both sides know the same.
+    const values = await this.client.call("extend", { below: group, offset: range.offset, bytes }, { transfer: [own(bytes)] });
+    return ["tableGrew", group, tree.extend(values)];
   }
 
   /** Gaussians of a page; checks its checksum and every value. */
@@ -224,16 +226,15 @@ export class RgsFile {
   async readPageStored(page: number, options: ReadOptions = {}): Promise<StoredGaussians> {
     const bytes = await this.storedPage(page, options);
     const { nGaussians: _, ...shape } = this.shape;
-    shape.scaleExponent = (this.levels as Levels).page(page).scaleExponent;
+    shape.scaleExponent = this.tree.page(page).scaleExponent;
     const call = { ...options, onProgress: undefined, transfer: [own(bytes)] };
     return this.client.call("pageStored", { page, bytes, shape }, call);
   }
 
   /** What decides which pages are drawn, read and evicted. It runs on the caller's thread, so a busy worker does not hold it up. */
   async pageScheduler(schedule: PageSchedule): Promise<PageScheduler> {
-    const { levels } = this;
-    if (!levels) throw new RgsError({ code: "bad_argument", text: "the file has no levels of detail, so it has no pages" });
-    return PageScheduler.start(await this.client.call("module", {}), levels.pageNumbers, schedule);
+    const { pageNumbers } = this.tree;
+    return PageScheduler.start(await this.client.call("module", {}), pageNumbers, schedule);
   }
 
   /** Ends the worker; calls in progress reject. */
@@ -246,6 +247,12 @@ export class RgsFile {
     return { nGaussians, shDegree, chunkSize, scaleExponent };
   }
 
+  /** bad_argument without levels of detail. */
+  private get tree(): Levels {
+    if (this.levels) return this.levels;
+    throw new RgsError({ code: "bad_argument", text: "the file has no levels of detail, so it has no pages" });
+  }
+
   private isPresent(index: number): boolean {
     const { levels } = this;
     if (!levels?.isKnown(index)) return false;
@@ -254,8 +261,7 @@ export class RgsFile {
   }
 
   private async storedPage(page: number, options: ReadOptions): Promise<Uint8Array> {
-    if (!this.levels) throw new RgsError({ code: "bad_argument", text: "the file has no levels of detail, so it has no pages" });
-    const { offset, storedBytes } = this.levels.page(page);
+    const { offset, storedBytes } = this.tree.page(page);
     if (!this.isPresent(page)) {
       throw new RgsError({
         code: "pages_missing",

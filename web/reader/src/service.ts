@@ -1,4 +1,4 @@
-// service.ts - the worker: answers the requests of one RgsFile, one after the other.
+// service.ts - the worker: answers the requests of one RgsFile, or one of another kind, one after the other.
 // SPDX-License-Identifier: Apache-2.0
 import { buffersOf, Decoder, type Gaussians, type Groups, type Limits, type Range, type StoredGaussians } from "./decoder.js";
 import { RgsError, type RgsErrorFields } from "./errors.js";
@@ -100,9 +100,9 @@ export class Service {
       if (this.cancelled.has(request.id)) throw new RgsError({ code: "cancelled", text: "stopped by the caller" });
       const result = await this.perform(request);
       const buffers = result !== null && typeof result === "object" ? buffersOf(result) : [];
-      const nested = result as { gaussians?: object };
-      if (nested?.gaussians) buffers.push(...buffersOf(nested.gaussians));
-      this.send({ id: request.id, result }, buffers);
+      const nested = result as { gaussians?: object; streams?: object };
+      for (const each of [nested?.gaussians, nested?.streams]) if (each) buffers.push(...buffersOf(each));
+      this.send({ id: request.id, result }, [...new Set(buffers)]);
     } catch (error) {
       const fields =
         error instanceof RgsError ? error.fields : { code: "internal" as const, text: `the worker failed: ${String(error)}` };

@@ -24,7 +24,7 @@ async function gunzip(bytes: Uint8Array<ArrayBuffer>, most: (beginning: Uint8Arr
     if (next.done) return joined();
     pieces.push(next.value);
     done += next.value.length;
-    if (limit === Infinity && done >= kHeaderBytes) limit = most(await joined());
+    if (limit === Infinity && done >= kHeaderBytes) limit = most((await joined()).subarray(0, kHeaderBytes));
     if (done > limit) {
       await reader.cancel();
       throw new RgsError({ code: "trailing_bytes", text: "it decompresses to more bytes than its header says", offset: limit });
@@ -40,7 +40,7 @@ export async function unpackSpz(decoder: Decoder, bytes: Uint8Array<ArrayBuffer>
   const streams = kStreams.map((_, i) => {
     const { offset, bytes: stored, size } = places[i] ?? { offset: 0, bytes: 0, size: 0 };
     const frames = content.subarray(offset, offset + stored);
-    const stream = inGzip ? frames.slice() : size === 0 ? new Uint8Array(0) : decoder.decompress(frames, size);
+    const stream = inGzip ? frames : size === 0 ? new Uint8Array(0) : decoder.decompress(frames, size);
     if (!stream) throw new RgsError({ code: "corrupt_data", text: "a stream is damaged, or has the wrong size", offset });
     return [kStreams[i], stream];
   });

@@ -34,6 +34,9 @@ namespace {
 
 using namespace rgs;
 
+/// Of nine million pages. Any header can promise more.
+constexpr std::uint64_t kMostTableBytes = std::uint64_t{1} << 30;
+
 struct Free {
   void operator()(std::byte* memory) const { std::free(memory); }
 };
@@ -339,6 +342,9 @@ RGS_EXPORT(rgs_open_parts) int rgs_open_parts(File* file, double file_bytes) {
     const std::uint64_t size = whole_bytes(*file, file_bytes);
     if (unread.offset + unread.bytes > size)
       return fail({Errc::truncated, size, "the file ends before its first page"});
+    if (paged->whole_memory_bytes() > kMostTableBytes)
+      return fail({Errc::limit_exceeded, unread.offset, "the table of pages needs more memory than a page may take",
+                   kMostTableBytes, paged->whole_memory_bytes()});
     if (const Status s = paged->reserve(); !s) return fail(s.error());
     file->paged = *std::move(paged);
   } else {
@@ -363,8 +369,13 @@ int rgs_extend(File* file, std::uint32_t below, double offset, const std::byte* 
   PagedFile& paged = *file->paged;
   // With the pages before it that are known.
   const std::uint32_t first = below == lod::kNoPage ? paged.n_pages() : paged.pages()[below].first_child;
-  const Status s = paged.extend({static_cast<std::uint64_t>(offset), {bytes, size}}, below);
-  if (!s) return fail(s.error());
+  const auto known = [&](const lod::Page& page) {
+    return page.n_children == 0 || paged.pages()[page.first_child + page.n_children - 1].parent == below;
+  };
+  if (below == lod::kNoPage || !known(paged.pages()[below])) {
+    const Status s = paged.extend({static_cast<std::uint64_t>(offset), {bytes, size}}, below);
+    if (!s) return fail(s.error());
+  }
   put_levels(paged, first, lod::kMaxChildren + size / kPageRecordBytes);
   return 0;
 }
@@ -403,7 +414,7 @@ RGS_EXPORT(rgs_head) void rgs_head(File* file) {
 }
 
 /// The tree of pages: one record about all of them, whether the table is verified, number of the first page and count of those that
-/// follow, a record each. Unknown ones are among them, without parent and Gaussians.
+/// follow, a record each: here all that are known. After rgs_extend() unknown ones are among them, without parent and Gaussians.
 RGS_EXPORT(rgs_levels) void rgs_levels(File* file) {
   put_levels(*file->paged, 0, file->paged->n_pages());
 }

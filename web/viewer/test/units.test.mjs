@@ -496,6 +496,10 @@ test("a stream of an SPZ is frames that unfold to its size, and nothing else", a
   for (const [what, edit] of Object.entries(bad)) await assert.rejects(unfold(versionFour(edit)), { code: "corrupt_data", offset: 112 }, what);
   const whole = versionFour();
   await assert.rejects(unfold(Buffer.concat([whole, Buffer.alloc(1)])), { code: "trailing_bytes", offset: whole.length });
+  // A stream that the table has a byte too long or too short is noticed before any is unfolded.
+  const edited = (difference) => Buffer.from(whole.map((byte, i) => (i === 32 ? byte + difference : byte)));
+  await assert.rejects(unfold(edited(1)), { code: "truncated", offset: 96 });
+  await assert.rejects(unfold(edited(-1)), { code: "trailing_bytes", offset: whole.length - 1 });
   const path = join(folder, "a.spz");
   for (const [all, expected] of [[sound, 0], [bad, 4]]) {
     for (const [what, edit] of Object.entries(all)) {
