@@ -108,10 +108,8 @@ Wire::Wire(std::span<const double> setup, std::span<const double> pages)
   stored_.resize(n);
   Numbers in(pages);
   for (std::size_t i = 0; i < n; ++i) take_page(in, pages_[i], stored_[i]);
-  const auto is_unknown = [](const lod::Page& page) { return page.parent == lod::kNoPage; };
-  const bool is_verified = std::find_if(pages_.begin() + 1, pages_.end(), is_unknown) == pages_.end();
   Numbers of(setup.subspan(1));
-  SceneSetup scene{.pages = &pages_, .stored = stored_.data(), .is_verified = is_verified};
+  SceneSetup scene{.pages = &pages_, .stored = stored_.data(), .is_verified = knows_all()};
   scene.page_bytes = of.bytes();
   scene.row_bytes = of.bytes();
   scene.n_readers = of.index();
@@ -119,6 +117,11 @@ Wire::Wire(std::span<const double> setup, std::span<const double> pages)
   scene.gap_bytes = of.bytes();
   scene.prefetches = of.number() != 0;
   scene_ = scheduler_.add_scene(scene);
+}
+
+bool Wire::knows_all() const {
+  return std::none_of(pages_.begin() + 1, pages_.end(),
+                      [](const lod::Page& page) { return page.parent == lod::kNoPage; });
 }
 
 ViewId Wire::add_view() {
@@ -158,10 +161,16 @@ std::span<const double> Wire::step(std::span<const double> events, double now) {
       case WireEvent::table_grew: {
         const std::uint32_t group = in.index();
         const bool is_verified = in.number() != 0;
-        std::uint32_t page = in.index();
-        for (const std::uint32_t end = page + in.index(); page < end; ++page)
-          take_page(in, pages_[page], stored_[page]);
-        tell(event::TableGrew{scene_, group, is_verified});
+        const std::uint32_t first = in.index(), n = in.index();
+        for (std::uint32_t i = first; i < first + n; ++i) {
+          lod::Page page;
+          StoredPage stored;
+          take_page(in, page, stored);
+          if (i == 0 || page.parent != lod::kNoPage) pages_[i] = page, stored_[i] = stored;
+        }
+        // Whoever told of a group as any, or not of all, is asked on.
+        const std::uint32_t grown = group == lod::kNoPage && n > 0 ? pages_[first].parent : group;
+        tell(event::TableGrew{scene_, grown, is_verified && knows_all()});
         break;
       }
       case WireEvent::table_failed: tell(event::TableFailed{scene_, in.next<event::Fault>()}); break;

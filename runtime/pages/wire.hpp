@@ -77,6 +77,7 @@ class Wire {
     std::vector<std::uint32_t> list;
     std::vector<Frame> frames;  // that have not ended
   };
+  bool knows_all() const;
   void tell(const Event& event);
   void begin_frame(ViewId view);
 

@@ -30,7 +30,7 @@ stand_ins=$(sed -nE 's/^set\(RGS_FORMAT_STAND_INS (.*)\)$/\1/p' "$root/format/CM
 fast=" src/archive/archive_decode.cpp src/archive/archive_kernels.cpp src/archive/point_decode.cpp src/archive/rans.cpp \
 src/file/row_kernels.cpp src/packed/codec_kernels.cpp src/packed/codec_sh.cpp src/packed/frame_decoder.cpp src/packed/inflater.cpp "
 small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/open.cpp src/file/result.cpp src/file/splat_cloud.cpp \
-src/file/subject_box.cpp src/levels/page.cpp src/packed/frames.cpp "
+src/file/subject_box.cpp src/levels/page.cpp src/levels/paged_file.cpp src/packed/frames.cpp "
 decoder="common/debug common/entropy_common common/error_private common/fse_decompress common/xxhash common/zstd_common
   decompress/huf_decompress decompress/zstd_ddict decompress/zstd_decompress_block decompress/zstd_decompress"
 
@@ -55,7 +55,7 @@ rule c
   depfile = \$out.d
   deps = gcc
 rule link
-  command = wasm-ld-19 --no-entry --gc-sections --strip-all -O2 --export=_initialize -z stack-size=262144 $
+  command = wasm-ld-19 --no-entry --gc-sections --strip-all -O2 --global-base=1024 --export=_initialize -z stack-size=262144 $
     --max-memory=4294967296 -L/usr/lib/wasm32-wasi -L$llvm/lib/wasm32-wasi /usr/lib/wasm32-wasi/crt1-reactor.o \$in $
     -lc++ -lc++abi -lc $llvm/lib/clang/19/lib/wasi/libclang_rt.builtins-wasm32.a $
     -o $build/linked.wasm && wasm-opt -O3 --low-memory-unused --enable-simd --enable-bulk-memory --enable-nontrapping-float-to-int $

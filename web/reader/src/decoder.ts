@@ -153,6 +153,7 @@ function emptyGaussians(n: number, shDegree: number): Gaussians {
 }
 
 export function buffersOf(values: object): ArrayBuffer[] {
+  if (ArrayBuffer.isView(values)) return [values.buffer as ArrayBuffer];
   return Object.values(values).flatMap((value) => (ArrayBuffer.isView(value) ? [value.buffer as ArrayBuffer] : []));
 }
 

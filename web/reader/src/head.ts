@@ -291,7 +291,7 @@ export class Levels {
 
   /** `index` of a known page. */
   page(index: number): Page {
-    if (!this.isKnown(index)) throw new RangeError(`no page ${index}`);
+    if (!this.isKnown(index)) throw new RangeError(`page ${index} is not there, or not known yet`);
     const in_ = new Numbers(this.pageNumbers.subarray(kPageNumbers * index, kPageNumbers * (index + 1)));
     return {
       index,

@@ -209,7 +209,7 @@ export class RgsFile {
   async readTable(group = kAnyGroup, { signal }: ReadOptions = {}, most = kTableBytes): Promise<PageEvent> {
     const { tree } = this;
     if (group !== kAnyGroup) tree.page(group);
-    const range = await this.client.call("unreadTable", { below: group, most }, { signal });
+    const range = await this.client.call("unreadTable", { below: group, most: Math.max(112, Math.min(most, kPieceBytes)) }, { signal });
     const bytes = await readExactly(this.source, range, signal);
     // To its end, so that both sides know the same.
     const values = await this.client.call("extend", { below: group, offset: range.offset, bytes }, { transfer: [own(bytes)] });

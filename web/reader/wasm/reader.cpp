@@ -34,8 +34,8 @@ namespace {
 
 using namespace rgs;
 
-/// Of nine million pages. Any header can promise more.
-constexpr std::uint64_t kMostTableBytes = std::uint64_t{1} << 30;
+/// Of a million pages; what JavaScript and the scheduler hold of them takes four times as much. Any header can promise more.
+constexpr std::uint64_t kMostTableBytes = std::uint64_t{1} << 27;
 
 struct Free {
   void operator()(std::byte* memory) const { std::free(memory); }
@@ -343,7 +343,7 @@ RGS_EXPORT(rgs_open_parts) int rgs_open_parts(File* file, double file_bytes) {
     if (unread.offset + unread.bytes > size)
       return fail({Errc::truncated, size, "the file ends before its first page"});
     if (paged->whole_memory_bytes() > kMostTableBytes)
-      return fail({Errc::limit_exceeded, unread.offset, "the table of pages needs more memory than a page may take",
+      return fail({Errc::limit_exceeded, unread.offset, "the table of pages needs more memory than this reader allows",
                    kMostTableBytes, paged->whole_memory_bytes()});
     if (const Status s = paged->reserve(); !s) return fail(s.error());
     file->paged = *std::move(paged);
