@@ -1,4 +1,4 @@
-// service.ts - the worker: answers the requests of one RgsFile, or one of another kind, one after the other.
+// service.ts - the worker: answers the requests about one file, one after the other.
 // SPDX-License-Identifier: Apache-2.0
 import { buffersOf, Decoder, type Gaussians, type Groups, type Limits, type Range, type StoredGaussians } from "./decoder.js";
 import { RgsError, type RgsErrorFields } from "./errors.js";

@@ -341,8 +341,9 @@ test("a damaged table is read six times and said once; what is known of it is dr
 });
 
 test("closed while it waits, a file is read no more and nothing is said of it", async () => {
-  const early = await driven();
+  const early = await driven(5);
   early.look();
+  assert.ok(early.open().includes("table 2"));
   early.driver.end();
   await early.answerAll((page) => (page % 2 === 1 ? "bad_value" : "read_failed"));
   assert.deepEqual([early.open(), early.log.timer, early.log.said, early.log.nChanges], [[], null, [], 0]);
