@@ -205,7 +205,7 @@ void find_cores(const SplatView& leaves, std::span<Page> pages) {
 }  // namespace
 
 FitOptions fit_options(Quality quality) {
-  return quality == Quality::best ? FitOptions{400, 64, 4, 4, 4, 96} : FitOptions{};
+  return quality == Quality::best ? FitOptions{4, 4, 96} : FitOptions{};
 }
 
 ChunkBoxes::ChunkBoxes() : means(empty_box()), bounds(empty_box()) {}

@@ -14,8 +14,8 @@
 namespace rgs::lod {
 
 enum class Quality : std::uint8_t {
-  fast,  ///< closed form and a few optimisation steps
-  best,  ///< many optimisation steps
+  fast,  ///< closed form
+  best,  ///< and colours and opacities fitted to pictures
 };
 
 struct BuildOptions {

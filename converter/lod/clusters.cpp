@@ -2,9 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Merging a pair keeps its moments, so a picture whose pixels are larger than the pair hardly changes. The cost is the
-// integral of a squared difference of Gaussians, which has a closed form; pixel and low-pass are one more Gaussian. It
-// combines position, extent, colour and opacity: different colours cost more the better they can be told apart, a leaf
-// and the wall behind it more than two bricks, large Gaussians more than small ones.
+// integral of a squared difference of Gaussians, which has a closed form. It combines position, extent, colour and
+// opacity: different colours cost more the better they can be told apart, a leaf and the wall behind it more than two
+// bricks, large Gaussians more than small ones. What two hide of each other is covered once: the merged one covers as
+// much as both together.
 #include "clusters.hpp"
 
 #include <algorithm>
@@ -21,9 +22,9 @@
 namespace rgs::lod {
 namespace {
 
-constexpr float kPixelVariance = 0.3F;  // variance of a pixel's square and the low-pass, px^2
-constexpr std::size_t kLeastLeftOfRound[] = {
-    63, 100};  // a round leaves 63 %, three a quarter: costs are updated often enough
+// Much less than a pixel's own 0.3 px^2: a page is drawn from its error on, but nearer, its parts would show.
+constexpr float kBlur = 0.01F;                  // px^2
+constexpr std::size_t kLeftOfRound[] = {3, 4};  // rounds are short, so that costs are up to date
 constexpr float kShConstant = 0.28209479F;
 
 }  // namespace
@@ -49,7 +50,7 @@ float mean_cross_section(const Covariance& covariance) {
     const auto& c = covariance.of;
     total += std::sqrt(std::max(c[p.uu] * c[p.vv] - c[p.uv] * c[p.uv], 0.F));
   }
-  return total * (2.F / 3) * std::numbers::pi_v<float>;
+  return total * kSectionOfRoots;
 }
 
 // Jacobi rotations in FP64; then the quaternion of the eigenvectors by its largest component.
@@ -100,30 +101,28 @@ void principal_axes(const Covariance& covariance, float least, float scale[3], f
   for (int k = 0; k < 4; ++k) rotation[k] = static_cast<float>(by_largest[largest][k] * norm);
 }
 
-Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> weight, std::span<const char> kept,
-                          std::size_t n, float pixel) {
-  const float blur = kPixelVariance * pixel * pixel;
+Clusters merge_neighbours(const Gaussians& gaussians, std::size_t n, float pixel) {
+  const float blur = kBlur * pixel * pixel;
   const float least = 1e-9F * pixel * pixel;  // an invisible Gaussian still has a position
   Clusters out;
   out.next.resize(gaussians.size());
-  std::vector<Cluster> current, alone;
+  std::vector<Cluster> current(gaussians.size());
   for (std::uint32_t i = 0; i < gaussians.size(); ++i) {
-    Cluster c;
-    c.weight = weight[i] + least;
+    Cluster& c = current[i];
     c.covariance = covariance(gaussians, i);
+    c.opacity = gaussians.of(kOpacity)[i];
+    c.weight = c.opacity * mean_cross_section(c.covariance) + least;
     for (int k = 0; k < 3; ++k) {
       c.mean[k] = gaussians.of(kMean + k)[i];
       c.color[k] = 0.5F + kShConstant * gaussians.of(kSh + k)[i];
     }
     c.color[3] = 1;
     c.first = c.last = out.next[i] = i;
-    (kept[i] != 0 ? alone : current).push_back(c);
   }
-  n -= std::min(n, alone.size());
   set_selves(current, blur);
   std::vector<Neighbours> nearest;
   std::vector<ClusterPair> pairs;
-  std::vector<float> costs;
+  std::vector<float> costs, overlaps;
   std::vector<std::uint64_t> order, spare;
   std::vector<Cluster> after;
   std::vector<char> used;
@@ -141,11 +140,11 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> wei
     if (pairs.empty()) {  // squared distances overflow FP32
       for (std::uint32_t i = 1; i < current.size(); ++i) pairs.push_back({i - 1, i});
     }
-    merge_costs(current, pairs, blur, costs);
+    merge_costs(current, pairs, blur, costs, overlaps);
     order.clear();
     for (std::size_t i = 0; i < pairs.size(); ++i) order.push_back(std::uint64_t{ordered_bits(costs[i])} << 32 | i);
     sort_by_key(order, spare);
-    const std::size_t wanted = std::max(n, current.size() * kLeastLeftOfRound[0] / kLeastLeftOfRound[1]);
+    const std::size_t wanted = std::max(n, current.size() * kLeftOfRound[0] / kLeftOfRound[1]);
     std::size_t left = current.size();
     used.assign(current.size(), 0);
     after.clear();
@@ -156,7 +155,8 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> wei
       used[pair.a] = used[pair.b] = 1;
       const Cluster &a = current[pair.a], &b = current[pair.b];
       Cluster m;
-      merge_moments<float>(a, b, m);
+      merge_moments<float>(a, b, overlaps[static_cast<std::uint32_t>(key)], m);
+      m.opacity = m.weight / std::max(mean_cross_section(m.covariance), 1e-30F);
       m.first = a.first;
       m.last = b.last;
       out.next[a.last] = b.first;
@@ -170,7 +170,6 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> wei
     current.swap(after);
   }
   out.all = std::move(current);
-  out.all.insert(out.all.end(), alone.begin(), alone.end());
   return out;
 }
 

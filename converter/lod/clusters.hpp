@@ -4,7 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <span>
+#include <numbers>
 #include <vector>
 
 #include "gaussians.hpp"
@@ -16,8 +16,7 @@ struct Covariance {
   float of[6];
 };
 Covariance covariance(const Gaussians& gaussians, std::size_t i);
-/// The cross-section that a Gaussian covers, averaged over the three axes: 2 pi times the root of the projected
-/// determinant.
+/// The cross-section of a Gaussian, averaged over the three axes: 2 pi times the root of the projected determinant.
 float mean_cross_section(const Covariance& covariance);
 /// Standard deviations, at least `least`, and a unit quaternion w, x, y, z of a covariance.
 void principal_axes(const Covariance& covariance, float least, float scale[3], float rotation[4]);
@@ -27,14 +26,17 @@ struct Plane {
   int u, v, uu, uv, vv;
 };
 inline constexpr Plane kPlanes[3] = {{0, 1, 0, 1, 3}, {0, 2, 0, 2, 5}, {1, 2, 3, 4, 5}};
+/// mean_cross_section() is this times the sum of the roots of the three projected determinants.
+inline constexpr float kSectionOfRoots = 2.F / 3 * std::numbers::pi_v<float>;
 
 /// Gaussians merged into one, with their moments.
 struct Cluster {
-  float weight = 0;  ///< visible area of its members, world units squared
+  float weight = 0;  ///< area that the members cover together, averaged over three axes, world units squared
   float mean[3];
   Covariance covariance;
   float color[4];             ///< r, g, b and 1: mean of the members by weight
-  float self = 0;             ///< the part of merge_cost() that depends on this cluster alone
+  float opacity = 0;          ///< of one Gaussian with these moments that covers `weight`; may exceed 1
+  float self = 0;             ///< the part of the cost of a merge that depends on this cluster alone
   std::uint32_t first, last;  ///< members, a list through Clusters::next
 };
 
@@ -52,10 +54,8 @@ struct Clusters {
   bool is_single(const Cluster& cluster) const { return cluster.first == cluster.last; }
 };
 
-/// Merges neighbours, the pair that changes the picture least first, down to `n` clusters. `weight` [gaussians]:
-/// visible area; `kept` [gaussians]: not 0 for those that stay alone, fewer than n. `pixel`: side of a pixel of the
-/// picture by which the cost is measured, world units. Deterministic.
-Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> weight, std::span<const char> kept,
-                          std::size_t n, float pixel);
+/// Merges neighbours, the pair that changes the picture least first, down to `n` clusters. `pixel`: side of a pixel of
+/// the picture by which the cost is measured, world units. Deterministic.
+Clusters merge_neighbours(const Gaussians& gaussians, std::size_t n, float pixel);
 
 }  // namespace rgs::lod

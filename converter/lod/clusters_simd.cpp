@@ -101,32 +101,45 @@ struct Clusters8 {
   struct {
     V of[6];
   } covariance;
-  V color[4], self;
+  V color[4], opacity, self;
+  V root[3];  // of the projected determinants
 };
 
+RGS_LOD_INLINE void set_roots(Clusters8& c) {
+  for (int k = 0; k < 3; ++k) {
+    const Plane& p = kPlanes[k];
+    const V det = c.covariance.of[p.uu] * c.covariance.of[p.vv] - c.covariance.of[p.uv] * c.covariance.of[p.uv];
+    c.root[k] = root(select(det > set(0), det, set(0)));
+  }
+}
+
 RGS_LOD_INLINE Clusters8 take(const Cluster* clusters, const std::uint32_t (&items)[kLanes]) {
-  float lanes[15][kLanes];
+  float lanes[16][kLanes];
   for (int lane = 0; lane < kLanes; ++lane) {
     const Cluster& c = clusters[items[lane]];
     lanes[0][lane] = c.weight;
     for (int k = 0; k < 3; ++k) lanes[1 + k][lane] = c.mean[k];
     for (int k = 0; k < 6; ++k) lanes[4 + k][lane] = c.covariance.of[k];
     for (int k = 0; k < 4; ++k) lanes[10 + k][lane] = c.color[k];
-    lanes[14][lane] = c.self;
+    lanes[14][lane] = c.opacity;
+    lanes[15][lane] = c.self;
   }
   Clusters8 out;
   out.weight = load(lanes[0]);
   for (int k = 0; k < 3; ++k) out.mean[k] = load(lanes[1 + k]);
   for (int k = 0; k < 6; ++k) out.covariance.of[k] = load(lanes[4 + k]);
   for (int k = 0; k < 4; ++k) out.color[k] = load(lanes[10 + k]);
-  out.self = load(lanes[14]);
+  out.opacity = load(lanes[14]);
+  out.self = load(lanes[15]);
+  set_roots(out);
   return out;
 }
 
-// Sum over the planes of the integral of the product of two Gaussians (variances add up), without the factor 1 / 2 pi.
-RGS_LOD_INLINE V products(const Clusters8& a, const Clusters8& b, V blur) {
+// Sum over the planes of the integral of the product of two Gaussians (variances add up), without the factor 2 pi.
+RGS_LOD_INLINE V shapes_product(const Clusters8& a, const Clusters8& b, V blur) {
   V total = set(0);
-  for (const Plane& p : kPlanes) {
+  for (int k = 0; k < 3; ++k) {
+    const Plane& p = kPlanes[k];
     const V du = a.mean[p.u] - b.mean[p.u], dv = a.mean[p.v] - b.mean[p.v];
     const V uu = a.covariance.of[p.uu] + b.covariance.of[p.uu] + blur,
             uv = a.covariance.of[p.uv] + b.covariance.of[p.uv],
@@ -135,15 +148,27 @@ RGS_LOD_INLINE V products(const Clusters8& a, const Clusters8& b, V blur) {
     const V q = (vv * du * du - set(2) * uv * du * dv + uu * dv * dv) / det;
     // Rounding may make it negative or NaN where the two coincide.
     const V near = select(q > set(40), set(40), select(q > set(0), q, set(0)));
-    total += select(q > set(40), set(0), exp2(set(-0.5F * math::kLog2E) * near) / root(det));
+    total += select(q > set(40), set(0), a.root[k] * b.root[k] * exp2(set(-0.5F * math::kLog2E) * near) / root(det));
   }
-  V colors = set(0);
-  for (int k = 0; k < 4; ++k) colors += a.color[k] * b.color[k];
-  return a.weight * b.weight * colors * total;
+  return total;
 }
 
-void costs_of(const Cluster* clusters, const ClusterPair* pairs, std::size_t n, float blur, float* out) {
-  const V twice = set(2 * blur), most = set(std::numeric_limits<float>::max());
+// The same of what both draw: opacity and colours included.
+RGS_LOD_INLINE V product(const Clusters8& a, const Clusters8& b, V shapes) {
+  V colors = set(0);
+  for (int k = 0; k < 4; ++k) colors += a.color[k] * b.color[k];
+  return a.opacity * b.opacity * colors * shapes;
+}
+RGS_LOD_INLINE V product(const Clusters8& a, const Clusters8& b, float blur) {
+  return product(a, b, shapes_product(a, b, set(2 * blur)));
+}
+
+void costs_of(const Cluster* clusters, const ClusterPair* pairs, std::size_t n, float blur, float* costs,
+              float* overlaps) {
+  const V most = set(std::numeric_limits<float>::max()), one = set(1);
+  const auto opaque = [&](V opacity) __attribute__((always_inline)) {
+    return select(opacity < one, opacity, one);
+  };
   for (std::size_t i = 0; i < n; i += kLanes) {
     std::uint32_t first[kLanes], second[kLanes];
     for (std::size_t k = 0; k < kLanes; ++k) {
@@ -152,13 +177,22 @@ void costs_of(const Cluster* clusters, const ClusterPair* pairs, std::size_t n, 
       second[k] = pair.b;
     }
     const Clusters8 a = take(clusters, first), b = take(clusters, second);
+    const V shapes = shapes_product(a, b, set(2 * blur));
+    const V overlap = set(kSectionOfRoots) * opaque(a.opacity) * opaque(b.opacity) * shapes;
     Clusters8 m;
-    merge_moments<V>(a, b, m);
-    const V cost = a.self + b.self + products(m, m, twice) +
-                   set(2) * (products(a, b, twice) - products(a, m, twice) - products(b, m, twice));
+    merge_moments<V>(a, b, overlap, m);
+    set_roots(m);
+    m.opacity = m.weight / (set(kSectionOfRoots) * (m.root[0] + m.root[1] + m.root[2]));
+    // Both are dimmed evenly to what they cover together.
+    const V share = m.weight / (a.weight + b.weight);
+    const V cost = share * share * (a.self + b.self + set(2) * product(a, b, shapes)) + product(m, m, blur) -
+                   set(2) * share * (product(a, m, blur) + product(b, m, blur));
     float lanes[kLanes];
+    const std::size_t count = std::min<std::size_t>(kLanes, n - i);
     store(lanes, select(cost < most, cost, most));  // NaN sorts last
-    std::copy_n(lanes, std::min<std::size_t>(kLanes, n - i), out + i);
+    std::copy_n(lanes, count, costs + i);
+    store(lanes, overlap);
+    std::copy_n(lanes, count, overlaps + i);
   }
 }
 
@@ -168,7 +202,7 @@ void selves_of(Cluster* clusters, std::size_t n, float blur) {
     for (std::size_t k = 0; k < kLanes; ++k) items[k] = static_cast<std::uint32_t>(std::min(i + k, n - 1));
     const Clusters8 c = take(clusters, items);
     float lanes[kLanes];
-    store(lanes, products(c, c, set(2 * blur)));
+    store(lanes, product(c, c, blur));
     for (std::size_t k = 0; k < kLanes; ++k) clusters[items[k]].self = lanes[k];
   }
 }
@@ -238,9 +272,11 @@ void set_selves(std::span<Cluster> clusters, float blur) {
 }
 
 void merge_costs(std::span<const Cluster> clusters, std::span<const ClusterPair> pairs, float blur,
-                 std::vector<float>& out) {
-  out.resize(pairs.size());
-  HWY_DYNAMIC_DISPATCH(costs_of)(clusters.data(), pairs.data(), pairs.size(), blur, out.data());
+                 std::vector<float>& costs, std::vector<float>& overlaps) {
+  costs.resize(pairs.size());
+  overlaps.resize(pairs.size());
+  HWY_DYNAMIC_DISPATCH(costs_of)
+  (clusters.data(), pairs.data(), pairs.size(), blur, costs.data(), overlaps.data());
 }
 
 }  // namespace rgs::lod

@@ -14,11 +14,14 @@ namespace rgs::lod {
 
 inline constexpr std::size_t kNeighbours = 5;  // candidates for each cluster and round
 
-/// Moments of two merged clusters. Real: float, or a vector of what Clusters holds.
+/// Moments of two merged clusters of which each hides `overlap` of the other. Real: float, or a vector of what Clusters
+/// holds.
 template <class Real, class Clusters>
-inline __attribute__((always_inline)) void merge_moments(const Clusters& a, const Clusters& b, Clusters& m) {
-  m.weight = a.weight + b.weight;
-  const Real p = a.weight / m.weight, q = 1.F - p;
+inline __attribute__((always_inline)) void merge_moments(const Clusters& a, const Clusters& b, const Real& overlap,
+                                                         Clusters& m) {
+  const Real both = a.weight + b.weight;
+  m.weight = both - overlap;
+  const Real p = a.weight / both, q = 1.F - p;
   Real apart[3];
   for (int k = 0; k < 3; ++k) {
     m.mean[k] = p * a.mean[k] + q * b.mean[k];
@@ -44,9 +47,10 @@ struct ClusterPair {
 };
 /// Sets Cluster::self of all clusters.
 void set_selves(std::span<Cluster> clusters, float blur);
-/// Integral of the squared difference that merging a pair makes in pictures along three axes: see clusters.cpp. `blur`:
-/// variance of pixel and low-pass. Saturates at FP32's largest number.
+/// For each pair, the integral of the squared difference that merging makes in pictures along three axes (see
+/// clusters.cpp), and the area that both cover, averaged over the axes. `blur`: variance by which pictures are blurred.
+/// Costs saturate at FP32's largest number.
 void merge_costs(std::span<const Cluster> clusters, std::span<const ClusterPair> pairs, float blur,
-                 std::vector<float>& out);
+                 std::vector<float>& costs, std::vector<float>& overlaps);
 
 }  // namespace rgs::lod

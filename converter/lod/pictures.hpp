@@ -1,4 +1,4 @@
-// pictures.hpp - small parallel-projection pictures of a group of Gaussians, each one's contribution, and gradients.
+// pictures.hpp - small parallel-projection pictures of a group of Gaussians, and their gradients by opacity and colour.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Drawn as the renderer does (docs/format/RENDERING.md): low-pass, with or without compensated opacity, depth order by
@@ -59,7 +59,6 @@ struct Dot {
   float a, b, c;  // conic
   float opacity;  // compensated
   float color[3];
-  float xx, xy, yy;  // covariance before the low-pass
   std::uint32_t index;
   std::int16_t x0, x1, y0, y1;
 };
@@ -73,10 +72,8 @@ struct Projection {
   std::vector<Dot> dots;                   // front to back
 };
 
-/// Projects Gaussians, front to back. Dot::color is 0.5 unless colours are `wanted`.
-enum class Colors : std::uint8_t { wanted, unwanted };
-void project(const Gaussians& gaussians, const Frame& frame, const Filter& filter, Projection& out,
-             Colors colors = Colors::wanted);
+/// Projects Gaussians, front to back.
+void project(const Gaussians& gaussians, const Frame& frame, const Filter& filter, Projection& out);
 /// The same for a frame with the axes and corner of the last project() of these Gaussians but another pixel size, at a
 /// part of the cost; the same bits if the sizes differ by a power of two.
 void project_again(const Gaussians& gaussians, const Frame& frame, const Filter& filter, Projection& out);
@@ -84,18 +81,14 @@ void project_again(const Gaussians& gaussians, const Frame& frame, const Filter&
 /// Overwrites the whole picture, whose size is set.
 void draw(std::span<const Dot> dots, Picture& picture);
 
-/// Adds to `sums` [n] each Gaussian's blending weight over the picture, in pixels. Draws transmittance only; the
-/// picture's size is set.
-void contributions(std::span<const Dot> dots, Picture& picture, std::span<float> sums);
-
-/// Derivatives of a function of the picture by each Gaussian's parameters: arrays [padded] each.
-enum Gradient : int { kByMean = 0, kByTurn = 3, kByLogScale = 6, kByLogOpacity = 9, kByColor = 10, kGradients = 13 };
+/// Derivatives of a function of the picture by each Gaussian's opacity and colour: arrays [n] each.
+enum Gradient : int { kByLogOpacity = 0, kByColor = 1, kGradients = 4 };
 
 /// `by_picture`: derivatives by r, g, b and by coverage (1 - transmittance), in a picture's planes; `drawn`: the result
-/// of draw(). Sets `gradients` [kGradients][padded], zero for Gaussians that are not in `dots`. Turns are by the vector
-/// of a rotation in the world applied after the Gaussian's own; colours by the colour before harmonics are clamped.
-void gradients(const Gaussians& gaussians, const Frame& frame, const Filter& filter, std::span<const Dot> dots,
-               const Picture& by_picture, const Picture& drawn, Picture& scratch, std::vector<float>& out);
+/// of draw(). Sets `out` [kGradients][n], zero for Gaussians that are not in `dots` or cross the frame's edge; colours
+/// before harmonics are clamped.
+void gradients(const Frame& frame, std::span<const Dot> dots, const Picture& by_picture, const Picture& drawn,
+               Picture& scratch, std::size_t n, std::vector<float>& out);
 
 /// Averages squares of factor x factor pixels of `fine`, whose sides are `factor` times those of `out`.
 void box_filter(const Picture& fine, int factor, Picture& out);

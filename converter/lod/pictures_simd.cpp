@@ -26,9 +26,9 @@
 #ifndef RGS_LOD_DOT_SUMS
 #define RGS_LOD_DOT_SUMS
 namespace rgs::lod {
-// Sums over a dot's pixels: the gradient by the logarithm of alpha, times powers of the distance from the mean.
+// Sums over a dot's pixels: the gradients by the logarithm of alpha and by colour.
 struct DotSums {
-  float h, hx, hy, hxx, hxy, hyy, color[3];
+  float log_alpha, color[3];
 };
 }  // namespace rgs::lod
 #endif
@@ -46,7 +46,7 @@ RGS_LOD_INLINE V alpha_of(V dx, V linear, V constant, float aa, float opacity) {
   return select(alpha < set(math::kAlphaMin), set(0.F), alpha);
 }
 
-// Calls f(offset into planes, alpha, dx, dy) for each vector of pixels of a dot.
+// Calls f(offset into planes, alpha) for each vector of pixels of a dot.
 template <class F>
 RGS_LOD_INLINE void each_vector(const Dot& dot, std::size_t stride, const F& f) {
   const float half = -0.5F * math::kLog2E;
@@ -58,7 +58,7 @@ RGS_LOD_INLINE void each_vector(const Dot& dot, std::size_t stride, const F& f) 
     for (int x = dot.x0; x < dot.x1; x += kLanes) {
       const V dx = iota + set(static_cast<float>(x) + 0.5F - dot.u);
       const V alpha = alpha_of(dx, linear, constant, aa, dot.opacity);
-      f(static_cast<std::size_t>(y) * stride + static_cast<std::size_t>(x), alpha, dx, dy);
+      f(static_cast<std::size_t>(y) * stride + static_cast<std::size_t>(x), alpha);
     }
   }
 }
@@ -73,7 +73,7 @@ void draw(std::span<const Dot> dots, Picture& picture) {
   for (const Dot& dot : dots) {
     const V red = set(dot.color[0]), green = set(dot.color[1]), blue = set(dot.color[2]);
     each_vector(
-        dot, picture.stride(), [&](std::size_t at, V alpha, V, float) __attribute__((always_inline)) {
+        dot, picture.stride(), [&](std::size_t at, V alpha) __attribute__((always_inline)) {
           const V before = load(t + at), w = alpha * before;
           store(t + at, before - w);
           store(r + at, load(r + at) + w * red);
@@ -83,29 +83,15 @@ void draw(std::span<const Dot> dots, Picture& picture) {
   }
 }
 
-void contributions(std::span<const Dot> dots, Picture& picture, std::span<float> sums) {
-  float* const t = picture.plane(3);
-  std::fill(t, t + picture.plane_size(), 1.F);
-  for (const Dot& dot : dots) {
-    V total = set(0);
-    each_vector(
-        dot, picture.stride(), [&](std::size_t at, V alpha, V, float) __attribute__((always_inline)) {
-          const V before = load(t + at), w = alpha * before;
-          store(t + at, before - w);
-          total += w;
-        });
-    sums[dot.index] += sum(total);
-  }
-}
-
-// Columns: u, v, z, xx, xy, yy, r, g, b, the last three from `n_coefficients` harmonics.
-void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16], int n_coefficients, float* out) {
+// Columns: u, v, z, xx, xy, yy, r, g, b.
+void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16], float* out) {
   const std::size_t n = g.padded();
   const float s = 1 / frame.pixel;
   float du[3], dv[3];
   for (int k = 0; k < 3; ++k) du[k] = frame.axes.right[k] * s, dv[k] = frame.axes.down[k] * s;
   const float* const fw = frame.axes.forward;
   const float left = frame.left * s, top = frame.top * s;
+  const int n_coefficients = sh_coefficients(g.sh_degree());
   for (std::size_t i = 0; i < n; i += kLanes) {
     const auto in = [&](int value) __attribute__((always_inline)) {
       return load(g.of(value) + i);
@@ -209,9 +195,9 @@ void dot_gradients(std::span<const Dot> dots, const Picture& by, Picture& scratc
   for (std::size_t i = 0; i < dots.size(); ++i) {
     const Dot& dot = dots[i];
     const V red = set(dot.color[0]), green = set(dot.color[1]), blue = set(dot.color[2]);
-    V h = set(0), hx = h, hxx = h, hy = h, hxy = h, hyy = h, cr = h, cg = h, cb = h;
+    V log_alpha = set(0), cr = log_alpha, cg = log_alpha, cb = log_alpha;
     each_vector(
-        dot, stride, [&](std::size_t at, V alpha, V dx, float dy) __attribute__((always_inline)) {
+        dot, stride, [&](std::size_t at, V alpha) __attribute__((always_inline)) {
           const V before = load(t + at), w = alpha * before;
           store(t + at, before - w);
           const V r = load(gr + at), g = load(gg + at), b = load(gb + at);
@@ -221,17 +207,10 @@ void dot_gradients(std::span<const Dot> dots, const Picture& by, Picture& scratc
           cr += w * r;
           cg += w * g;
           cb += w * b;
-          V by_log = alpha * (before * value - behind / (set(1) - alpha));
-          by_log = select(alpha < set(math::kAlphaMax), by_log, set(0));
-          const V x = by_log * dx;
-          h += by_log;
-          hx += x;
-          hxx += x * dx;
-          hy += by_log * set(dy);
-          hxy += x * set(dy);
-          hyy += by_log * set(dy * dy);
+          const V by_log = alpha * (before * value - behind / (set(1) - alpha));
+          log_alpha += select(alpha < set(math::kAlphaMax), by_log, set(0));
         });
-    out[i] = {sum(h), sum(hx), sum(hy), sum(hxx), sum(hxy), sum(hyy), {sum(cr), sum(cg), sum(cb)}};
+    out[i] = {sum(log_alpha), {sum(cr), sum(cg), sum(cb)}};
   }
 }
 
@@ -243,7 +222,6 @@ HWY_AFTER_NAMESPACE();
 namespace rgs::lod {
 
 HWY_EXPORT(draw);
-HWY_EXPORT(contributions);
 HWY_EXPORT(project_all);
 HWY_EXPORT(place_all);
 HWY_EXPORT(dot_gradients);
@@ -261,15 +239,14 @@ void Picture::reset(int width, int height) {
   std::fill(values_.begin(), values_.end(), 0.F);
 }
 
-void project(const Gaussians& g, const Frame& frame, const Filter& filter, Projection& out, Colors colors) {
+void project(const Gaussians& g, const Frame& frame, const Filter& filter, Projection& out) {
   const std::size_t n = g.padded();
   out.values.resize(9 * n);
   out.pixel = frame.pixel;
   float* const column = out.values.data();
   const math::Vec3<float> d{frame.axes.forward[0], frame.axes.forward[1], frame.axes.forward[2]};
   const auto basis = math::sh_basis(g.sh_degree(), d);
-  const int n_coefficients = colors == Colors::wanted ? sh_coefficients(g.sh_degree()) : 0;
-  HWY_DYNAMIC_DISPATCH(project_all)(g, frame, basis.y, n_coefficients, column);
+  HWY_DYNAMIC_DISPATCH(project_all)(g, frame, basis.y, column);
   out.keys.clear();
   for (std::size_t i = 0; i < g.size(); ++i)
     out.keys.push_back(std::uint64_t{ordered_bits(column[2 * n + i])} << 32 | i);
@@ -279,7 +256,7 @@ void project(const Gaussians& g, const Frame& frame, const Filter& filter, Proje
 
 void project_again(const Gaussians& g, const Frame& frame, const Filter& filter, Projection& out) {
   const std::size_t n = g.padded();
-  const float factor = out.pixel / frame.pixel, square = factor * factor;
+  const float factor = out.pixel / frame.pixel;
   out.placed.resize(8 * n);
   HWY_DYNAMIC_DISPATCH(place_all)(g.of(kOpacity), out.values.data(), n, factor, frame, filter, out.placed.data());
   const auto value = [&](int k, std::size_t i) { return out.values[static_cast<std::size_t>(k) * n + i]; };
@@ -294,7 +271,6 @@ void project_again(const Gaussians& g, const Frame& frame, const Filter& filter,
     dot.opacity = placed(0, i);
     dot.a = placed(1, i), dot.b = placed(2, i), dot.c = placed(3, i);
     for (int k = 0; k < 3; ++k) dot.color[k] = std::max(value(6 + k, i), 0.F);
-    dot.xx = value(3, i) * square, dot.xy = value(4, i) * square, dot.yy = value(5, i) * square;
     dot.index = i;
     dot.x0 = pixel(4, i), dot.x1 = pixel(5, i), dot.y0 = pixel(6, i), dot.y1 = pixel(7, i);
   }
@@ -304,72 +280,27 @@ void draw(std::span<const Dot> dots, Picture& picture) {
   HWY_DYNAMIC_DISPATCH(draw)(dots, picture);
 }
 
-void contributions(std::span<const Dot> dots, Picture& picture, std::span<float> sums) {
-  HWY_DYNAMIC_DISPATCH(contributions)(dots, picture, sums);
-}
-
-void gradients(const Gaussians& g, const Frame& frame, const Filter& filter, std::span<const Dot> dots,
-               const Picture& by, const Picture& drawn, Picture& scratch, std::vector<float>& out) {
-  const std::size_t n = g.padded();
+void gradients(const Frame& frame, std::span<const Dot> dots, const Picture& by, const Picture& drawn, Picture& scratch,
+               std::size_t n, std::vector<float>& out) {
   out.assign(static_cast<std::size_t>(kGradients) * n, 0.F);
   scratch.resize(by.width(), by.height());
-  {
-    float* const rest = scratch.plane(0);
-    float* const t = scratch.plane(3);
-    for (std::size_t i = 0; i < by.plane_size(); ++i) {
-      rest[i] = by.plane(0)[i] * drawn.plane(0)[i] + by.plane(1)[i] * drawn.plane(1)[i] +
-                by.plane(2)[i] * drawn.plane(2)[i] + by.plane(3)[i] * (1 - drawn.plane(3)[i]);
-      t[i] = 1;
-    }
+  float* const rest = scratch.plane(0);
+  float* const t = scratch.plane(3);
+  for (std::size_t i = 0; i < by.plane_size(); ++i) {
+    rest[i] = by.plane(0)[i] * drawn.plane(0)[i] + by.plane(1)[i] * drawn.plane(1)[i] +
+              by.plane(2)[i] * drawn.plane(2)[i] + by.plane(3)[i] * (1 - drawn.plane(3)[i]);
+    t[i] = 1;
   }
   std::vector<DotSums> sums(dots.size());
   HWY_DYNAMIC_DISPATCH(dot_gradients)(dots, by, scratch, sums.data());
-  const float scale = 1 / frame.pixel;
-  float du[3], dv[3];
-  for (int k = 0; k < 3; ++k) du[k] = frame.axes.right[k] * scale, dv[k] = frame.axes.down[k] * scale;
   for (std::size_t j = 0; j < dots.size(); ++j) {
     const Dot& dot = dots[j];
-    const DotSums& s = sums[j];
     if (dot.x0 == 0 || dot.y0 == 0 || dot.x1 == frame.width || dot.y1 == frame.height) continue;
-    const std::size_t i = dot.index;
-    const auto put = [&](int gradient, float value) { out[static_cast<std::size_t>(gradient) * n + i] = value; };
-    const float by_u = dot.a * s.hx + dot.b * s.hy, by_v = dot.b * s.hx + dot.c * s.hy;
-    for (int k = 0; k < 3; ++k) put(kByMean + k, by_u * du[k] + by_v * dv[k]);
-    put(kByLogOpacity, s.h);
-    for (int k = 0; k < 3; ++k) put(kByColor + k, dot.color[k] > 0 ? s.color[k] : 0);
-    // By the covariance: exponent -x^T C x / 2 with C the conic, so that -C G C with G = -sums / 2.
-    float p = 0.5F * (dot.a * (dot.a * s.hxx + dot.b * s.hxy) + dot.b * (dot.a * s.hxy + dot.b * s.hyy));
-    float q = 0.5F * (dot.a * (dot.b * s.hxx + dot.c * s.hxy) + dot.b * (dot.b * s.hxy + dot.c * s.hyy));
-    float r = 0.5F * (dot.b * (dot.b * s.hxx + dot.c * s.hxy) + dot.c * (dot.b * s.hxy + dot.c * s.hyy));
-    if (filter.compensated) {  // log opacity += (log det before - log det after) / 2
-      const float before = dot.xx * dot.yy - dot.xy * dot.xy;
-      const float after = (dot.xx + filter.low_pass) * (dot.yy + filter.low_pass) - dot.xy * dot.xy;
-      if (before > 1e-4F * after) {
-        const float half = 0.5F * s.h, inverse = half / before;
-        p += dot.yy * inverse - half * dot.a;
-        q += -dot.xy * inverse - half * dot.b;
-        r += dot.xx * inverse - half * dot.c;
-      }
-    }
-    const float qw = g.of(kRotation)[i], qx = g.of(kRotation + 1)[i], qy = g.of(kRotation + 2)[i],
-                qz = g.of(kRotation + 3)[i];
-    float m[9];
-    math::rotation_matrix(math::Quaternion<float>{qw, qx, qy, qz}, m);
-    float turn[3] = {0, 0, 0};
-    for (int k = 0; k < 3; ++k) {
-      const float axis[3] = {m[k], m[3 + k], m[6 + k]};
-      const float size = g.of(kScale + k)[i];
-      const float mu = size * (du[0] * axis[0] + du[1] * axis[1] + du[2] * axis[2]);
-      const float mv = size * (dv[0] * axis[0] + dv[1] * axis[1] + dv[2] * axis[2]);
-      const float by_mu = 2 * (p * mu + q * mv), by_mv = 2 * (q * mu + r * mv);
-      put(kByLogScale + k, mu * by_mu + mv * by_mv);
-      float by_axis[3];
-      for (int l = 0; l < 3; ++l) by_axis[l] = size * (du[l] * by_mu + dv[l] * by_mv);
-      turn[0] += axis[1] * by_axis[2] - axis[2] * by_axis[1];
-      turn[1] += axis[2] * by_axis[0] - axis[0] * by_axis[2];
-      turn[2] += axis[0] * by_axis[1] - axis[1] * by_axis[0];
-    }
-    for (int k = 0; k < 3; ++k) put(kByTurn + k, turn[k]);
+    const auto put = [&](int gradient, float value) {
+      out[static_cast<std::size_t>(gradient) * n + dot.index] = value;
+    };
+    put(kByLogOpacity, sums[j].log_alpha);
+    for (int k = 0; k < 3; ++k) put(kByColor + k, dot.color[k] > 0 ? sums[j].color[k] : 0);
   }
 }
 

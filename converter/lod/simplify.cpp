@@ -1,11 +1,10 @@
-// simplify.cpp - from a group to its replacement: visible areas, clusters, moments, coverage, fit, error.
+// simplify.cpp - from a group to its replacement: clusters, moments, colours, error.
 // SPDX-License-Identifier: Apache-2.0
 #include "simplify.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <numeric>
 #include <span>
 #include <utility>
 #include <vector>
@@ -17,13 +16,10 @@
 namespace rgs::lod {
 namespace {
 
-constexpr int kViews = 5;            // directions that measure visible areas
-constexpr int kMostPixels = 512;     // sides of their pictures
+constexpr int kMostPixels = 512;     // sides of pictures
 constexpr float kPieceLength = 100;  // pixels: pictures of pieces fit into the cache
 constexpr float kCoarseness = 2;     // pixels per Gaussian: see footprint_of()
-constexpr float kLarge = 2.5F;       // pixels; a Gaussian with a longer standard deviation stays alone
-constexpr float kMostKept = 0.6F;    // share of the result that may stay alone
-constexpr int kCoverageRounds = 3;
+constexpr float kLarge = 2.5F;       // pixels: longer standard deviations are measured in larger pixels
 constexpr float kMostOpacity = 0.98F, kLeastOpacity = 1e-4F;
 constexpr float kMostOfFrame = 250;  // longest side of a group in fit_colors(), pixels
 constexpr int kFootprints = 3;       // at which the error is measured, each twice the one before
@@ -43,12 +39,6 @@ float extent(const Gaussians& gaussians) {
   return most;
 }
 
-std::vector<std::uint32_t> all_of(const Gaussians& gaussians) {
-  std::vector<std::uint32_t> out(gaussians.size());
-  std::iota(out.begin(), out.end(), 0U);
-  return out;
-}
-
 Gaussians subset(const Gaussians& gaussians, std::span<const std::uint32_t> items) {
   Gaussians out(items.size(), gaussians.sh_degree());
   for (int v = 0; v < gaussians.n_values(); ++v) {
@@ -59,136 +49,60 @@ Gaussians subset(const Gaussians& gaussians, std::span<const std::uint32_t> item
   return out;
 }
 
-bool is_cut(const Dot& dot, const Frame& frame) {
-  return dot.x0 == 0 || dot.y0 == 0 || dot.x1 == frame.width || dot.y1 == frame.height;
-}
-
-// Visible area of each Gaussian within the group, averaged over directions, world units squared. Pictures are as fine
-// as the Gaussians are small; large ones, which do not fit on them, count as half hidden.
-std::vector<float> visible_areas(const Gaussians& group) {
-  std::vector<float> unhidden(group.size()), out(group.size()), sums;
-  double total = 0;
-  for (std::size_t i = 0; i < group.size(); ++i) {
-    unhidden[i] = group.of(kOpacity)[i] * mean_cross_section(covariance(group, i));
-    total += static_cast<double>(unhidden[i]);
-  }
-  const float pixel = 0.7F * static_cast<float>(std::sqrt(total / static_cast<double>(group.size())));
-  if (!(pixel > 0) || !std::isfinite(pixel)) return out;
-  Projection projection;
-  Picture picture;
-  for (const auto& piece : cut_by_place(group, all_of(group), 0.5F * static_cast<float>(kMostPixels) * pixel)) {
-    const Gaussians part = subset(group, piece);
-    sums.assign(part.padded(), 0.F);
-    for (int view = 0; view < kViews; ++view) {
-      const Frame frame = frame_around(part, direction(view, kViews), pixel, kMostPixels);
-      project(part, frame, kDrawn, projection, Colors::unwanted);
-      picture.resize(frame.width, frame.height);
-      contributions(projection.dots, picture, sums);
-    }
-    for (std::size_t i = 0; i < piece.size(); ++i) out[piece[i]] = sums[i] * pixel * pixel / static_cast<float>(kViews);
-  }
-  for (std::size_t i = 0; i < group.size(); ++i) {
-    if (longest(group, i) > 20 * pixel) out[i] = std::max(out[i], 0.5F * unhidden[i]);
-  }
-  return out;
-}
-
 // Footprint at which `n` Gaussians suffice: kCoarseness times the pixel at which they count n, each Gaussian counting its
-// visible share of a pixel, at most 1.
-float footprint_of(std::span<const float> visible, std::size_t n) {
+// share of a pixel, at most 1.
+float footprint_of(const Gaussians& group, std::size_t n) {
+  std::vector<double> areas(group.size());
   double below = 0, above = 0;
-  for (const float area : visible) above += static_cast<double>(area);
+  for (std::size_t i = 0; i < areas.size(); ++i) {
+    areas[i] = static_cast<double>(group.of(kOpacity)[i] * mean_cross_section(covariance(group, i)));
+    above += areas[i];
+  }
   above = std::sqrt(above);
   for (int k = 0; k < 40; ++k) {
     const double middle = (below + above) / 2;
     double count = 0;
-    for (const float area : visible) count += std::min(1.0, static_cast<double>(area) / (middle * middle));
+    for (const double area : areas) count += std::min(1.0, area / (middle * middle));
     (count > static_cast<double>(n) ? below : above) = middle;
   }
   return std::max(kCoarseness * static_cast<float>(above), 1e-18F);
 }
 
-// Gaussians that stay alone because they would be told apart, up to kMostKept of the result.
-std::vector<char> kept_alone(const Gaussians& group, std::span<const float> visible, std::size_t n, float pixel) {
-  std::vector<std::uint32_t> large;
-  for (std::uint32_t i = 0; i < group.size(); ++i) {
-    if (longest(group, i) > kLarge * pixel) large.push_back(i);
-  }
-  std::sort(large.begin(), large.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return visible[a] != visible[b] ? visible[a] > visible[b] : a < b;
-  });
-  large.resize(std::min(large.size(), static_cast<std::size_t>(kMostKept * static_cast<float>(n))));
-  std::vector<char> out(group.size(), 0);
-  for (const std::uint32_t i : large) out[i] = 1;
-  return out;
-}
-
-// Sets each cluster's moments as a Gaussian, with harmonics weighted by visible area; single members stay as they are.
-void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, std::span<const float> visible,
-             float pixel) {
-  const float least = 1e-6F * pixel * pixel;
+// Sets each cluster's moments as a Gaussian, with harmonics weighted by area; single members stay as they are.
+void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, float pixel) {
   std::vector<float> share(group.size());
   std::vector<std::uint32_t> to(group.size());
   for (std::uint32_t i = 0; i < out.size(); ++i) {
     const Cluster& cluster = clusters.all[i];
-    float total = 0;
-    clusters.each_member(cluster, [&](std::uint32_t member) { total += visible[member] + least; });
-    clusters.each_member(cluster, [&](std::uint32_t member) {
-      to[member] = i;
-      share[member] = clusters.is_single(cluster) ? 1 : (visible[member] + least) / total;
-    });
     if (clusters.is_single(cluster)) {
       for (int v = 0; v < kSh; ++v) out.of(v)[i] = group.of(v)[cluster.first];
+      to[cluster.first] = i, share[cluster.first] = 1;
       continue;
     }
+    const float least = 1e-9F * pixel * pixel;
+    float total = 0;
+    clusters.each_member(cluster, [&](std::uint32_t member) {
+      to[member] = i;
+      share[member] = group.of(kOpacity)[member] * mean_cross_section(covariance(group, member)) + least;
+      total += share[member];
+    });
+    clusters.each_member(cluster, [&](std::uint32_t member) { share[member] /= total; });
     float scale[3], rotation[4];
     principal_axes(cluster.covariance, 1e-3F * pixel, scale, rotation);
+    // What opacity cannot hold, size holds by half: all of it would blur edges, none leave gaps.
+    const float growth = std::pow(std::max(cluster.opacity / kMostOpacity, 1.F), 0.25F);
     for (int k = 0; k < 3; ++k) {
       out.of(kMean + k)[i] = cluster.mean[k];
-      out.of(kScale + k)[i] = scale[k];
+      out.of(kScale + k)[i] = growth * scale[k];
     }
     for (int k = 0; k < 4; ++k) out.of(kRotation + k)[i] = rotation[k];
-    const float section = std::max(mean_cross_section(cluster.covariance), 1e-30F);
-    out.of(kOpacity)[i] = std::clamp(cluster.weight / section, kLeastOpacity, kMostOpacity);
+    out.of(kOpacity)[i] = std::clamp(cluster.opacity, kLeastOpacity, kMostOpacity);
   }
   // Array by array: a Gaussian's harmonics are far apart in memory.
   for (int v = kSh; v < group.n_values(); ++v) {
     const float* const from = group.of(v);
     float* const sums = out.of(v);
     for (std::size_t i = 0; i < group.size(); ++i) sums[to[i]] += share[i] * from[i];
-  }
-}
-
-// Adjusts opacities until each Gaussian's visible area is that of what it replaces; grows it where opacity does not
-// suffice. `wanted`: world units squared; below 0 to leave a Gaussian as it is.
-void restore_coverage(Gaussians& gaussians, std::span<const float> wanted, float pixel) {
-  Projection projection;
-  Picture picture;
-  std::vector<float> seen;
-  std::vector<char> incomplete(gaussians.size(), 0);
-  const float fine = pixel;
-  for (int round = 0; round < kCoverageRounds; ++round) {
-    seen.assign(gaussians.padded(), 0.F);
-    for (int view = 0; view < kViews; ++view) {
-      const Frame frame = frame_around(gaussians, direction(view, kViews), fine, kMostPixels);
-      project(gaussians, frame, kDrawn, projection, Colors::unwanted);
-      picture.resize(frame.width, frame.height);
-      contributions(projection.dots, picture, seen);
-      for (const Dot& dot : projection.dots) {
-        if (is_cut(dot, frame)) incomplete[dot.index] = 1;
-      }
-    }
-    for (std::size_t i = 0; i < gaussians.size(); ++i) {
-      const float area = seen[i] * fine * fine / static_cast<float>(kViews);
-      if (wanted[i] < 0 || incomplete[i] != 0 || area < 0.02F * wanted[i]) continue;
-      float& opacity = gaussians.of(kOpacity)[i];
-      const float better = opacity * std::clamp(wanted[i] / std::max(area, 1e-5F * pixel * pixel), 0.5F, 2.F);
-      if (better > kMostOpacity) {
-        const float growth = std::min(std::sqrt(better / kMostOpacity), 1.15F);
-        for (int k = 0; k < 3; ++k) gaussians.of(kScale + k)[i] *= growth;
-      }
-      opacity = std::clamp(better, kLeastOpacity, kMostOpacity);
-    }
   }
 }
 
@@ -273,19 +187,19 @@ float error_of(const Measured& m, std::span<const double> covered, float pixel) 
 
 }  // namespace
 
-double allowed_squared(double of_group, double covered) {
-  const double inexact = kInexactSquared * covered;
-  const double share = of_group <= inexact ? 1 : std::pow(inexact / of_group, kGrowthOfInexact);
-  return std::max(kAllowed * share * of_group, kAllowedSquared * covered);
-}
-
 Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options) {
-  const std::vector<float> visible = visible_areas(group);
-  const float pixel = footprint_of(visible, n);
-  const Clusters clusters = merge_neighbours(group, visible, kept_alone(group, visible, n, pixel), n, pixel);
+  const float pixel = footprint_of(group, n);
+  const Clusters clusters = merge_neighbours(group, n, pixel);
   Simplified out;
   out.gaussians.resize(clusters.all.size(), group.sh_degree());
-  set_all(out.gaussians, group, clusters, visible, pixel);
+  set_all(out.gaussians, group, clusters, pixel);
+  // Not if the group needs much larger pixels to fit on a picture, which would lose quality.
+  const float whole = extent(group) / kMostOfFrame;
+  if (options.n_color_steps > 0 && whole < 2 * pixel) {
+    Gaussians fitted = out.gaussians;
+    fit_colors(group, fitted, std::max(pixel, whole), options);
+    if (is_finite(fitted)) out.gaussians = std::move(fitted);
+  }
 
   // Pieces of Gaussians of similar size, drawn in pixels that suit them.
   std::vector<std::vector<std::uint32_t>> classes(kClasses);
@@ -294,48 +208,18 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
     const int of_size = size > 1 ? 1 + static_cast<int>(std::log2(std::min(size, 1e9F)) / 2) : 0;
     classes[static_cast<std::size_t>(std::min(of_size, kClasses - 1))].push_back(i);
   }
-  struct Piece {
-    std::size_t of_class;
-    float pixel;
-    std::vector<std::uint32_t> items, members;  // indices into the result and the group
-  };
-  std::vector<Piece> pieces;
-  std::vector<float> wanted;
+  std::vector<Measured> measured(kClasses);
+  std::vector<std::uint32_t> members;
   for (std::size_t c = 0; c < classes.size(); ++c) {
     const float p = pixel * static_cast<float>(std::int64_t{1} << (2 * std::max<std::size_t>(c, 1) - 2));
-    for (auto& items : cut_by_place(out.gaussians, classes[c], kPieceLength * p)) {
-      Piece piece{c, p, std::move(items), {}};
-      wanted.clear();
-      for (const std::uint32_t i : piece.items) {
-        const Cluster& cluster = clusters.all[i];
-        wanted.push_back(clusters.is_single(cluster) ? -1 : cluster.weight);
-        clusters.each_member(cluster, [&](std::uint32_t member) { piece.members.push_back(member); });
+    for (const auto& items : cut_by_place(out.gaussians, classes[c], kPieceLength * p)) {
+      members.clear();
+      for (const std::uint32_t i : items) {
+        clusters.each_member(clusters.all[i], [&](std::uint32_t member) { members.push_back(member); });
       }
-      const bool merged = piece.members.size() > piece.items.size();
-      if (merged || options.n_color_steps > 0) pieces.push_back(piece);
-      if (!merged) continue;
-      Gaussians part = subset(out.gaussians, piece.items);
-      restore_coverage(part, wanted, p);
-      if (options.n_steps > 0 && c == 0) {
-        Gaussians fitted = part;
-        fit(subset(group, piece.members), fitted, p, options);
-        if (is_finite(fitted)) part = std::move(fitted);
-      }
-      for (std::size_t i = 0; i < piece.items.size(); ++i) out.gaussians.copy(piece.items[i], part, i);
+      if (members.size() == items.size() && options.n_color_steps == 0) continue;
+      measure(subset(group, members), subset(out.gaussians, items), pixel, p, options, measured[c]);
     }
-  }
-  // Fit all together: pieces and classes hide each other, and losses of those not fitted show. Not if the group needs
-  // much larger pixels to fit on a picture, which would lose quality.
-  const float whole = extent(group) / kMostOfFrame;
-  if (options.n_color_steps > 0 && whole < 2 * pixel) {
-    Gaussians fitted = out.gaussians;
-    fit_colors(group, fitted, std::max(pixel, whole), options);
-    if (is_finite(fitted)) out.gaussians = std::move(fitted);
-  }
-  std::vector<Measured> measured(kClasses);
-  for (const Piece& piece : pieces) {
-    measure(subset(group, piece.members), subset(out.gaussians, piece.items), pixel, piece.pixel, options,
-            measured[piece.of_class]);
   }
   // By class: small errors of small Gaussians must not excuse those of large ones.
   double covered[kFootprints] = {};

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 
 #include "fit.hpp"
@@ -16,14 +17,13 @@ struct Simplified {
   float error = 0;
 };
 
-inline constexpr double kAllowed = 8;              // 9 dB
-inline constexpr double kAllowedSquared = 1e-5;    // 50 dB
-inline constexpr double kInexactSquared = 8.6e-5;  // 40.7 dB
-inline constexpr double kGrowthOfInexact = 0.4;
+inline constexpr double kAllowed = 1.3;          // 1.1 dB
+inline constexpr double kAllowedSquared = 1e-3;  // 30 dB
 /// Squared difference allowed to the replacement of a group whose own unsupersampled picture differs by `of_group` and
-/// that covers `covered`: kAllowed times of_group, less the more that exceeds kInexactSquared, so that pages spend
-/// Gaussians where they show; at least kAllowedSquared. All three in one unit.
-double allowed_squared(double of_group, double covered);
+/// that covers `covered`. All three in one unit.
+inline double allowed_squared(double of_group, double covered) {
+  return std::max(kAllowed * of_group, kAllowedSquared * covered);
+}
 
 /// Replaces `group` by at most `n` < group.size() Gaussians. Deterministic.
 Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options);
