@@ -178,7 +178,10 @@ void costs_of(const Cluster* clusters, const ClusterPair* pairs, std::size_t n, 
     }
     const Clusters8 a = take(clusters, first), b = take(clusters, second);
     const V shapes = shapes_product(a, b, set(2 * blur));
-    const V overlap = set(kSectionOfRoots) * opaque(a.opacity) * opaque(b.opacity) * shapes;
+    // Not more than the smaller one, also where shapes overflow or have no area.
+    const V smaller = select(a.weight < b.weight, a.weight, b.weight);
+    V overlap = set(kSectionOfRoots) * opaque(a.opacity) * opaque(b.opacity) * shapes;
+    overlap = select(overlap < smaller, overlap, smaller);
     Clusters8 m;
     merge_moments<V>(a, b, overlap, m);
     set_roots(m);

@@ -20,7 +20,7 @@ constexpr int kMostPixels = 512;     // sides of pictures
 constexpr float kPieceLength = 100;  // pixels: pictures of pieces fit into the cache
 constexpr float kCoarseness = 2;     // pixels per Gaussian: see footprint_of()
 constexpr float kLarge = 2.5F;       // pixels: longer standard deviations are measured in larger pixels
-constexpr float kMostOpacity = 0.98F, kLeastOpacity = 1e-4F;
+constexpr float kMostOpacity = 0.99F, kLeastOpacity = 1e-4F;
 constexpr float kMostOfFrame = 250;  // longest side of a group in fit_colors(), pixels
 constexpr int kFootprints = 3;       // at which the error is measured, each twice the one before
 constexpr int kClasses = 12;         // of size, each four times the one before
@@ -89,8 +89,8 @@ void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, f
     clusters.each_member(cluster, [&](std::uint32_t member) { share[member] /= total; });
     float scale[3], rotation[4];
     principal_axes(cluster.covariance, 1e-3F * pixel, scale, rotation);
-    // What opacity cannot hold, size holds by half: all of it would blur edges, none leave gaps.
-    const float growth = std::pow(std::max(cluster.opacity / kMostOpacity, 1.F), 0.25F);
+    // Size holds seven tenths of what opacity cannot: all of it would blur edges, none would leave gaps.
+    const float growth = std::pow(std::max(cluster.opacity / kMostOpacity, 1.F), 0.35F);
     for (int k = 0; k < 3; ++k) {
       out.of(kMean + k)[i] = cluster.mean[k];
       out.of(kScale + k)[i] = growth * scale[k];
