@@ -213,7 +213,7 @@ void OutputOptions::add_to(CLI::App& app) {
       "--file-scales", [&e] { e.chunk_step_sets = false; },
       "One set of SH scales for the file instead of one per chunk");
   app.add_flag("--lod", levels, "Add levels of detail (docs/develop/LEVELS.md)");
-  app.add_option("--lod-quality", lod_quality, "Effort of fitting levels [fast]")
+  app.add_option("--lod-quality", lod_quality, "best: fit the colours of levels to pictures, slower [fast]")
       ->transform(tool::one_of<lod::Quality>({{"fast", lod::Quality::fast}, {"best", lod::Quality::best}}));
   app.add_option("--cameras", cameras, "Set the sort key's depth range for these cameras (docs/user/CAMERAS.md)");
   app.add_option("--near", convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);

@@ -11,7 +11,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numbers>
 #include <numeric>
 #include <utility>
 
@@ -103,8 +102,7 @@ void principal_axes(const Covariance& covariance, float least, float scale[3], f
 
 Clusters merge_neighbours(const Gaussians& gaussians, std::size_t n, float pixel) {
   const float blur = kBlur * pixel * pixel;
-  const float least = 1e-9F * pixel * pixel;                   // an invisible Gaussian still has a position
-  const float thin = std::max(1e-5F * pixel * pixel, 1e-30F);  // and a point is drawn with a size
+  const float least = 1e-9F * pixel * pixel;  // an invisible Gaussian still has a position
   Clusters out;
   out.next.resize(gaussians.size());
   std::vector<Cluster> current(gaussians.size());
@@ -157,7 +155,7 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::size_t n, float pixel
       const Cluster &a = current[pair.a], &b = current[pair.b];
       Cluster m;
       merge_moments<float>(a, b, overlaps[static_cast<std::uint32_t>(key)], m);
-      m.opacity = m.weight / std::max(mean_cross_section(m.covariance), thin);
+      m.opacity = m.weight / std::max(mean_cross_section(m.covariance), least_section(blur));
       m.first = a.first;
       m.last = b.last;
       out.next[a.last] = b.first;

@@ -165,7 +165,7 @@ RGS_LOD_INLINE V product(const Clusters8& a, const Clusters8& b, float blur) {
 
 void costs_of(const Cluster* clusters, const ClusterPair* pairs, std::size_t n, float blur, float* costs,
               float* overlaps) {
-  const V most = set(std::numeric_limits<float>::max()), one = set(1);
+  const V most = set(std::numeric_limits<float>::max()), one = set(1), thin = set(least_section(blur));
   const auto opaque = [&](V opacity) __attribute__((always_inline)) {
     return select(opacity < one, opacity, one);
   };
@@ -185,7 +185,8 @@ void costs_of(const Cluster* clusters, const ClusterPair* pairs, std::size_t n, 
     Clusters8 m;
     merge_moments<V>(a, b, overlap, m);
     set_roots(m);
-    m.opacity = m.weight / (set(kSectionOfRoots) * (m.root[0] + m.root[1] + m.root[2]));
+    const V section = set(kSectionOfRoots) * (m.root[0] + m.root[1] + m.root[2]);
+    m.opacity = m.weight / select(section > thin, section, thin);
     // Both are dimmed evenly to what they cover together.
     const V share = m.weight / (a.weight + b.weight);
     const V cost = share * share * (a.self + b.self + set(2) * product(a, b, shapes)) + product(m, m, blur) -

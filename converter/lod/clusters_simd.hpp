@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -14,7 +15,7 @@ namespace rgs::lod {
 
 inline constexpr std::size_t kNeighbours = 5;  // candidates for each cluster and round
 
-/// Moments of two merged clusters of which each hides `overlap` of the other. Real: float, or a vector of what Clusters
+/// Moments of two merged clusters that both cover `overlap`. Real: float, or a vector of what Clusters
 /// holds.
 template <class Real, class Clusters>
 inline __attribute__((always_inline)) void merge_moments(const Clusters& a, const Clusters& b, const Real& overlap,
@@ -41,6 +42,11 @@ inline constexpr std::uint32_t kNoNeighbour = 0xffffffff;
 
 /// The nearest neighbours of each cluster, by their means.
 void nearest_clusters(std::span<const Cluster> clusters, std::vector<Neighbours>& out);
+
+/// Cross-section that a merged cluster has at least, so that a point or a line of no width is drawn with a size.
+inline float least_section(float blur) {
+  return std::max(1e-3F * blur, 1e-30F);
+}
 
 struct ClusterPair {
   std::uint32_t a, b;

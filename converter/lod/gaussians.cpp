@@ -25,10 +25,6 @@ void Gaussians::resize(std::size_t n, int sh_degree) {
   }
 }
 
-void Gaussians::copy(std::size_t to, const Gaussians& other, std::size_t from) {
-  for (int v = 0; v < n_values(); ++v) of(v)[to] = other.of(v)[from];
-}
-
 Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3]) {
   Gaussians out(n, splats.sh_degree);
   const auto n_sh = static_cast<std::size_t>(3 * sh_coefficients(splats.sh_degree));

@@ -29,9 +29,6 @@ class Gaussians {
   float* of(int value) { return &values_[static_cast<std::size_t>(value) * stride_]; }
   const float* of(int value) const { return &values_[static_cast<std::size_t>(value) * stride_]; }
 
-  /// Copies Gaussian `from` of `other`, of the same degree, to index `to`.
-  void copy(std::size_t to, const Gaussians& other, std::size_t from);
-
  private:
   std::size_t n_ = 0, stride_ = 0;
   int sh_degree_ = 0;

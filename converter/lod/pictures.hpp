@@ -85,8 +85,8 @@ void draw(std::span<const Dot> dots, Picture& picture);
 enum Gradient : int { kByLogOpacity = 0, kByColor = 1, kGradients = 4 };
 
 /// `by_picture`: derivatives by r, g, b and by coverage (1 - transmittance), in a picture's planes; `drawn`: the result
-/// of draw(). Sets `out` [kGradients][n], zero for Gaussians that are not in `dots` or cross the frame's edge; colours
-/// before harmonics are clamped.
+/// of draw(). Sets `out` [kGradients][n], zero for Gaussians that are not in `dots` or cross the frame's edge; by
+/// colours before they are clamped at 0.
 void gradients(const Frame& frame, std::span<const Dot> dots, const Picture& by_picture, const Picture& drawn,
                Picture& scratch, std::size_t n, std::vector<float>& out);
 

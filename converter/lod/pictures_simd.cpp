@@ -20,7 +20,6 @@
 #include "lanes_inl.hpp"
 #include "pictures.hpp"
 #include "rgs/math/constants.hpp"
-#include "rgs/math/covariance.hpp"
 #include "rgs/math/sh.hpp"
 
 #ifndef RGS_LOD_DOT_SUMS

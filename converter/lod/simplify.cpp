@@ -21,6 +21,7 @@ constexpr float kPieceLength = 100;  // pixels: pictures of pieces fit into the 
 constexpr float kCoarseness = 2;     // pixels per Gaussian: see footprint_of()
 constexpr float kLarge = 2.5F;       // pixels: longer standard deviations are measured in larger pixels
 constexpr float kMostOpacity = 0.99F, kLeastOpacity = 1e-4F;
+constexpr float kMostGrowth = 1.5F;
 constexpr float kMostOfFrame = 250;  // longest side of a group in fit_colors(), pixels
 constexpr int kFootprints = 3;       // at which the error is measured, each twice the one before
 constexpr int kClasses = 12;         // of size, each four times the one before
@@ -89,8 +90,9 @@ void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, f
     clusters.each_member(cluster, [&](std::uint32_t member) { share[member] /= total; });
     float scale[3], rotation[4];
     principal_axes(cluster.covariance, 1e-3F * pixel, scale, rotation);
-    // Size holds seven tenths of what opacity cannot: all of it would blur edges, none would leave gaps.
-    const float growth = std::pow(std::max(cluster.opacity / kMostOpacity, 1.F), 0.35F);
+    // Of the logarithm of what opacity cannot hold, size holds seven tenths: all of it would blur edges, none would
+    // leave gaps.
+    const float growth = std::min(std::pow(std::max(cluster.opacity / kMostOpacity, 1.F), 0.35F), kMostGrowth);
     for (int k = 0; k < 3; ++k) {
       out.of(kMean + k)[i] = cluster.mean[k];
       out.of(kScale + k)[i] = growth * scale[k];
@@ -166,18 +168,17 @@ void measure(const Gaussians& group, const Gaussians& result, float pixel, float
   }
 }
 
-// Smallest footprint at which the result is good enough for a group that covers `covered`; interpolates linearly in
-// logarithms.
-float error_of(const Measured& m, std::span<const double> covered, float pixel) {
+// Smallest footprint at which the result is good enough; interpolates linearly in logarithms.
+float error_of(const Measured& m, float pixel) {
   if (std::all_of(m.of_result, m.of_result + kFootprints, [](double x) { return x <= 0; })) return 0;
   double ratio[kFootprints];
   for (int k = 0; k < kFootprints; ++k) {
-    const double allowed = allowed_squared(m.of_group[k], covered[static_cast<std::size_t>(k)]);
+    const double allowed = allowed_squared(m.of_group[k], m.covered[k]);
     ratio[k] = m.of_result[k] <= 0 ? 0 : m.of_result[k] / std::max(allowed, 1e-300);
   }
   int k = kFootprints;  // good from this one on
   while (k > 0 && ratio[k - 1] <= 1) --k;
-  if (k == 0) return pixel * static_cast<float>(std::sqrt(std::max(ratio[0], 0.0625)));
+  if (k == 0) return pixel * static_cast<float>(std::sqrt(std::max(ratio[0], 0.25)));
   if (k == kFootprints) {
     return pixel * static_cast<float>(1 << (kFootprints - 1)) * static_cast<float>(std::sqrt(ratio[kFootprints - 1]));
   }
@@ -222,11 +223,7 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
     }
   }
   // By class: small errors of small Gaussians must not excuse those of large ones.
-  double covered[kFootprints] = {};
-  for (const Measured& of_class : measured) {
-    for (int k = 0; k < kFootprints; ++k) covered[k] += of_class.covered[k];
-  }
-  for (const Measured& of_class : measured) out.error = std::max(out.error, error_of(of_class, covered, pixel));
+  for (const Measured& of_class : measured) out.error = std::max(out.error, error_of(of_class, pixel));
   return out;
 }
 
