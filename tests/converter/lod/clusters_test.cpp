@@ -83,6 +83,36 @@ TEST_CASE("what two Gaussians hide of each other is covered once") {
   }
 }
 
+TEST_CASE("merged Gaussians cover at least what the largest does, and at most what all do") {
+  // A wall, and eight opaque Gaussians at one place: n of them cover 1 + 1/2 + ... + 1/n times what one does.
+  rgs::test::SplitMix random(4);
+  const rgs::SplatCloud cloud = rgs::test::wall(24, 1, random);
+  Gaussians stack(8, 0);
+  for (std::size_t i = 0; i < stack.size(); ++i) {
+    stack.of(kRotation)[i] = stack.of(kOpacity)[i] = 1;
+    for (int k = 0; k < 3; ++k) stack.of(kScale + k)[i] = 1;
+  }
+  for (const Gaussians& gaussians : {activate(cloud.view(), 0, cloud.size(), kCentre), stack}) {
+    std::vector<double> areas;
+    for (std::size_t i = 0; i < gaussians.size(); ++i) {
+      areas.push_back(static_cast<double>(gaussians.of(kOpacity)[i] * mean_cross_section(covariance(gaussians, i))));
+    }
+    const Clusters clusters = merge_neighbours(gaussians, gaussians.size() / 8, 0.05F);
+    for (const Cluster& c : clusters.all) {
+      double largest = 0, all = 0;
+      clusters.each_member(c, [&](std::uint32_t i) {
+        largest = std::max(largest, areas[i]);
+        all += areas[i];
+      });
+      CHECK(static_cast<double>(c.weight) >= 0.999 * largest);
+      CHECK(static_cast<double>(c.weight) <= 1.001 * all);
+    }
+  }
+  const double covered = static_cast<double>(merge_neighbours(stack, 1, 0.05F).all[0].opacity);
+  CHECK(covered > 2.0);
+  CHECK(covered < 5.0);  // 2.7; only pairs are counted exactly
+}
+
 TEST_CASE("neighbours of one colour are merged before those of two") {
   // Pairs at equal distances; the two of a pair are both red, both green, or one each.
   constexpr std::size_t kPairs = 60;

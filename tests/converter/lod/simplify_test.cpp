@@ -4,7 +4,10 @@
 
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <vector>
 
 #include "fit.hpp"
 #include "lod_scenes.hpp"
@@ -72,6 +75,38 @@ TEST_CASE("fitted colours and opacities improve the picture and lower the error"
   INFO(squared[0], ' ', squared[1], "; ", fast.error, ' ', best.error);
   CHECK(squared[1] < squared[0]);
   CHECK(best.error < fast.error);
+}
+
+TEST_CASE("a few large Gaussians before many small ones are merged to what they cover") {
+  const Gaussians wall = small_wall(48);
+  constexpr std::size_t kLarge = 96;
+  Gaussians group(wall.size() + kLarge, wall.sh_degree()), large(kLarge, wall.sh_degree());
+  for (int v = 0; v < group.n_values(); ++v) {
+    std::copy_n(wall.of(v), wall.size(), group.of(v));
+    for (std::size_t i = 0; i < kLarge; ++i) large.of(v)[i] = wall.of(v)[0];
+  }
+  for (std::size_t i = 0; i < kLarge; ++i) {
+    large.of(kMean)[i] = 0.04F * static_cast<float>(i % 12);
+    large.of(kMean + 1)[i] = 0.04F * static_cast<float>(i / 12);
+    large.of(kMean + 2)[i] = 5;
+    for (int k = 0; k < 3; ++k) large.of(kScale + k)[i] = 0.3F;
+    large.of(kOpacity)[i] = 0.1F;
+  }
+  for (int v = 0; v < group.n_values(); ++v) std::copy_n(large.of(v), kLarge, group.of(v) + wall.size());
+  const Simplified simple = simplify(group, group.size() / 4, FitOptions{});
+  std::vector<std::uint32_t> left;
+  for (std::uint32_t i = 0; i < simple.gaussians.size(); ++i) {
+    if (simple.gaussians.of(kMean + 2)[i] > 4) left.push_back(i);
+  }
+  Gaussians kept(left.size(), wall.sh_degree());
+  for (int v = 0; v < kept.n_values(); ++v) {
+    for (std::size_t i = 0; i < left.size(); ++i) kept.of(v)[i] = simple.gaussians.of(v)[left[i]];
+  }
+  CHECK(left.size() < kLarge);
+  const Seen fewer = seen(large, kept, 0.05F);
+  INFO(left.size(), " left, squared ", fewer.squared);
+  CHECK(fewer.squared < 1e-3);
+  CHECK(fewer.covered == doctest::Approx(fewer.of_truth).epsilon(0.02));
 }
 
 TEST_CASE("invisible and coincident Gaussians are simplified too") {
