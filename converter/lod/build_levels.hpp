@@ -82,7 +82,7 @@ std::vector<Page> join_levels(std::span<const std::vector<Page>> levels);
 
 /// All levels of a scene, up to one page. `leaves`: consistent, finite, at least one Gaussian, in the order of a file
 /// without levels. Same bytes for any number of threads. Memory: 1.4 times the leaves, twice that while the result is
-/// joined, and a group per thread. Levels::quality_db is 0: Page::error promises a relative quality, see
+/// joined, and a group per thread. Levels::quality_db is 0: Page::error promises no number of decibels, see
 /// allowed_squared().
 Levels build_levels(const SplatView& leaves, const BuildOptions& options = {});
 

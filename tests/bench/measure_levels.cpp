@@ -2,17 +2,19 @@
 // the tables of docs/records/LEVELS.md.
 // SPDX-License-Identifier: Apache-2.0
 //
-//   rgs_measure_levels SCENE.rgs CAMERAS.json [fast|best [PHOTOS]]
+//   rgs_measure_levels SCENE CAMERAS.json [fast|best [PHOTOS|PEER]...]
 //
 // Views: every fourth test camera at 1, 1/2, 1/4 and 1/8 of its size. Truth: the leaves at twice the full size, as the
 // scene declares them, averaged in display values. Pages are drawn with compensated opacity and a low-pass of 0.1.
-// PHOTOS: a folder with the cameras' photographs, NAME.jpg, to compare all test views with.
+// PHOTOS: a folder with the cameras' photographs, NAME.jpg, to compare all test views with. PEER: a file with fewer
+// Gaussians, made by another program from the same scene.
 #include <algorithm>
 #include <array>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <map>
 #include <string>
 #include <utility>
@@ -167,7 +169,7 @@ Scene level(const Levels& levels, std::uint32_t wanted) {
 
 int main(int argc, char** argv) {
   if (argc < 3)
-    return std::fprintf(stderr, "usage: rgs_measure_levels SCENE.rgs CAMERAS.json [fast|best [PHOTOS]]\n"), 2;
+    return std::fprintf(stderr, "usage: rgs_measure_levels SCENE CAMERAS.json [fast|best [PHOTOS|PEER]...]\n"), 2;
   const auto file = value_or_stop(rgs::read_splats(argv[1]));
   const auto set = value_or_stop(rgs::read_camera_set(argv[2]));
   rgs::lod::BuildOptions options;
@@ -246,7 +248,15 @@ int main(int argc, char** argv) {
                 db / static_cast<double>(cameras.size()), drawn_at(most));
     std::fflush(stdout);
   }
-  if (argc > 4) {
+  for (int arg = 4; arg < argc; ++arg) {
+    if (!std::filesystem::is_directory(argv[arg])) {
+      const Scene peer =
+          value_or_stop(Scene::load(value_or_stop(rgs::read_splats(argv[arg])).cloud, file.declarations));
+      std::printf("%s: %.4f of the Gaussians;", argv[arg], static_cast<double>(peer.size()) / n);
+      for (const int far : {1, 2, 4, 8}) std::printf(" %.2f", measure.compare(peer, far, mip));
+      std::printf("\n");
+      continue;
+    }
     // From afar, the averaged photograph is the truth.
     for (const int far : {1, 2, 4, 8}) {
       double db[4] = {};
@@ -254,7 +264,7 @@ int main(int argc, char** argv) {
       for (std::size_t i = 0; i < set.cameras.size(); ++i) {
         if (set.split[i] != rgs::Split::test) continue;
         const rgs::Image photo =
-            value_or_stop(rgs::read_image(std::string(argv[4]) + "/" + set.cameras[i].name + ".jpg"));
+            value_or_stop(rgs::read_image(std::string(argv[arg]) + "/" + set.cameras[i].name + ".jpg"));
         const std::vector<float> truth = averaged(photo.pixels, photo.width, photo.height, far);
         const Camera camera = scaled(set.cameras[i], 1.0 / far);
         rgs::RenderOptions wide = mip;
