@@ -25,6 +25,7 @@ constexpr float kMostGrowth = 1.5F;
 constexpr float kMostOfFrame = 250;  // longest side of a group in fit_colors(), pixels
 constexpr int kFootprints = 3;       // at which the error is measured, each twice the one before
 constexpr int kClasses = 12;         // of size, each four times the one before
+constexpr double kOfClass = 10;  // a class that covers less than a tenth of all is judged by this times what it covers
 
 float longest(const Gaussians& gaussians, std::size_t i) {
   return std::max({gaussians.of(kScale)[i], gaussians.of(kScale + 1)[i], gaussians.of(kScale + 2)[i]});
@@ -222,8 +223,15 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
       measure(subset(group, members), subset(out.gaussians, items), pixel, p, options, measured[c]);
     }
   }
-  // By class: small errors of small Gaussians must not excuse those of large ones.
-  for (const Measured& of_class : measured) out.error = std::max(out.error, error_of(of_class, pixel));
+  // By class: small errors of small Gaussians must not excuse those of large ones, unless these are very few.
+  double covered[kFootprints] = {};
+  for (const Measured& of_class : measured) {
+    for (int k = 0; k < kFootprints; ++k) covered[k] += of_class.covered[k];
+  }
+  for (Measured& of_class : measured) {
+    for (int k = 0; k < kFootprints; ++k) of_class.covered[k] = std::min(covered[k], kOfClass * of_class.covered[k]);
+    out.error = std::max(out.error, error_of(of_class, pixel));
+  }
   return out;
 }
 
