@@ -100,9 +100,16 @@ void principal_axes(const Covariance& covariance, float least, float scale[3], f
   for (int k = 0; k < 4; ++k) rotation[k] = static_cast<float>(by_largest[largest][k] * norm);
 }
 
-Clusters merge_neighbours(const Gaussians& gaussians, std::size_t n, float pixel) {
+std::vector<float> areas(const Gaussians& gaussians) {
+  std::vector<float> out(gaussians.size());
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    out[i] = gaussians.of(kOpacity)[i] * mean_cross_section(covariance(gaussians, i));
+  }
+  return out;
+}
+
+Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> area, std::size_t n, float pixel) {
   const float blur = kBlur * pixel * pixel;
-  const float least = 1e-9F * pixel * pixel;  // an invisible Gaussian still has a position
   Clusters out;
   out.next.resize(gaussians.size());
   std::vector<Cluster> current(gaussians.size());
@@ -110,7 +117,7 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::size_t n, float pixel
     Cluster& c = current[i];
     c.covariance = covariance(gaussians, i);
     c.opacity = gaussians.of(kOpacity)[i];
-    c.weight = c.opacity * mean_cross_section(c.covariance) + least;
+    c.weight = area[i] + least_area(pixel);
     for (int k = 0; k < 3; ++k) {
       c.mean[k] = gaussians.of(kMean + k)[i];
       c.color[k] = 0.5F + kShConstant * gaussians.of(kSh + k)[i];

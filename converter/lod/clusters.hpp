@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <numbers>
+#include <span>
 #include <vector>
 
 #include "gaussians.hpp"
@@ -18,6 +19,8 @@ struct Covariance {
 Covariance covariance(const Gaussians& gaussians, std::size_t i);
 /// The cross-section of a Gaussian, averaged over the three axes: 2 pi times the root of the projected determinant.
 float mean_cross_section(const Covariance& covariance);
+/// What each Gaussian covers alone: opacity times mean_cross_section(), world units squared.
+std::vector<float> areas(const Gaussians& gaussians);
 /// Standard deviations, at least `least`, and a unit quaternion w, x, y, z of a covariance.
 void principal_axes(const Covariance& covariance, float least, float scale[3], float rotation[4]);
 
@@ -54,8 +57,12 @@ struct Clusters {
   bool is_single(const Cluster& cluster) const { return cluster.first == cluster.last; }
 };
 
-/// Merges neighbours, the pair that changes the picture least first, down to `n` clusters. `pixel`: side of a pixel of
-/// the picture by which the cost is measured, world units. Deterministic.
-Clusters merge_neighbours(const Gaussians& gaussians, std::size_t n, float pixel);
+/// Merges neighbours, the pair that changes the picture least first, down to `n` clusters. `area`: of areas(). `pixel`:
+/// side of a pixel of the picture by which the cost is measured, world units. Deterministic.
+Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> area, std::size_t n, float pixel);
+/// Added to areas, world units squared: an invisible Gaussian still has a position.
+inline float least_area(float pixel) {
+  return 1e-9F * pixel * pixel;
+}
 
 }  // namespace rgs::lod

@@ -21,7 +21,7 @@ constexpr float kPieceLength = 100;  // pixels: pictures of pieces fit into the 
 constexpr float kCoarseness = 2;     // pixels per Gaussian: see footprint_of()
 constexpr float kLarge = 2.5F;       // pixels: longer standard deviations are measured in larger pixels
 constexpr float kMostOpacity = 0.99F, kLeastOpacity = 1e-4F;
-constexpr float kMostGrowth = 1.5F;
+constexpr float kMostGrowth = 1.5F;  // of a merged Gaussian, see set_all()
 constexpr float kMostOfFrame = 250;  // longest side of a group in fit_colors(), pixels
 constexpr int kFootprints = 3;       // at which the error is measured, each twice the one before
 constexpr int kClasses = 12;         // of size, each four times the one before
@@ -53,25 +53,22 @@ Gaussians subset(const Gaussians& gaussians, std::span<const std::uint32_t> item
 
 // Footprint at which `n` Gaussians suffice: kCoarseness times the pixel at which they count n, each Gaussian counting its
 // share of a pixel, at most 1.
-float footprint_of(const Gaussians& group, std::size_t n) {
-  std::vector<double> areas(group.size());
+float footprint_of(std::span<const float> area, std::size_t n) {
   double below = 0, above = 0;
-  for (std::size_t i = 0; i < areas.size(); ++i) {
-    areas[i] = static_cast<double>(group.of(kOpacity)[i] * mean_cross_section(covariance(group, i)));
-    above += areas[i];
-  }
+  for (const float a : area) above += static_cast<double>(a);
   above = std::sqrt(above);
   for (int k = 0; k < 40; ++k) {
     const double middle = (below + above) / 2;
     double count = 0;
-    for (const double area : areas) count += std::min(1.0, area / (middle * middle));
+    for (const float a : area) count += std::min(1.0, static_cast<double>(a) / (middle * middle));
     (count > static_cast<double>(n) ? below : above) = middle;
   }
   return std::max(kCoarseness * static_cast<float>(above), 1e-18F);
 }
 
 // Sets each cluster's moments as a Gaussian, with harmonics weighted by area; single members stay as they are.
-void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, float pixel) {
+void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, std::span<const float> area,
+             float pixel) {
   std::vector<float> share(group.size());
   std::vector<std::uint32_t> to(group.size());
   for (std::uint32_t i = 0; i < out.size(); ++i) {
@@ -81,11 +78,10 @@ void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, f
       to[cluster.first] = i, share[cluster.first] = 1;
       continue;
     }
-    const float least = 1e-9F * pixel * pixel;
     float total = 0;
     clusters.each_member(cluster, [&](std::uint32_t member) {
       to[member] = i;
-      share[member] = group.of(kOpacity)[member] * mean_cross_section(covariance(group, member)) + least;
+      share[member] = area[member] + least_area(pixel);
       total += share[member];
     });
     clusters.each_member(cluster, [&](std::uint32_t member) { share[member] /= total; });
@@ -190,11 +186,12 @@ float error_of(const Measured& m, float pixel) {
 }  // namespace
 
 Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options) {
-  const float pixel = footprint_of(group, n);
-  const Clusters clusters = merge_neighbours(group, n, pixel);
+  const std::vector<float> area = areas(group);
+  const float pixel = footprint_of(area, n);
+  const Clusters clusters = merge_neighbours(group, area, n, pixel);
   Simplified out;
   out.gaussians.resize(clusters.all.size(), group.sh_degree());
-  set_all(out.gaussians, group, clusters, pixel);
+  set_all(out.gaussians, group, clusters, area, pixel);
   // Not if the group needs much larger pixels to fit on a picture, which would lose quality.
   const float whole = extent(group) / kMostOfFrame;
   if (options.n_color_steps > 0 && whole < 2 * pixel) {

@@ -230,7 +230,7 @@ int main(int argc, char** argv) {
   for (const auto& [far, share] : {std::pair{4, 0.25}, std::pair{8, 0.125}}) {
     float least = 1.F / 16, most = 64;
     std::array<std::uint64_t, 8> by_level{};
-    const auto drawn_at = [&](float detail) {
+    const auto drawn_at = [&, far = far](float detail) {
       double drawn = 0;
       for (const Camera& camera : cameras) drawn += drawn_of(levels, scaled(camera, 1.0 / far), detail);
       return drawn / static_cast<double>(cameras.size()) / n;

@@ -53,7 +53,7 @@ TEST_CASE("clusters: every Gaussian is in one, and their number is as requested"
   const rgs::SplatCloud cloud = rgs::test::wall(32, 1, random);
   const Gaussians gaussians = activate(cloud.view(), 0, cloud.size(), kCentre);
   for (const std::size_t n : {1000U, 256U, 3U}) {
-    const Clusters clusters = merge_neighbours(gaussians, n, 0.05F);
+    const Clusters clusters = merge_neighbours(gaussians, areas(gaussians), n, 0.05F);
     CHECK(clusters.all.size() == n);
     std::vector<int> found(gaussians.size(), 0);
     for (const Cluster& c : clusters.all) clusters.each_member(c, [&](std::uint32_t i) { ++found[i]; });
@@ -75,7 +75,7 @@ TEST_CASE("what two Gaussians hide of each other is covered once") {
         pair.of(kMean + k)[i] = i == 0 ? 0 : apart;
       }
     }
-    const Clusters clusters = merge_neighbours(pair, 1, 1e-3F);
+    const Clusters clusters = merge_neighbours(pair, areas(pair), 1, 1e-3F);
     REQUIRE(clusters.all.size() == 1);
     const float hidden = kOpacityOfBoth * kOpacityOfBoth / 2 * std::exp(-apart * apart / (2 * kSize * kSize));
     CHECK(clusters.all[0].weight ==
@@ -93,22 +93,19 @@ TEST_CASE("merged Gaussians cover at least what the largest does, and at most wh
     for (int k = 0; k < 3; ++k) stack.of(kScale + k)[i] = 1;
   }
   for (const Gaussians& gaussians : {activate(cloud.view(), 0, cloud.size(), kCentre), stack}) {
-    std::vector<double> areas;
-    for (std::size_t i = 0; i < gaussians.size(); ++i) {
-      areas.push_back(static_cast<double>(gaussians.of(kOpacity)[i] * mean_cross_section(covariance(gaussians, i))));
-    }
-    const Clusters clusters = merge_neighbours(gaussians, gaussians.size() / 8, 0.05F);
+    const std::vector<float> area = areas(gaussians);
+    const Clusters clusters = merge_neighbours(gaussians, area, gaussians.size() / 8, 0.05F);
     for (const Cluster& c : clusters.all) {
       double largest = 0, all = 0;
       clusters.each_member(c, [&](std::uint32_t i) {
-        largest = std::max(largest, areas[i]);
-        all += areas[i];
+        largest = std::max(largest, static_cast<double>(area[i]));
+        all += static_cast<double>(area[i]);
       });
       CHECK(static_cast<double>(c.weight) >= 0.999 * largest);
       CHECK(static_cast<double>(c.weight) <= 1.001 * all);
     }
   }
-  const double covered = static_cast<double>(merge_neighbours(stack, 1, 0.05F).all[0].opacity);
+  const double covered = static_cast<double>(merge_neighbours(stack, areas(stack), 1, 0.05F).all[0].opacity);
   CHECK(covered > 2.0);
   CHECK(covered < 5.0);  // 2.7; only pairs are counted exactly
 }
@@ -127,7 +124,7 @@ TEST_CASE("neighbours of one colour are merged before those of two") {
     gaussians.of(kSh)[i] = red ? 1.5F : -1.5F;
     gaussians.of(kSh + 1)[i] = red ? -1.5F : 1.5F;
   }
-  const Clusters clusters = merge_neighbours(gaussians, 2 * kPairs - kPairs / 2, 1);
+  const Clusters clusters = merge_neighbours(gaussians, areas(gaussians), 2 * kPairs - kPairs / 2, 1);
   for (const Cluster& c : clusters.all) {
     if (clusters.is_single(c)) continue;
     CHECK(c.first / 2 == c.last / 2);
