@@ -14,6 +14,7 @@
 #include <limits>
 #include <utility>
 
+#include "clusters.hpp"
 #include "core_box.hpp"
 #include "gaussians.hpp"
 #include "rgs/math/covariance.hpp"
@@ -24,9 +25,9 @@ namespace {
 // Stored scales and rotations are rounded to FP16 afterwards; bounds must hold the rounded ones.
 constexpr float kRoundingMargin = 1.004F;
 constexpr float kBoundSigmas = 3;
-constexpr std::uint64_t kKeptOf1000 = 880;  // of each child's share of a full page
-constexpr float kErrorGrowth = 1.01F;       // least ratio of a page's error to its children's largest
+constexpr float kErrorGrowth = 1.01F;  // least ratio of a page's error to its children's largest
 constexpr float kMostError = 1e30F;
+constexpr double kMostKept = 0.75;  // of a group
 // A run of boxes has a gap where the box around it is longer than kGap times the sum of their lengths.
 constexpr float kGap = 2;
 // World units, and their logarithm. Farther or larger Gaussians are not simplified: costs are fourth powers, and FP32
@@ -274,49 +275,87 @@ std::vector<Page> cut_leaf_pages(std::span<const ChunkBoxes> chunks, std::uint64
   return pages;
 }
 
-std::vector<std::uint32_t> group_pages(std::span<const Page> pages, const BuildOptions& options) {
+MergeCosts merge_costs(const SplatView& splats, std::uint64_t first, std::uint64_t n) {
+  constexpr float kLeast = 1e-20F;  // equal Gaussians cost nothing
+  const Gaussians page = activate(splats, first, n, &splats.mean[3 * first]);
+  const std::vector<float> area = areas(page);
+  const auto kept = static_cast<std::size_t>(kKept * static_cast<double>(n));
+  std::vector<float> costs = cheapest_merges(page, area, footprint_of(area, std::max<std::size_t>(kept, 1)));
+  std::ranges::sort(costs);
+  MergeCosts out;
+  for (std::size_t k = 0; k < out.size(); ++k) {
+    out[k] = std::max(std::sqrt(std::sqrt(costs[(2 * k + 1) * costs.size() / (2 * out.size())])), kLeast);
+  }
+  return out;
+}
+
+std::vector<Group> group_pages(std::span<const Page> pages, std::span<const MergeCosts> costs,
+                               const BuildOptions& options) {
   const auto n = static_cast<std::uint32_t>(pages.size());
+  // The more a Gaussian's merge costs, the more of it is left: at `threshold` all of it.
+  double threshold = 0;
+  const auto wanted_of = [&](std::uint32_t page) {
+    double left = 0;
+    for (const float cost : costs[page]) left += std::min(1.0, static_cast<double>(cost) / threshold);
+    return left * pages[page].count / static_cast<double>(MergeCosts().size());
+  };
+  double total = 0, low = 1e-30, high = 1e30;
+  for (const Page& page : pages) total += page.count;
+  for (int k = 0; k < 60; ++k) {
+    threshold = std::sqrt(low * high);
+    double left = 0;
+    for (std::uint32_t i = 0; i < n; ++i) left += wanted_of(i);
+    (left > kKept * total ? low : high) = threshold;
+  }
+  threshold = high;
+  const auto most = static_cast<double>(options.chunk_size * options.page_chunks);
   const auto group = [&](bool by_place) {
-    std::vector<std::uint32_t> begins;
+    std::vector<Group> groups;
     for (std::uint32_t i = 0; i < n;) {
-      begins.push_back(i);
       Run run;
+      double wanted = 0;
+      std::uint64_t rows = 0;
       std::uint32_t end = i;
       while (end < n && end < i + options.children && (!by_place || run.takes(pages[end].bounds))) {
+        const double more = wanted_of(end);
+        if (end >= i + 2 && wanted + more > most) break;
+        wanted += more;
+        rows += pages[end].count;
         run.take(pages[end++].bounds);
       }
+      // The tree must narrow.
+      wanted = std::min({wanted, most, kMostKept * static_cast<double>(rows)});
+      groups.push_back({i, end, std::max<std::uint64_t>(1, static_cast<std::uint64_t>(wanted))});
       i = end;
     }
-    begins.push_back(n);
-    return begins;
+    return groups;
   };
-  std::vector<std::uint32_t> begins = group(true);
-  // The tree must narrow: if too few pages are alike, group them by order alone.
-  if (begins.size() - 1 > std::max<std::size_t>(1, n / 2)) begins = group(false);
-  return begins;
+  std::vector<Group> groups = group(true);
+  // If too few pages are alike, group them by order alone.
+  if (groups.size() > std::max<std::size_t>(1, n / 2)) groups = group(false);
+  return groups;
 }
 
-std::vector<std::uint32_t> group_stretches(std::span<const Page> pages, std::vector<std::uint32_t>& stretches,
-                                           const BuildOptions& options) {
+std::vector<Group> group_stretches(std::span<const Page> pages, std::span<const MergeCosts> costs,
+                                   std::vector<std::uint32_t>& stretches, const BuildOptions& options) {
   if (pages.front().level >= options.stretch_levels) stretches = {0, static_cast<std::uint32_t>(pages.size())};
-  std::vector<std::uint32_t> begins;
+  std::vector<Group> groups;
   std::uint32_t first = 0;
   for (std::size_t i = 1; i < stretches.size(); ++i) {
-    const std::uint32_t last = stretches[i];
-    for (const std::uint32_t begin : group_pages(pages.subspan(first, last - first), options)) {
-      begins.push_back(first + begin);
+    const std::uint32_t n = stretches[i] - first;
+    for (const Group& group : group_pages(pages.subspan(first, n), costs.subspan(first, n), options)) {
+      groups.push_back({first + group.first, first + group.last, group.wanted});
     }
-    begins.pop_back();  // the end, where the next stretch begins
-    stretches[i] = static_cast<std::uint32_t>(begins.size());
-    first = last;
+    first = stretches[i];
+    stretches[i] = static_cast<std::uint32_t>(groups.size());
   }
-  begins.push_back(first);
-  return begins;
+  return groups;
 }
 
-Page build_page(const SplatView& splats, std::span<const Page> below, std::uint32_t first, std::uint32_t last,
-                const BuildOptions& options, SplatCloud& out) {
-  assert(first < last && last <= below.size());
+Page build_page(const SplatView& splats, std::span<const Page> below, const Group& group, const BuildOptions& options,
+                SplatCloud& out) {
+  const auto [first, last, wanted] = group;
+  assert(first < last && last <= below.size() && wanted > 0);
   Page page;
   page.level = below[first].level + 1;
   page.first_child = first;
@@ -342,9 +381,6 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
     find_middle(splats, from, n, centre);
     divide();
   }
-  const std::uint64_t most = static_cast<std::uint64_t>(options.chunk_size) * options.page_chunks;
-  // Fewer than pages have room for: the size that levels add to a file is the sum of all powers of this ratio.
-  const std::uint64_t wanted = std::min(most, (n * kKeptOf1000 / options.children + 999) / 1000);
   const std::size_t before = out.size();
   float error = far.empty() ? replace(splats, from, n, wanted, centre, options, out)
                             : replace_without_far(splats, near, std::move(far), wanted, centre, options, out);
@@ -355,14 +391,13 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
   return page;
 }
 
-Level build_level(const SplatView& splats, std::span<const Page> below, std::span<const std::uint32_t> begins,
+Level build_level(const SplatView& splats, std::span<const Page> below, std::span<const Group> groups,
                   const BuildOptions& options) {
-  std::vector<SplatCloud> parts(begins.size() - 1);
+  std::vector<SplatCloud> parts(groups.size());
   Level out;
   out.pages.resize(parts.size());
-  each_in_parallel(parts.size(), [&](std::size_t i) {
-    out.pages[i] = build_page(splats, below, begins[i], begins[i + 1], options, parts[i]);
-  });
+  each_in_parallel(parts.size(),
+                   [&](std::size_t i) { out.pages[i] = build_page(splats, below, groups[i], options, parts[i]); });
   for (std::size_t i = 0; i < parts.size(); ++i) {
     out.pages[i].first = out.splats.size();
     append(out.splats, parts[i]);
@@ -398,8 +433,12 @@ Levels build_levels(const SplatView& leaves, const BuildOptions& options) {
   find_cores(leaves, levels[0].pages);
   while (levels.back().pages.size() > 1) {
     const Level& below = levels.back();
-    const std::vector<std::uint32_t> begins = group_stretches(below.pages, stretches, options);
-    Level above = build_level(levels.size() == 1 ? leaves : below.splats.view(), below.pages, begins, options);
+    const SplatView splats = levels.size() == 1 ? leaves : below.splats.view();
+    std::vector<MergeCosts> costs(below.pages.size());
+    each_in_parallel(costs.size(), [&](std::size_t i) {
+      costs[i] = merge_costs(splats, below.pages[i].first, below.pages[i].count);
+    });
+    Level above = build_level(splats, below.pages, group_stretches(below.pages, costs, stretches, options), options);
     levels.push_back(std::move(above));
   }
   Levels out;

@@ -3,6 +3,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -22,7 +23,7 @@ struct BuildOptions {
   Quality quality = Quality::fast;
   std::uint32_t chunk_size = 256;           ///< of the file: leaf pages consist of whole chunks
   std::uint32_t page_chunks = kPageChunks;  ///< most chunks of a page
-  std::uint32_t children = 4;               ///< most children of a page; it has less than a quarter of their Gaussians
+  std::uint32_t children = 4;               ///< most of a page
   /// A scene of at least 1.5 stretches is built stretch by stretch up to level `stretch_levels`, and as a whole above
   /// it.
   std::uint32_t stretch_pages = 1024;  ///< whole leaf pages of a stretch; half as many must have two pages or more ...
@@ -37,8 +38,7 @@ struct Level {
   std::vector<Page> pages;
 };
 
-/// The stages of build_levels(), for callers that build ranges or use several processes. A page depends only on its
-/// group: equal groups give equal bytes.
+/// The stages of build_levels(), for callers that build ranges or use several processes. Equal groups give equal bytes.
 
 /// Boxes of a chunk's means, and of its Gaussians out to three standard deviations. Boxes of two parts of a chunk can
 /// be added.
@@ -53,8 +53,20 @@ std::vector<Page> cut_chunks(std::span<const ChunkBoxes> chunks, std::uint64_t n
 /// Leaf pages of one stretch of Gaussians in the order of a file without levels: runs of at most page_chunks chunks,
 /// shorter before a gap. All chunks but the last are whole.
 std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& options);
-/// Where groups of consecutive pages begin; the last element is the end of the last group.
-std::vector<std::uint32_t> group_pages(std::span<const Page> pages, const BuildOptions& options);
+/// What it costs to merge Gaussians of a page: fourth roots of the costs of each one's cheapest merge
+/// (cheapest_merges()), at evenly spaced ranks, ascending.
+using MergeCosts = std::array<float, 16>;
+MergeCosts merge_costs(const SplatView& splats, std::uint64_t first, std::uint64_t n);
+/// Consecutive pages first .. last - 1 of a level, of which one page with `wanted` Gaussians is made.
+struct Group {
+  std::uint32_t first, last;
+  std::uint64_t wanted;
+};
+/// Groups of pages with these costs, one after the other. Together they want kKept of all Gaussians, each as many as it
+/// costs: where merges cost much, groups have fewer pages.
+std::vector<Group> group_pages(std::span<const Page> pages, std::span<const MergeCosts> costs,
+                               const BuildOptions& options);
+inline constexpr double kKept = 0.22;
 
 /// Stretches: runs of leaves with levels of their own, so that processes can build them in parallel. They are cut by
 /// count alone, and no page up to level BuildOptions::stretch_levels spans two.
@@ -67,14 +79,14 @@ std::vector<Page> cut_leaf_pages(std::span<const ChunkBoxes> chunks, std::uint64
                                  std::vector<std::uint32_t>& stretches);
 /// group_pages() of one level; below level stretch_levels by stretch. `stretches` holds where stretches begin among the
 /// pages, on return among the groups.
-std::vector<std::uint32_t> group_stretches(std::span<const Page> pages, std::vector<std::uint32_t>& stretches,
-                                           const BuildOptions& options);
-/// Builds one page from pages first .. last - 1 of `below`, whose Gaussians are `splats` (rows as Page::first says),
-/// and appends its Gaussians to `out`. Memory: about 4 KiB per Gaussian of the group.
-Page build_page(const SplatView& splats, std::span<const Page> below, std::uint32_t first, std::uint32_t last,
-                const BuildOptions& options, SplatCloud& out);
-/// All pages of the next level, one for each group that begins at `begins`, on the threads of the current arena.
-Level build_level(const SplatView& splats, std::span<const Page> below, std::span<const std::uint32_t> begins,
+std::vector<Group> group_stretches(std::span<const Page> pages, std::span<const MergeCosts> costs,
+                                   std::vector<std::uint32_t>& stretches, const BuildOptions& options);
+/// Builds one page from a group of `below`, whose Gaussians are `splats` (rows as Page::first says), and appends its
+/// Gaussians to `out`. Memory: about 4 KiB per Gaussian of the group.
+Page build_page(const SplatView& splats, std::span<const Page> below, const Group& group, const BuildOptions& options,
+                SplatCloud& out);
+/// All pages of the next level, one for each group, on the threads of the current arena.
+Level build_level(const SplatView& splats, std::span<const Page> below, std::span<const Group> groups,
                   const BuildOptions& options);
 
 /// Joins the pages of all levels, leaves first, into a tree: coarse to fine, with parents and children set.

@@ -26,6 +26,40 @@ constexpr float kBlur = 0.01F;                  // px^2
 constexpr std::size_t kLeftOfRound[] = {3, 4};  // rounds are short, so that costs are up to date
 constexpr float kShConstant = 0.28209479F;
 
+// A cluster for each Gaussian.
+std::vector<Cluster> clusters_of(const Gaussians& gaussians, std::span<const float> area, float pixel) {
+  std::vector<Cluster> out(gaussians.size());
+  for (std::uint32_t i = 0; i < out.size(); ++i) {
+    Cluster& c = out[i];
+    c.covariance = covariance(gaussians, i);
+    c.opacity = gaussians.of(kOpacity)[i];
+    c.weight = area[i] + least_area(pixel);
+    for (int k = 0; k < 3; ++k) {
+      c.mean[k] = gaussians.of(kMean + k)[i];
+      c.color[k] = 0.5F + kShConstant * gaussians.of(kSh + k)[i];
+    }
+    c.color[3] = 1;
+    c.first = c.last = i;
+  }
+  set_selves(out, kBlur * pixel * pixel);
+  return out;
+}
+
+// Clusters and their neighbours.
+void pair_neighbours(std::span<const Cluster> clusters, std::vector<Neighbours>& nearest,
+                     std::vector<ClusterPair>& pairs) {
+  nearest_clusters(clusters, nearest);
+  pairs.clear();
+  for (std::uint32_t i = 0; i < clusters.size(); ++i) {
+    for (const std::uint32_t j : nearest[i]) {
+      if (j == kNoNeighbour) break;
+      // If both are neighbours of each other, the first has added the pair.
+      if (j < i && std::find(nearest[j].begin(), nearest[j].end(), i) != nearest[j].end()) continue;
+      pairs.push_back({i, j});
+    }
+  }
+}
+
 }  // namespace
 
 Covariance covariance(const Gaussians& gaussians, std::size_t i) {
@@ -112,20 +146,8 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> are
   const float blur = kBlur * pixel * pixel;
   Clusters out;
   out.next.resize(gaussians.size());
-  std::vector<Cluster> current(gaussians.size());
-  for (std::uint32_t i = 0; i < gaussians.size(); ++i) {
-    Cluster& c = current[i];
-    c.covariance = covariance(gaussians, i);
-    c.opacity = gaussians.of(kOpacity)[i];
-    c.weight = area[i] + least_area(pixel);
-    for (int k = 0; k < 3; ++k) {
-      c.mean[k] = gaussians.of(kMean + k)[i];
-      c.color[k] = 0.5F + kShConstant * gaussians.of(kSh + k)[i];
-    }
-    c.color[3] = 1;
-    c.first = c.last = out.next[i] = i;
-  }
-  set_selves(current, blur);
+  std::iota(out.next.begin(), out.next.end(), 0U);
+  std::vector<Cluster> current = clusters_of(gaussians, area, pixel);
   std::vector<Neighbours> nearest;
   std::vector<ClusterPair> pairs;
   std::vector<float> costs, overlaps;
@@ -133,16 +155,7 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> are
   std::vector<Cluster> after;
   std::vector<char> used;
   while (current.size() > n) {
-    nearest_clusters(current, nearest);
-    pairs.clear();
-    for (std::uint32_t i = 0; i < current.size(); ++i) {
-      for (const std::uint32_t j : nearest[i]) {
-        if (j == kNoNeighbour) break;
-        // If both are neighbours of each other, the first has added the pair.
-        if (j < i && std::find(nearest[j].begin(), nearest[j].end(), i) != nearest[j].end()) continue;
-        pairs.push_back({i, j});
-      }
-    }
+    pair_neighbours(current, nearest, pairs);
     if (pairs.empty()) {  // squared distances overflow FP32
       for (std::uint32_t i = 1; i < current.size(); ++i) pairs.push_back({i - 1, i});
     }
@@ -176,6 +189,19 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> are
     current.swap(after);
   }
   out.all = std::move(current);
+  return out;
+}
+
+std::vector<float> cheapest_merges(const Gaussians& gaussians, std::span<const float> area, float pixel) {
+  const std::vector<Cluster> clusters = clusters_of(gaussians, area, pixel);
+  std::vector<Neighbours> nearest;
+  std::vector<ClusterPair> pairs;
+  std::vector<float> costs, overlaps, out(clusters.size(), std::numeric_limits<float>::max());
+  pair_neighbours(clusters, nearest, pairs);
+  merge_costs(clusters, pairs, kBlur * pixel * pixel, costs, overlaps);
+  for (std::size_t k = 0; k < pairs.size(); ++k) {
+    for (const std::uint32_t i : {pairs[k].a, pairs[k].b}) out[i] = std::min(out[i], costs[k]);
+  }
   return out;
 }
 

@@ -60,6 +60,8 @@ struct Clusters {
 /// Merges neighbours, the pair that changes the picture least first, down to `n` clusters. `area`: of areas(). `pixel`:
 /// side of a pixel of the picture by which the cost is measured, world units. Deterministic.
 Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> area, std::size_t n, float pixel);
+/// The cost of the cheapest merge of each Gaussian with a neighbour; FP32's largest number if it has none.
+std::vector<float> cheapest_merges(const Gaussians& gaussians, std::span<const float> area, float pixel);
 /// Added to areas, world units squared: an invisible Gaussian still has a position.
 inline float least_area(float pixel) {
   return 1e-9F * pixel * pixel;

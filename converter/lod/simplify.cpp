@@ -18,7 +18,7 @@ namespace {
 
 constexpr int kMostPixels = 512;     // sides of pictures
 constexpr float kPieceLength = 100;  // pixels: pictures of pieces fit into the cache
-constexpr float kCoarseness = 2;     // pixels per Gaussian: see footprint_of()
+constexpr float kCoarseness = 2;     // see footprint_of()
 constexpr float kLarge = 2.5F;       // pixels: longer standard deviations are measured in larger pixels
 constexpr float kMostOpacity = 0.99F, kLeastOpacity = 1e-4F;
 constexpr float kMostGrowth = 1.5F;  // of a merged Gaussian, see set_all()
@@ -49,21 +49,6 @@ Gaussians subset(const Gaussians& gaussians, std::span<const std::uint32_t> item
     for (std::size_t i = 0; i < items.size(); ++i) to[i] = from[items[i]];
   }
   return out;
-}
-
-// Footprint at which `n` Gaussians suffice: kCoarseness times the pixel at which they count n, each Gaussian counting its
-// share of a pixel, at most 1.
-float footprint_of(std::span<const float> area, std::size_t n) {
-  double below = 0, above = 0;
-  for (const float a : area) above += static_cast<double>(a);
-  above = std::sqrt(above);
-  for (int k = 0; k < 40; ++k) {
-    const double middle = (below + above) / 2;
-    double count = 0;
-    for (const float a : area) count += std::min(1.0, static_cast<double>(a) / (middle * middle));
-    (count > static_cast<double>(n) ? below : above) = middle;
-  }
-  return std::max(kCoarseness * static_cast<float>(above), 1e-18F);
 }
 
 // Sets each cluster's moments as a Gaussian, with harmonics weighted by area; single members stay as they are.
@@ -184,6 +169,19 @@ float error_of(const Measured& m, float pixel) {
 }
 
 }  // namespace
+
+float footprint_of(std::span<const float> area, std::size_t n) {
+  double below = 0, above = 0;
+  for (const float a : area) above += static_cast<double>(a);
+  above = std::sqrt(above);
+  for (int k = 0; k < 40; ++k) {
+    const double middle = (below + above) / 2;
+    double count = 0;
+    for (const float a : area) count += std::min(1.0, static_cast<double>(a) / (middle * middle));
+    (count > static_cast<double>(n) ? below : above) = middle;
+  }
+  return std::max(kCoarseness * static_cast<float>(above), 1e-18F);
+}
 
 Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options) {
   const std::vector<float> area = areas(group);

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <span>
 
 #include "fit.hpp"
 #include "gaussians.hpp"
@@ -24,6 +25,10 @@ inline constexpr double kAllowedSquared = 1e-3;  // 30 dB
 inline double allowed_squared(double of_group, double covered) {
   return std::max(kAllowed * of_group, kAllowedSquared * covered);
 }
+
+/// Footprint at which `n` Gaussians suffice, world units: twice the pixel at which Gaussians that cover `area` count n,
+/// each counting its share of a pixel, at most 1.
+float footprint_of(std::span<const float> area, std::size_t n);
 
 /// Replaces `group` by at most `n` < group.size() Gaussians. Deterministic.
 Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options);

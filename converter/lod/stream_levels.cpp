@@ -439,11 +439,6 @@ Status build_upper(const EncodeOptions& encode, const StreamOptions& options, St
     std::vector<std::uint32_t> stretches;
     out.pages.assign(1, cut_leaf_pages(out.chunks, out.n_leaves, build_options(encode, options), stretches));
     out.chunks = std::vector<ChunkBoxes>();
-    if (std::vector<Page>& leaves = out.pages.front(); leaves.size() == 1) {
-      SplatCloud splats;
-      if (Status s = out.rows.front().read(0, out.n_leaves, splats); !s) return s;
-      leaves[0].core = core_of(splats.view(), 0, out.n_leaves);
-    }
     options.begin("levels", out.n_leaves + out.n_leaves / 3, "Gaussians");
     return build_above(encode, options, std::move(stretches), out, last);
   });
@@ -456,12 +451,22 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
     const int sh_degree = out.rows.back().sh_degree();
     const std::uint64_t at_once = most_at_once(options, kGroupBytes), batch = 32 * at_once;
     std::vector<SplatCloud> parts(batch);
-    while (out.pages.back().size() > 1 && out.pages.back().front().level < last) {
+    for (;;) {
       std::vector<Page>& below = out.pages.back();
-      const std::vector<std::uint32_t> begins = group_stretches(below, stretches, build);
-      const std::uint64_t n_groups = begins.size() - 1;
-      std::vector<Page> pages(n_groups);
       const LevelRows& from = out.rows.back();
+      std::vector<MergeCosts> costs(below.size());
+      const Status looked = each_at_once(below.size(), at_once, [&](std::size_t i) -> Status {
+        SplatCloud splats;
+        if (Status s = from.read(below[i].first, below[i].count, splats); !s) return s;
+        if (below[i].level == 0) below[i].core = core_of(splats.view(), 0, below[i].count);
+        costs[i] = merge_costs(splats.view(), 0, below[i].count);
+        return {};
+      });
+      if (!looked) return looked;
+      if (below.size() == 1 || below.front().level >= last) return {};
+      const std::vector<Group> groups = group_stretches(below, costs, stretches, build);
+      const std::uint64_t n_groups = groups.size();
+      std::vector<Page> pages(n_groups);
       auto file = scratch_file(out.on_disk, options);
       if (!file) return tl::unexpected(file.error());
       LevelRows to(std::move(*file), sh_degree, LevelRows::Kind::upper);
@@ -469,22 +474,16 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
       for (std::uint64_t first = 0; first < n_groups; first += batch) {
         const std::uint64_t n = std::min(batch, n_groups - first);
         const Status built = each_at_once(n, at_once, [&](std::size_t k) -> Status {
-          const std::uint64_t i = first + k;
-          std::vector<Page> group(below.begin() + begins[i], below.begin() + begins[i + 1]);
-          const std::uint64_t begin = group.front().first, end = group.back().first + group.back().count;
+          const auto [first_child, end_child, wanted] = groups[first + k];
+          std::vector<Page> children(below.begin() + first_child, below.begin() + end_child);
+          const std::uint64_t begin = children.front().first, end = children.back().first + children.back().count;
           SplatCloud splats;
           if (Status s = from.read(begin, end - begin, splats); !s) return s;
-          for (std::size_t j = 0; j < group.size(); ++j) {
-            Page& page = group[j];
-            page.first -= begin;
-            if (page.level > 0) continue;
-            // All its leaves are in memory here, and no other group has this page.
-            page.core = core_of(splats.view(), page.first, page.count);
-            below[begins[i] + j].core = page.core;
-          }
+          for (Page& page : children) page.first -= begin;
           parts[k].resize(0, sh_degree);
-          pages[i] = build_page(splats.view(), group, 0, static_cast<std::uint32_t>(group.size()), build, parts[k]);
-          pages[i].first_child = begins[i];
+          Page& page = pages[first + k];
+          page = build_page(splats.view(), children, {0, end_child - first_child, wanted}, build, parts[k]);
+          page.first_child = first_child;
           options.advance(end - begin);
           return {};
         });
@@ -499,7 +498,6 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
       out.rows.push_back(std::move(to));
       out.pages.push_back(std::move(pages));
     }
-    return {};
   });
 }
 

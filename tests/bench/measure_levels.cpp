@@ -4,7 +4,7 @@
 //
 //   rgs_measure_levels SCENE CAMERAS.json [fast|best [PHOTOS|PEER]...]
 //
-// Views: every fourth test camera at 1, 1/2, 1/4 and 1/8 of its size. Truth: the leaves at twice the full size, as the
+// Views: the test cameras, of more than eight every fourth, at 1, 1/2, 1/4 and 1/8 of its size. Truth: the leaves at twice the full size, as the
 // scene declares them, averaged in display values. Pages are drawn with compensated opacity and a low-pass of 0.1.
 // PHOTOS: a folder with the cameras' photographs, NAME.jpg, to compare all test views with. PEER: a file with fewer
 // Gaussians, made by another program from the same scene.
@@ -25,6 +25,8 @@
 #include "rgs/camera_file.hpp"
 #include "rgs/interchange.hpp"
 #include "rgs/renderer.hpp"
+#include "rgs/scene_scan.hpp"
+#include "rgs/spatial_order.hpp"
 
 namespace {
 
@@ -165,18 +167,39 @@ Scene level(const Levels& levels, std::uint32_t wanted) {
   return value_or_stop(Scene::load(std::move(out)));
 }
 
+// In the order of a file, in which levels are built.
+SplatCloud sorted(const rgs::SplatView& splats) {
+  rgs::SceneScan scan(splats.sh_degree);
+  std::vector<std::uint32_t> rows;
+  for (std::uint32_t i = 0; i < splats.n; ++i) {
+    rgs::Splat splat = splats.splat(i);
+    if (scan.add(splat)) rows.push_back(i);
+  }
+  const rgs::MortonKey key(scan.robust());
+  std::vector<std::uint64_t> keys;
+  keys.reserve(rows.size());
+  for (const std::uint32_t row : rows) keys.push_back(key(&splats.mean[3 * std::size_t{row}]));
+  rgs::sort_by_key(keys, rows);
+  SplatCloud out;
+  out.resize(rows.size(), splats.sh_degree);
+  for (std::size_t i = 0; i < rows.size(); ++i) out.set(i, splats.splat(rows[i]));
+  return out;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   if (argc < 3)
     return std::fprintf(stderr, "usage: rgs_measure_levels SCENE CAMERAS.json [fast|best [PHOTOS|PEER]...]\n"), 2;
-  const auto file = value_or_stop(rgs::read_splats(argv[1]));
+  auto file = value_or_stop(rgs::read_splats(argv[1]));
+  file.cloud = sorted(file.cloud.view());
   const auto set = value_or_stop(rgs::read_camera_set(argv[2]));
   rgs::lod::BuildOptions options;
   if (argc > 3 && std::string(argv[3]) == "best") options.quality = rgs::lod::Quality::best;
   std::vector<Camera> cameras;
+  const int every = std::ranges::count(set.split, rgs::Split::test) > 8 ? 4 : 1;
   for (std::size_t i = 0, test = 0; i < set.cameras.size(); ++i) {
-    if (set.split[i] == rgs::Split::test && test++ % 4 == 0) cameras.push_back(set.cameras[i]);
+    if (set.split[i] == rgs::Split::test && static_cast<int>(test++) % every == 0) cameras.push_back(set.cameras[i]);
   }
   const Scene leaves = value_or_stop(Scene::load(file.cloud, file.declarations));
   Measure measure(leaves, cameras);

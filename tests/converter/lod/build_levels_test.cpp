@@ -46,7 +46,7 @@ void check_levels(const Levels& levels, const rgs::SplatCloud& leaves, const Bui
     if (page.level == 0) continue;
     std::uint64_t below = 0;
     for (std::uint32_t k = 0; k < page.n_children; ++k) below += levels.pages[page.first_child + k].count;
-    CHECK(page.count <= (below + options.children - 1) / options.children);
+    CHECK(page.count <= std::max<std::uint64_t>(1, below * 3 / 4));
   }
   // Bounds hold three standard deviations of the page's Gaussians, along each axis of the Gaussian.
   for (const Page& page : levels.pages) {
@@ -81,6 +81,12 @@ void check_levels(const Levels& levels, const rgs::SplatCloud& leaves, const Bui
   for (const float x : levels.splats.opacity_logit) REQUIRE(std::isfinite(x));
 }
 
+std::vector<MergeCosts> costs_of(const rgs::SplatView& splats, const std::vector<Page>& pages) {
+  std::vector<MergeCosts> costs;
+  for (const Page& page : pages) costs.push_back(merge_costs(splats, page.first, page.count));
+  return costs;
+}
+
 }  // namespace
 
 TEST_CASE("levels of scenes of all sizes and degrees form a tree with unchanged leaves") {
@@ -110,15 +116,37 @@ TEST_CASE("levels are the same bytes on one thread, on two, and page by page") {
   CHECK(one.splats.sh == two.splats.sh);
   // A page alone, as another process would build it.
   const std::vector<Page> leaves = cut_leaves(cloud.view(), options);
-  const std::vector<std::uint32_t> begins = group_pages(leaves, options);
-  REQUIRE(begins.size() > 3);
+  const std::vector<Group> groups = group_pages(leaves, costs_of(cloud.view(), leaves), options);
+  REQUIRE(groups.size() > 2);
   rgs::SplatCloud alone;
-  const Page page = build_page(cloud.view(), leaves, begins[2], begins[3], options, alone);
-  const Level level = build_level(cloud.view(), leaves, begins, options);
+  const Page page = build_page(cloud.view(), leaves, groups[2], options, alone);
+  const Level level = build_level(cloud.view(), leaves, groups, options);
   REQUIRE(level.pages[2].count == page.count);
   CHECK(level.pages[2].error == page.error);
   CHECK(std::equal(alone.mean.begin(), alone.mean.end(),
                    level.splats.mean.begin() + static_cast<std::ptrdiff_t>(3 * level.pages[2].first)));
+}
+
+TEST_CASE("where merging costs more, groups have fewer pages and keep more, and all of them a fixed share") {
+  rgs::test::SplitMix random(11);
+  rgs::SplatCloud cloud = rgs::test::wall(96, 0, random);  // 9,216 Gaussians, row after row
+  const std::uint64_t half = cloud.size() / 2;
+  for (std::uint64_t i = 0; i < half; ++i) cloud.opacity_logit[i] = -4;  // hardly visible
+  const BuildOptions options = small_pages();
+  const std::vector<Page> leaves = cut_leaves(cloud.view(), options);
+  const std::vector<Group> groups = group_pages(leaves, costs_of(cloud.view(), leaves), options);
+  double wanted[2] = {}, pages[2] = {}, n_groups[2] = {};
+  for (const Group& group : groups) {
+    const int is_costly = leaves[group.first].first >= half ? 1 : 0;
+    wanted[is_costly] += static_cast<double>(group.wanted);
+    pages[is_costly] += group.last - group.first;
+    ++n_groups[is_costly];
+    CHECK(group.wanted <= options.chunk_size * options.page_chunks);
+  }
+  CHECK((wanted[0] + wanted[1]) / static_cast<double>(cloud.size()) == doctest::Approx(kKept).epsilon(0.05));
+  CHECK(wanted[1] > 2 * wanted[0]);
+  CHECK(pages[0] / n_groups[0] > 3.5);
+  CHECK(pages[1] / n_groups[1] < 3);
 }
 
 TEST_CASE("stretches are whole chunks of similar size, whatever the number of Gaussians") {
@@ -156,7 +184,8 @@ TEST_CASE("the levels of a stretch equal those of a scene of its own, up to wher
     part.resize(begins[i + 1] - begins[i], cloud.sh_degree);
     for (std::uint64_t k = 0; k < part.size(); ++k) part.set(k, cloud.view().splat(begins[i] + k));
     const std::vector<Page> leaves = cut_leaves(part.view(), options);
-    const Level level = build_level(part.view(), leaves, group_pages(leaves, options), options);
+    const Level level =
+        build_level(part.view(), leaves, group_pages(leaves, costs_of(part.view(), leaves), options), options);
     REQUIRE(level.pages.size() >= 2);
     for (const Page& page : level.pages) {
       REQUIRE(next < pages.size());
@@ -231,7 +260,7 @@ TEST_CASE("a Gaussian far from a group survives and does not spoil the group") {
     rgs::SplatCloud with = cloud;
     for (std::size_t k = 0; k < 3; ++k) with.mean[3 * at + k] = -1e37F;
     rgs::SplatCloud root;
-    const Page page = build_page(with.view(), wide_leaves(), 0, 4, options, root);
+    const Page page = build_page(with.view(), wide_leaves(), {0, 4, 225}, options, root);
     CHECK(page.count == without.pages.front().count);
     CHECK(page.error == doctest::Approx(without.pages.front().error).epsilon(0.1));
     CHECK(std::count(root.mean.begin(), root.mean.end(), -1e37F) == 3);
@@ -254,7 +283,7 @@ TEST_CASE("a scene far from one of its Gaussians is still simplified") {
     rgs::SplatCloud with = cloud;
     for (std::size_t k = 0; k < 3; ++k) with.mean[3 * at + k] = 0;
     rgs::SplatCloud root;
-    const Page page = build_page(with.view(), wide_leaves(), 0, 4, options, root);
+    const Page page = build_page(with.view(), wide_leaves(), {0, 4, 225}, options, root);
     // Merged Gaussians are larger than the originals.
     const float largest = *std::max_element(with.log_scale.begin(), with.log_scale.end());
     std::uint64_t n_merged = 0;
