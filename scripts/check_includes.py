@@ -35,7 +35,7 @@ BUILDS_ON = {
     "formats": ["format", "math"],
     "lod": ["math"],
     "convert": ["formats", "cameras", "lod"],
-    "inspect": ["formats"],
+    "inspect": ["formats", "lod"],
     "audit": ["inspect", "formats", "runtime"],
     "prune": ["convert", "runtime"],
     "tool": ["formats", "runtime"],

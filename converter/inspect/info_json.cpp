@@ -159,6 +159,23 @@ const char* codec_of_pages(const PagedFile& file) {
   return file.codec() == Codec::none ? "none" : file.codec() == Codec::planes ? "planes" : "archive";
 }
 
+Json json(const LevelsCheck& check, const PagedFile& file) {
+  Json refuted = Json::array();
+  for (const RefutedPage& r : check.refuted) {
+    const lod::Page& page = file.pages()[r.page];
+    refuted.push_back({{"page", r.page},
+                       {"level", page.level},
+                       {"offset", record_offset(file, r.page)},
+                       {"error", number(page.error)},
+                       {"measured_error", number(r.measured)}});
+  }
+  return {{"share", check.share},
+          {"pages", check.n_inner},
+          {"pages_checked", check.n_checked},
+          {"tolerance", number(check.tolerance)},
+          {"refuted", std::move(refuted)}};
+}
+
 Json levels(const InfoReport& report) {
   const PagedFile& file = *report.paged;
   Json array = Json::array();
@@ -172,12 +189,14 @@ Json levels(const InfoReport& report) {
                      {"min_error", number(level.min_error)},
                      {"max_error", number(level.max_error)}});
   }
-  return {
+  Json j = {
       {"n_levels", file.n_levels()},       {"n_pages", file.n_pages()},
       {"pages_present", file.n_present()}, {"complete", file.complete()},
       {"page_chunks", file.page_chunks()}, {"n_gaussians", file.n_stored()},
       {"codec", codec_of_pages(file)},     {"quality_db", file.quality_db() > 0 ? number(file.quality_db()) : Json()},
       {"levels", std::move(array)}};
+  if (report.levels_check) j["check"] = json(*report.levels_check, file);
+  return j;
 }
 
 Json page(const PagedFile& file, std::uint32_t i) {

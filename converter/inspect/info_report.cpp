@@ -259,6 +259,17 @@ Status verify(InfoReport& report) {
                     hashes[static_cast<std::size_t>(damaged - view.sections().data())]);
 }
 
+// Draws pages beside their children; damaged ones are found before.
+Status verify_levels(InfoReport& report, double share) {
+  if (!report.paged) return make_error(Errc::bad_argument, Error::kNone, "the file has no levels of detail");
+  auto check = check_levels(*report.paged, share);
+  if (!check) return tl::unexpected(check.error());
+  report.levels_check = *std::move(check);
+  if (report.levels_check->refuted.empty()) return {};
+  return make_error(Errc::bad_value, record_offset(*report.paged, report.levels_check->refuted.front().page),
+                    "the error stated for a page is smaller than the one measured against its children");
+}
+
 std::vector<LevelReport> level_reports(const PagedFile& file) {
   std::vector<LevelReport> levels(file.n_levels());
   const std::uint32_t n_present = file.n_present();
@@ -328,7 +339,8 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
   }
   if (!report.view) return report;
   if (options.verify) {
-    const Status status = verify(report);
+    Status status = verify(report);
+    if (status && options.levels_share > 0) status = verify_levels(report, options.levels_share);
     report.verified = status.has_value();
     if (!status) failed(status.error());
   }

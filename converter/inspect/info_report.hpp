@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "levels_check.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/paged_file.hpp"
 
@@ -21,6 +22,7 @@ inline constexpr std::uint64_t kStatisticsBytes = 1'000'000'000;
 
 struct InfoOptions {
   bool verify = false;                 ///< check every checksum and every value
+  double levels_share = 0;             ///< and then this share of the pages against their children, see check_levels()
   std::optional<bool> statistics;      ///< read the payload for ranges and histograms; absent: if the file is small
   std::optional<std::uint64_t> chunk;  ///< report this chunk instead of the file
   std::optional<std::uint64_t> page;   ///< or this page of a file with levels of detail
@@ -95,13 +97,15 @@ struct InfoReport {
   std::optional<ValueStatistics> values;
   std::optional<ChunkReport> chunk;
   std::vector<std::uint64_t> hashes;  ///< with verify: of the stored bytes of each section present, else 0
-  bool verified = false;              ///< with verify: the whole file obeys the specification
-  std::optional<Error> error;         ///< the first failure; whatever could be read is filled in
+  bool verified = false;              ///< with verify: the whole file obeys the specification, and no page is refuted
+  std::optional<LevelsCheck> levels_check;
+  std::optional<Error> error;  ///< the first failure; whatever could be read is filled in
 };
 
 /// Whether the file holds the whole section: not always if the end of a file with levels is missing.
 bool is_present(const InfoReport& report, const SectionEntry& section);
-/// Reads what `options` ask for; `bytes` must outlive the report. A chunk or page that does not exist is bad_argument.
+/// Reads what `options` ask for; `bytes` must outlive the report. A chunk or page that does not exist is bad_argument,
+/// and so is levels_share without levels; a page whose error is refuted is bad_value at its record.
 /// A file with levels whose end is missing gives pages_missing, unless another error comes first.
 /// Memory: 16 bytes a chunk; with verify that of validate().
 InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, const InfoOptions& options);

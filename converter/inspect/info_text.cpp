@@ -213,7 +213,26 @@ class TextReport : private TextLines {
            static_cast<double>(level.stored_bytes) / static_cast<double>(level.n_gaussians),
            fmt::format("{:.4g} .. {:.4g}", level.min_error, level.max_error));
     }
+    if (report_.levels_check) levels_check(*report_.levels_check);
     if (file.quality_db() > 0) row("quality", fmt::format("{:.4g} dB from a page's error on", file.quality_db()));
+  }
+
+  void levels_check(const LevelsCheck& check) {
+    line(
+        "  {} of {} pages above the leaves compared with their children: {} with an error of less than 1/{} of the "
+        "measured one",
+        format_count(check.n_checked), format_count(check.n_inner), format_count(check.refuted.size()),
+        check.tolerance);
+    if (check.refuted.empty()) return;
+    constexpr std::size_t kShown = 10;
+    line("  {:<10}{:>10}{:>16}{:>16}{:>16}", "REFUTED", "level", "record at", "error", "measured");
+    for (std::size_t i = 0; i < std::min(kShown, check.refuted.size()); ++i) {
+      const RefutedPage& r = check.refuted[i];
+      const lod::Page& page = report_.paged->pages()[r.page];
+      line("  page {:<5}{:>10}{:>16}{:>16.4g}{:>16.4g}", r.page, page.level,
+           format_count(record_offset(*report_.paged, r.page)), page.error, r.measured);
+    }
+    if (check.refuted.size() > kShown) line("  and {} more", format_count(check.refuted.size() - kShown));
   }
 
   void archive(const ArchiveParameters& p) {

@@ -1,8 +1,10 @@
 // rgs_info.cpp - prints and checks .rgs files.
 // SPDX-License-Identifier: Apache-2.0
 #include <array>
+#include <charconv>
 #include <csignal>
 #include <string>
+#include <string_view>
 
 #include "command_line.hpp"
 #include "console.hpp"
@@ -24,6 +26,15 @@ struct Arguments {
   InfoOptions options;
   bool json = false, ascii = false;
 };
+
+// "10%" or "10": 0.1. Above 0, at most 1.
+Result<double> parse_percentage(std::string_view text) {
+  if (text.ends_with('%')) text.remove_suffix(1);
+  double percent = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), percent);
+  if (error == std::errc() && end == text.data() + text.size() && percent > 0 && percent <= 100) return percent / 100;
+  return make_error(Errc::bad_argument, Error::kNone, "not a percentage above 0, up to 100, such as 10%");
+}
 
 int info(const Arguments& arguments) {
   InfoReport report;
@@ -50,11 +61,16 @@ int info(const Arguments& arguments) {
 int body(int argc, char** argv) {
   Arguments arguments;
   bool stats = false, no_stats = false;
-  std::string chunk, page;
+  std::string chunk, page, levels;
   CLI::App app("Prints what an .rgs file holds and declares, and checks it.", "rgs-info");
   app.set_version_flag("--version", "rgs-info " RGS_VERSION);
   app.add_option("FILE", arguments.path, "an .rgs file; rgs-convert makes one of other formats")->required();
-  app.add_flag("--verify", arguments.options.verify, "check every checksum and every stored value");
+  auto* verify_flag = app.add_flag("--verify", arguments.options.verify, "check every checksum and every stored value");
+  app.add_option(
+         "--levels", levels,
+         "with --verify: also compare N percent of the pages above the leaves, at least one, with their children")
+      ->type_name("N%")
+      ->needs(verify_flag);
   app.add_flag("--json", arguments.json, "one JSON document (schema rgs-info/1, docs/user/INFO_JSON.md)");
   app.add_option("--chunk", chunk, "report chunk N (from 0) instead of the file")->type_name("N");
   app.add_option("--page", page, "report page N (from 0) of a file with levels of detail instead of the file")
@@ -78,6 +94,11 @@ int body(int argc, char** argv) {
   };
   if (const int code = read_index("--chunk", chunk, arguments.options.chunk); code != kSuccess) return code;
   if (const int code = read_index("--page", page, arguments.options.page); code != kSuccess) return code;
+  if (!levels.empty()) {
+    const auto share = parse_percentage(levels);
+    if (!share) return report_usage("--levels: " + describe(share.error()));
+    arguments.options.levels_share = *share;
+  }
   return info(arguments);
 }
 

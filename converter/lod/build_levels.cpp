@@ -17,6 +17,7 @@
 #include "clusters.hpp"
 #include "core_box.hpp"
 #include "gaussians.hpp"
+#include "measure.hpp"
 #include "rgs/math/covariance.hpp"
 
 namespace rgs::lod {
@@ -30,9 +31,6 @@ constexpr float kMostError = 1e30F;
 constexpr double kMostKept = 0.75;  // of a group
 // A run of boxes has a gap where the box around it is longer than kGap times the sum of their lengths.
 constexpr float kGap = 2;
-// World units, and their logarithm. Farther or larger Gaussians are not simplified: costs are fourth powers, and FP32
-// ends at 3.4e38.
-constexpr float kFar = 1e9F, kLogFar = 20.723F;
 // Boxes whose lengths differ by more than this factor do not share a run: floaters.
 constexpr float kUnlike = 12;
 
@@ -132,24 +130,6 @@ void append(SplatCloud& to, const SplatView& from) {
   insert(to.rotation, from.rotation);
   insert(to.opacity_logit, from.opacity_logit);
   insert(to.sh, from.sh);
-}
-
-bool is_far(const SplatView& splats, std::uint64_t i, const float centre[3]) {
-  for (std::size_t k = 0; k < 3; ++k) {
-    const float apart = splats.mean[3 * i + k] - centre[k];
-    if (!(std::abs(apart) <= kFar) || splats.log_scale[3 * i + k] > kLogFar) return true;
-  }
-  return false;
-}
-
-void find_middle(const SplatView& splats, std::uint64_t from, std::uint64_t n, float middle[3]) {
-  std::vector<float> values(n);
-  for (std::size_t k = 0; k < 3; ++k) {
-    for (std::uint64_t i = 0; i < n; ++i) values[i] = splats.mean[3 * (from + i) + k];
-    const auto median = values.begin() + static_cast<std::ptrdiff_t>(n / 2);
-    std::ranges::nth_element(values, median);
-    middle[k] = *median;
-  }
 }
 
 float longest_log_scale(const SplatView& splats, std::uint64_t i) {

@@ -11,6 +11,7 @@ namespace rgs::lod {
 namespace {
 
 constexpr float kMostHalf = 65504;
+constexpr float kLogFar = 20.723F;  // of kFarAway
 
 }  // namespace
 
@@ -70,6 +71,44 @@ void append(const Gaussians& gaussians, const float centre[3], SplatCloud& out) 
       const float value = std::clamp(gaussians.of(kSh + static_cast<int>(k))[i], -kMostHalf, kMostHalf);
       out.sh[n_sh * j + k] = float_from_half(half_from_float(value));
     }
+  }
+}
+
+Gaussians subset(const Gaussians& gaussians, std::span<const std::uint32_t> items) {
+  Gaussians out(items.size(), gaussians.sh_degree());
+  for (int v = 0; v < gaussians.n_values(); ++v) {
+    const float* const from = gaussians.of(v);
+    float* const to = out.of(v);
+    for (std::size_t i = 0; i < items.size(); ++i) to[i] = from[items[i]];
+  }
+  return out;
+}
+
+float extent(const Gaussians& gaussians) {
+  float most = 0;
+  for (int k = 0; k < 3; ++k) {
+    const float* const x = gaussians.of(kMean + k);
+    const auto [low, high] = std::minmax_element(x, x + gaussians.size());
+    most = std::max(most, *high - *low);
+  }
+  return most;
+}
+
+bool is_far(const SplatView& splats, std::uint64_t i, const float centre[3]) {
+  for (std::size_t k = 0; k < 3; ++k) {
+    const float apart = splats.mean[3 * i + k] - centre[k];
+    if (!(std::abs(apart) <= kFarAway) || splats.log_scale[3 * i + k] > kLogFar) return true;
+  }
+  return false;
+}
+
+void find_middle(const SplatView& splats, std::uint64_t from, std::uint64_t n, float middle[3]) {
+  std::vector<float> values(n);
+  for (std::size_t k = 0; k < 3; ++k) {
+    for (std::uint64_t i = 0; i < n; ++i) values[i] = splats.mean[3 * (from + i) + k];
+    const auto median = values.begin() + static_cast<std::ptrdiff_t>(n / 2);
+    std::ranges::nth_element(values, median);
+    middle[k] = *median;
   }
 }
 

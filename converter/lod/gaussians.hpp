@@ -40,4 +40,16 @@ class Gaussians {
 Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3]);
 void append(const Gaussians& gaussians, const float centre[3], SplatCloud& out);
 
+/// Rows `items`, in this order.
+Gaussians subset(const Gaussians& gaussians, std::span<const std::uint32_t> items);
+/// Longest side of the box of the means.
+float extent(const Gaussians& gaussians);
+
+/// World units. Farther or larger Gaussians are not simplified: costs are fourth powers, and FP32 ends at 3.4e38.
+inline constexpr float kFarAway = 1e9F;
+/// Whether Gaussian `i` is farther than kFarAway from `centre` on an axis, or larger.
+bool is_far(const SplatView& splats, std::uint64_t i, const float centre[3]);
+/// Median of the means of Gaussians from .. from + n - 1 on each axis, n > 0.
+void find_middle(const SplatView& splats, std::uint64_t from, std::uint64_t n, float middle[3]);
+
 }  // namespace rgs::lod

@@ -19,14 +19,16 @@ extern "C" std::size_t LLVMFuzzerCustomMutator(std::uint8_t* data, std::size_t s
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   const auto bytes = std::as_bytes(std::span(data, size));
-  rgs::tool::InfoOptions all, one, of_levels;
+  rgs::tool::InfoOptions all, one, of_levels, compared;
   all.verify = true;
   all.statistics = true;
   one.chunk = size % 3;
   of_levels.page = size % 5;
+  compared.verify = true;
+  compared.levels_share = 0.01;
   const auto whole = rgs::tool::inspect("a", bytes, all), chunk = rgs::tool::inspect("a", bytes, one),
-             page = rgs::tool::inspect("a", bytes, of_levels);
-  for (const auto* report : {&whole, &chunk, &page}) {
+             page = rgs::tool::inspect("a", bytes, of_levels), levels = rgs::tool::inspect("a", bytes, compared);
+  for (const auto* report : {&whole, &chunk, &page, &levels}) {
     const std::string text = rgs::tool::info_text(*report, true);  // empty for an error before the first line
     if (rgs::tool::info_json(*report).empty() || (text.empty() && !report->error)) std::abort();
   }

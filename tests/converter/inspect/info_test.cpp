@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
+#include "build_levels.hpp"
 #include "edit_file.hpp"
 #include "golden_levels.hpp"
 #include "rgs/rgs.hpp"
@@ -71,6 +72,39 @@ bool has(const std::string& text, const std::string& part) {
 
 void flip(std::vector<std::byte>& bytes, std::uint64_t at) {
   bytes[at] ^= std::byte{1};
+}
+
+// A file whose levels are built, not just every fourth Gaussian, in small pages.
+std::vector<std::byte> with_levels(Profile profile, lod::Quality quality = lod::Quality::fast) {
+  EncodeOptions options;
+  options.profile = profile;
+  options.chunk_size = 32;
+  SplatCloud leaves = cloud(3000, 1);
+  for (float& x : leaves.log_scale) x += 1;  // neighbours overlap
+  const auto scan = encode(leaves.view(), options);
+  REQUIRE(scan);
+  const auto ordered = decode(*scan);
+  REQUIRE(ordered);
+  const lod::Levels levels =
+      lod::build_levels(ordered->view(), {.quality = quality, .chunk_size = 32, .page_chunks = 6});
+  std::vector<std::byte> bytes;
+  const auto written = write_levels(levels, options, bytes, 1);
+  REQUIRE(written);
+  return bytes;
+}
+
+// Multiplies the errors of all pages; hashes are right again.
+std::vector<std::byte> with_errors_times(std::vector<std::byte> bytes, float factor) {
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  const std::uint64_t records = file->head().find(SectionType::levels)->offset + 64;
+  const std::uint32_t n = file->n_pages();
+  for (std::uint64_t i = 0; i < n; ++i) {
+    const std::uint64_t at = records + 112 * i + 36;
+    test::put(std::span(bytes), at, factor * test::get<float>(std::span(bytes), at));
+  }
+  test::fix_hashes(bytes);
+  return bytes;
 }
 
 }  // namespace
@@ -491,4 +525,83 @@ TEST_CASE("a missing end of a file with levels is a warning with its own exit co
   // Not even the root.
   part.resize(file->stored(0).offset + 10);
   CHECK(f.run(f.write(part)).exit_code == 4);
+}
+
+TEST_CASE("pages are compared with their children on request, and false errors refused") {
+  Fixture f;
+  for (const Profile profile : {Profile::packed, Profile::direct, Profile::archive}) {
+    CAPTURE(static_cast<int>(profile));
+    const std::vector<std::byte> bytes = with_levels(profile);
+    const std::string path = f.write(bytes);
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    const auto n_inner = static_cast<std::uint32_t>(
+        std::ranges::count_if(file->pages(), [](const lod::Page& page) { return page.n_children != 0; }));
+    REQUIRE(n_inner > 3);
+
+    // As built, nothing is refuted.
+    const nlohmann::json all = f.json(path + " --verify --levels 100%");
+    CHECK(all["verified"] == true);
+    CHECK(all["levels"]["check"]["share"] == 1);
+    CHECK(all["levels"]["check"]["pages"] == n_inner);
+    CHECK(all["levels"]["check"]["pages_checked"] == n_inner);
+    CHECK(all["levels"]["check"]["refuted"].empty());
+    CHECK(f.json(path + " --verify --levels 10%")["levels"]["check"]["pages_checked"] == (n_inner + 9) / 10);
+    CHECK(f.json(path + " --verify --levels 0.001")["levels"]["check"]["pages_checked"] == 1);
+    CHECK_FALSE(f.json(path + " --verify")["levels"].contains("check"));
+    CHECK(has(f.run(path + " --verify --levels 100% --ascii").out, "pages above the leaves compared with"));
+
+    // Every page is caught, so any share is enough.
+    const std::string lie = f.write(with_errors_times(bytes, 1e-6F), "lie.rgs");
+    CHECK(f.json(lie + " --verify")["verified"] == true);
+    const nlohmann::json refused = f.json(lie + " --verify --levels 100%", 4);
+    CHECK(refused["verified"] == false);
+    CHECK(refused["error"]["code"] == "bad_value");
+    CHECK(refused["levels"]["check"]["refuted"].size() == n_inner);
+    const std::uint64_t records = file->head().find(SectionType::levels)->offset + 64;
+    for (const auto& page : refused["levels"]["check"]["refuted"]) {
+      const auto i = page["page"].get<std::uint32_t>();
+      CHECK(page["level"] == file->pages()[i].level);
+      CHECK(page["offset"] == records + 112 * i);
+      CHECK(page["error"].get<float>() == 1e-6F * file->pages()[i].error);
+      CHECK(page["measured_error"].get<float>() > 0.05F * file->pages()[i].error);
+    }
+    CHECK(refused["error"]["offset"] == refused["levels"]["check"]["refuted"][0]["offset"]);
+    const ProgramResult text = f.run(lie + " --verify --levels 10% --ascii");
+    CHECK(text.exit_code == 4);
+    CHECK(has(text.err, "the error stated for a page is smaller than"));
+    CHECK(has(text.out, "REFUTED"));
+    CHECK_FALSE(has(text.out, "verified: every"));
+    CHECK(f.run(lie + " --verify --levels 10% --ascii").out == text.out);  // the same pages
+    if (profile == Profile::archive) continue;  // its losses hide less than a factor of 1,000
+    const std::string small = f.write(with_errors_times(bytes, 0.1F), "small.rgs");
+    CHECK(f.json(small + " --verify --levels 100%", 4)["levels"]["check"]["refuted"].size() >= 1);
+  }
+}
+
+TEST_CASE("pages of a file whose end is missing are compared as far as their children are there") {
+  Fixture f;
+  const std::vector<std::byte> bytes = with_levels(Profile::packed);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  const lod::Page& second = file->pages()[1];
+  const std::uint64_t size = file->stored(second.first_child + second.n_children).offset;
+  const auto part = [size](const std::vector<std::byte>& whole) {
+    return std::vector<std::byte>(whole.begin(), whole.begin() + static_cast<std::ptrdiff_t>(size));
+  };
+  CHECK(f.json(f.write(part(bytes)) + " --verify --levels 100%", 6)["levels"]["check"]["pages_checked"] == 2);
+  const std::string lie = f.write(part(with_errors_times(bytes, 1e-6F)));
+  CHECK(f.json(lie + " --verify --levels 100%", 4)["levels"]["check"]["refuted"].size() == 2);
+}
+
+TEST_CASE_FIXTURE(Fixture, "--levels takes a percentage, --verify, and a file with levels") {
+  const std::string path = write(with_levels(Profile::packed));
+  CHECK(run(path + " --levels 10%").exit_code == 2);
+  for (const char* percentage : {"0%", "-1%", "101%", "ten", "%", "10%%", "nan", "''"}) {
+    CAPTURE(percentage);
+    CHECK(run(path + " --verify --levels " + percentage).exit_code == 2);
+  }
+  const ProgramResult without = run(write(encoded(10, 0)) + " --verify --levels 10%");
+  CHECK(without.exit_code == 2);
+  CHECK(has(without.err, "no levels of detail"));
 }
