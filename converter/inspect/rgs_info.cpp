@@ -81,7 +81,8 @@ int body(int argc, char** argv) {
   add_max_expansion(app, arguments.options.limits);
   app.add_flag("--ascii", arguments.ascii, "print ASCII characters only");
   app.footer(
-      "Exit codes: 0 fine, 1 internal, 2 usage, 3 input/output, 4 malformed or damaged file, 6 the end of a "
+      "Exit codes: 0 fine, 1 internal, 2 usage, 3 input/output, 4 malformed or damaged file or false errors of pages, "
+      "6 the end of a "
       "file with levels of detail is missing (the rest is the whole scene, in less detail).");
   if (const auto code = parse(app, argc, argv)) return *code;
   if (stats || no_stats) arguments.options.statistics = stats;
