@@ -439,6 +439,11 @@ Status build_upper(const EncodeOptions& encode, const StreamOptions& options, St
     std::vector<std::uint32_t> stretches;
     out.pages.assign(1, cut_leaf_pages(out.chunks, out.n_leaves, build_options(encode, options), stretches));
     out.chunks = std::vector<ChunkBoxes>();
+    if (std::vector<Page>& leaves = out.pages.front(); leaves.size() == 1) {
+      SplatCloud splats;
+      if (Status s = out.rows.front().read(0, out.n_leaves, splats); !s) return s;
+      leaves[0].core = core_of(splats.view(), 0, out.n_leaves);
+    }
     options.begin("levels", out.n_leaves + out.n_leaves / 3, "Gaussians");
     return build_above(encode, options, std::move(stretches), out, last);
   });
@@ -451,7 +456,7 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
     const int sh_degree = out.rows.back().sh_degree();
     const std::uint64_t at_once = most_at_once(options, kGroupBytes), batch = 32 * at_once;
     std::vector<SplatCloud> parts(batch);
-    for (;;) {
+    while (out.pages.back().size() > 1 && out.pages.back().front().level < last) {
       std::vector<Page>& below = out.pages.back();
       const LevelRows& from = out.rows.back();
       std::vector<MergeCosts> costs(below.size());
@@ -463,7 +468,6 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
         return {};
       });
       if (!looked) return looked;
-      if (below.size() == 1 || below.front().level >= last) return {};
       const std::vector<Group> groups = group_stretches(below, costs, stretches, build);
       const std::uint64_t n_groups = groups.size();
       std::vector<Page> pages(n_groups);
@@ -498,6 +502,7 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
       out.rows.push_back(std::move(to));
       out.pages.push_back(std::move(pages));
     }
+    return {};
   });
 }
 
