@@ -13,7 +13,7 @@ from . import _roofgs
 from ._arrays import DeviceOutput, device_output, float_array, output_array
 from ._errors import argument_error
 from ._roofgs import Camera
-from ._scene import Scene, StreamedScene
+from ._scene import Scene, StreamedScene, _count_or_none
 
 Cameras = Union[Camera, Iterable[Camera]]
 AnyScene = Union[Scene, StreamedScene]
@@ -96,34 +96,38 @@ class Renderer:
                alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: Literal[False] = ...,
                background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
-               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> "NDArray[Any]": ...
+               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...,
+               max_gaussians: Optional[int] = ...) -> "NDArray[Any]": ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
                alpha: Literal[True], depth: bool = ..., on_device: bool = ...,
                background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
-               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
+               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...,
+               max_gaussians: Optional[int] = ...) -> Frame: ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
                alpha: bool = ..., depth: Literal[True], on_device: bool = ...,
                background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
-               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
+               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...,
+               max_gaussians: Optional[int] = ...) -> Frame: ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
                alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: bool = ...,
                background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
-               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Any: ...
+               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...,
+               max_gaussians: Optional[int] = ...) -> Any: ...
 
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = None, dtype: Any = None, alpha: bool = False,
                depth: bool = False, on_device: bool = False, background: Colour = (0.0, 0.0, 0.0),
                near_plane: Optional[float] = None, far_plane: Optional[float] = None, sh_degree: int = 3,
                low_pass: Optional[float] = None, anti_aliasing: Optional[str] = None,
-               detail: Optional[float] = None) -> Any:
+               detail: Optional[float] = None, max_gaussians: Optional[int] = None) -> Any:
         """Draws a picture, or one for each of several cameras of one picture size.
 
         Parameters
@@ -151,6 +155,9 @@ class Renderer:
         detail : float, optional
             For scenes with levels of detail: the largest projected error of drawn pages, in pixels [1]; 0 draws all
             Gaussians.
+        max_gaussians : int, optional
+            For scenes with levels of detail: the finest detail, from `detail` on, is taken that draws no more Gaussians in
+            all directions; the coarsest page is always drawn. ``stats`` has it as ``detail_px``.
 
         Outputs in GPU memory are written after the work queued on torch's current stream (or the stream that the array names),
         and are complete on return. The GIL is released. Ctrl-C takes effect between two pictures of a call, on "cuda" between 64.
@@ -163,7 +170,8 @@ class Renderer:
         cameras: List[Camera] = [camera] if isinstance(camera, Camera) else list(camera)
         given, outputs, stream = _outputs(out, alpha or depth, on_device)
         eight_bit = _is_eight_bit(dtype, outputs[0])
-        options = self._options_of(background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
+        options = self._options_of(background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail,
+                                   max_gaussians)
         made: Tuple[Any, Any, Any]
         if stream is None:
             made = self._native.render(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth, options)
@@ -177,11 +185,11 @@ class Renderer:
         return Frame(image, alphas, depths) if alpha or depth else image
 
     def refine(self, scene: StreamedScene, camera: Camera, seconds: float = 60.0, *,
-               detail: Optional[float] = None) -> bool:
+               detail: Optional[float] = None, max_gaussians: Optional[int] = None) -> bool:
         """Waits until every page that this view of a streamed scene wants is resident. :meth:`render` then draws the picture of
         the whole file. False: time ran out, or the budget has no room for the rest. Ctrl-C ends it."""
         _check_scene(scene)
-        options = self._options_of((0.0, 0.0, 0.0), None, None, 3, None, None, detail)
+        options = self._options_of((0.0, 0.0, 0.0), None, None, 3, None, None, detail, max_gaussians)
         return self._native.refine(scene._native, camera, float(seconds), options)
 
     def prepare(self, scene: Scene) -> None:
@@ -191,10 +199,12 @@ class Renderer:
 
     def _options_of(self, background: Colour, near_plane: Optional[float],
                     far_plane: Optional[float], sh_degree: int, low_pass: Optional[float],
-                    anti_aliasing: Optional[str], detail: Optional[float]) -> _roofgs.RenderOptions:
+                    anti_aliasing: Optional[str], detail: Optional[float],
+                    max_gaussians: Optional[int]) -> _roofgs.RenderOptions:
         red, green, blue = float_array(background, "background", (3,)).tolist()
         sh_degree = operator.index(sh_degree)  # 3.0 == 3 would be accepted
-        key = (red, green, blue, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
+        max_gaussians = _count_or_none(max_gaussians, "max_gaussians")
+        key = (red, green, blue, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail, max_gaussians)
         known = self._options.get(key)
         if known is not None:
             return known
@@ -204,7 +214,7 @@ class Renderer:
             raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
         options = _roofgs.RenderOptions((red, green, blue), near_plane,
                                         0.0 if far_plane is None else float(far_plane), sh_degree, low_pass,
-                                        anti_aliasing, detail, self._pipeline)
+                                        anti_aliasing, detail, max_gaussians, self._pipeline)
         if len(self._options) > 64:  # a caller may change the background every time
             self._options.clear()
         self._options[key] = options

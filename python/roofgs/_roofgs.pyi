@@ -49,7 +49,7 @@ class DeviceArray:
 class RenderOptions:
     def __init__(self, background: _Vector, near_plane: Optional[float], far_plane: float, sh_degree: int,
                  low_pass: Optional[float], anti_aliasing: Optional[str], detail: Optional[float],
-                 pipeline: str) -> None: ...
+                 max_gaussians: Optional[int], pipeline: str) -> None: ...
 
 class Scene:
     @staticmethod

@@ -489,7 +489,7 @@ def _html(scene: Union[Scene, StreamedScene], facts: str) -> str:
         low, high = scene.bounds
         view = _roofgs.orbit(low, high, 1, scene.up, 480, 270, 60.0)
         on_device = isinstance(scene, StreamedScene) and scene.pool.device_memory > 0
-        options = _roofgs.RenderOptions((0.0, 0.0, 0.0), None, 0.0, 3, None, None, None, "automatic")
+        options = _roofgs.RenderOptions((0.0, 0.0, 0.0), None, 0.0, 3, None, None, None, None, "automatic")
         image = _roofgs.Renderer("cuda" if on_device else "cpu", 0).render(scene._native, view, False, None, None, None, True,
                                                                            False, False, options)[0]
         picture = f'<img alt="" width="480" height="270" src="data:image/png;base64,{base64.b64encode(png(image)).decode()}">'

@@ -263,11 +263,12 @@ class PyRenderer {
     }
     py::list list;
     for (const FrameStats& s : all) {
-      list.append(py::dict(
-          "total_ms"_a = s.total_ms, "project_ms"_a = s.project_ms, "sort_ms"_a = s.sort_ms, "bin_ms"_a = s.bin_ms,
-          "blend_ms"_a = s.blend_ms, "gaussians"_a = s.gaussians, "pages"_a = s.pages, "visible"_a = s.visible,
-          "instances"_a = s.instances, "evaluated"_a = s.evaluated, "blended"_a = s.blended, "bytes"_a = s.bytes,
-          "pages_missing"_a = s.stream.pages_missing, "detail_reached_px"_a = s.stream.detail_reached_px));
+      list.append(py::dict("total_ms"_a = s.total_ms, "project_ms"_a = s.project_ms, "sort_ms"_a = s.sort_ms,
+                           "bin_ms"_a = s.bin_ms, "blend_ms"_a = s.blend_ms, "gaussians"_a = s.gaussians,
+                           "pages"_a = s.pages, "detail_px"_a = s.detail_px, "visible"_a = s.visible,
+                           "instances"_a = s.instances, "evaluated"_a = s.evaluated, "blended"_a = s.blended,
+                           "bytes"_a = s.bytes, "pages_missing"_a = s.stream.pages_missing,
+                           "detail_reached_px"_a = s.stream.detail_reached_px));
     }
     return list;
   }
@@ -309,7 +310,8 @@ class PyRenderer {
 
 RenderOptions options_of(const std::array<float, 3>& background, std::optional<float> near_plane, float far_plane,
                          int sh_degree, std::optional<float> low_pass, const std::optional<std::string>& anti_aliasing,
-                         std::optional<float> detail, const std::string& pipeline) {
+                         std::optional<float> detail, std::optional<std::uint64_t> max_gaussians,
+                         const std::string& pipeline) {
   RenderOptions options;
   options.background = background;
   options.near_plane = near_plane.value_or(options.near_plane);
@@ -320,6 +322,7 @@ RenderOptions options_of(const std::array<float, 3>& background, std::optional<f
     options.anti_aliasing = *anti_aliasing == "mip" ? math::AntiAliasing::mip_splatting : math::AntiAliasing::classic;
   }
   options.detail_px = detail;
+  options.max_gaussians = max_gaussians;
   options.pipeline = pipeline == "baseline" ? Pipeline::baseline
                      : pipeline == "paper"  ? Pipeline::paper
                      : pipeline == "turbo"  ? Pipeline::turbo
@@ -332,7 +335,7 @@ RenderOptions options_of(const std::array<float, 3>& background, std::optional<f
 void bind_render(py::module_& module) {
   py::class_<RenderOptions>(module, "RenderOptions")
       .def(py::init(&options_of), "background"_a, "near_plane"_a, "far_plane"_a, "sh_degree"_a, "low_pass"_a,
-           "anti_aliasing"_a, "detail"_a, "pipeline"_a);
+           "anti_aliasing"_a, "detail"_a, "max_gaussians"_a, "pipeline"_a);
   py::class_<PyRenderer>(module, "Renderer")
       .def(py::init<const std::string&, int>(), "device"_a, "threads"_a)
       .def_property_readonly("device", &PyRenderer::device)

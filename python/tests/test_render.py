@@ -103,7 +103,7 @@ def test_background_planes_and_degrees(renderer):
 @pytest.mark.parametrize("options", [dict(background=(np.nan, 0, 0)), dict(near_plane=np.nan), dict(far_plane=np.nan),
                                      dict(near_plane=-1.0), dict(low_pass=np.nan), dict(low_pass=-1.0),
                                      dict(anti_aliasing="no"), dict(sh_degree=4), dict(detail=np.nan),
-                                     dict(detail=-1.0), dict(dtype="float64")])
+                                     dict(detail=-1.0), dict(max_gaussians=-1), dict(dtype="float64")])
 def test_options_that_nothing_can_mean(options, scene, camera, renderer):
     with pytest.raises(roofgs.ArgumentError):
         renderer.render(scene, camera, **options)
@@ -314,6 +314,10 @@ def test_detail(examples, renderer):
         renderer.render(levels, far, detail=detail)
         drawn.append(renderer.stats[0]["gaussians"])
     assert drawn[0] == 2000 and drawn == sorted(drawn, reverse=True) and drawn[-1] < 1000
+    renderer.render(levels, far, detail=0.5, max_gaussians=drawn[2])
+    assert renderer.stats[0]["gaussians"] <= drawn[2] and 0.5 < renderer.stats[0]["detail_px"] <= 4.8
+    renderer.render(levels, far, detail=0.5, max_gaussians=drawn[1])
+    assert renderer.stats[0]["gaussians"] == drawn[1] and renderer.stats[0]["detail_px"] == 0.5
     # Order in the file breaks no ties here, so that both files give one picture.
     np.testing.assert_allclose(renderer.render(levels, far, detail=0), renderer.render(whole, far), atol=1e-5)
 

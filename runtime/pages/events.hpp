@@ -28,7 +28,8 @@ struct Look {
   math::View<float> view{};  ///< the same camera, for what it can see; ViewVolume
   float low_pass = 0;        ///< of the picture, px^2
   float detail_px = 0;
-  std::uint64_t most_gaussians = kNoLimit;  ///< that a frame draws; but always the root
+  /// Of the cut, in and out of view: it is coarser than detail_px if that has more (lod::finest_detail()).
+  std::uint64_t most_gaussians = kNoLimit;
 };
 
 /// What a view draws of the resident pages.
@@ -41,6 +42,9 @@ struct Cut {
   std::uint64_t in_flight = 0;  ///< groups that the view wants
   std::uint64_t wanted = 0;     ///< the same, with those that can be requested
   double reached_px = 0;        ///< largest projected error
+  float detail_px = 0;          ///< at which it was drawn: the look's, or coarser where that does not fit
+  /// With Look::most_gaussians: of the cut of known pages that they allow, in and out of view.
+  std::uint64_t allowed_gaussians = 0;
 };
 
 namespace event {

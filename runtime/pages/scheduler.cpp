@@ -15,8 +15,6 @@ constexpr double kAheadSeconds = 0.5;                          // of the camera'
 constexpr Time kMotionLasts = std::chrono::milliseconds(500);  // frames farther apart say nothing of motion
 /// Prefetch runs every sixth frame, because it costs as much as choosing the pages.
 constexpr int kPrefetchFrames = 6;
-/// A step of the detail where a view does not fit; a fifth fewer to a third fewer Gaussians.
-constexpr float kCoarser = 1.2F, kFirstCoarser = 0.25F;
 constexpr std::size_t kMostActions = 1024;  // of a step
 
 bool is_same(const Eye& a, const Eye& b) {
@@ -174,7 +172,7 @@ void Scheduler::on(const event::Looks& looks) {
   view.asked_px = eye.detail_px;
   // Near what fitted last.
   if (view.has_looked && view.most_gaussians != kNoLimit)
-    eye.detail_px = std::max(eye.detail_px, view.now.detail_px / kCoarser);
+    eye.detail_px = std::max(eye.detail_px, view.now.detail_px / lod::kDetailStep);
   view.now = eye;
   view.seen = now_;
   view.has_looked = true;
@@ -237,6 +235,14 @@ bool Scheduler::cut(ViewId id, bool fills_list) {
   View& view = views_[id];
   Scene& scene = scene_of(view);
   const bool has_list = fills_list && !view.list.empty();
+  lod::DetailChoice allowed{.detail_px = view.asked_px};
+  if (view.look.most_gaussians != kNoLimit) {
+    const std::vector<lod::Page>& pages = *scene.setup.pages;
+    allowed = lod::finest_detail_of(
+        pages, view.look.eye, view.asked_px, view.look.most_gaussians,
+        [&](std::uint32_t page) { return pages[page].n_children > 0 && scene.residency->is_known(page); });
+    view.now.detail_px = std::max(view.now.detail_px, allowed.detail_px);
+  }
   for (;;) {
     ++tick_;
     view.wants.clear(scene.generation);
@@ -266,7 +272,9 @@ bool Scheduler::cut(ViewId id, bool fills_list) {
       if (n_failures > 0) ++view.n_failed;
       if (n_failures >= kLastingFailures && failed_at(scene, group) >= view.waits_since) ++view.n_lasting;
     };
-    view.cut = scene.residency->cut(view.now, tick_, draw, want, view.asked_px);
+    view.cut = scene.residency->cut(view.now, tick_, draw, want, allowed.detail_px);
+    view.cut.detail_px = view.now.detail_px;
+    view.cut.allowed_gaussians = allowed.gaussians;
     if (view.cut.fits) {
       view.wants.order();
       view.n_in_flight = view.cut.in_flight;
@@ -279,7 +287,7 @@ bool Scheduler::cut(ViewId id, bool fills_list) {
       actions_.emplace_back(action::Grow{id});
       return false;
     }
-    view.now.detail_px = std::max(kCoarser * view.now.detail_px, kFirstCoarser);
+    view.now.detail_px = lod::coarser(view.now.detail_px);
   }
 }
 

@@ -36,10 +36,14 @@ Result<float> detail::drawn_detail(const RenderOptions& options, bool has_levels
   if (!(detail >= 0 && std::isfinite(detail))) {
     return make_error(Errc::bad_argument, Error::kNone, "the detail is negative or not finite");
   }
+  if (options.frame_ms && !(*options.frame_ms > 0)) {
+    return make_error(Errc::bad_argument, Error::kNone, "the time of a frame is not above 0");
+  }
   if (!has_levels) return 0.0F;
-  if (detail > 0 && options.pipeline == Pipeline::baseline) {
-    return make_error(Errc::bad_argument, Error::kNone,
-                      "baseline draws the leaves alone: set detail 0 or another pipeline");
+  if ((detail > 0 || options.max_gaussians || options.frame_ms) && options.pipeline == Pipeline::baseline) {
+    return make_error(
+        Errc::bad_argument, Error::kNone,
+        "baseline draws the leaves alone: set detail 0 without a limit of Gaussians or time, or another pipeline");
   }
   return detail;
 }
@@ -66,6 +70,14 @@ lod::Eye detail::eye_of(const Camera& camera, const Origin& origin, float z_near
   eye.focal_px = std::max(camera.fx, camera.fy);
   eye.z_near = static_cast<double>(z_near);
   return eye;
+}
+
+float detail::chosen_detail(const Scene& scene, const Camera& camera, const RenderOptions& options) {
+  const PagedFile* const file = scene.levels();
+  if (file == nullptr || !options.max_gaussians) return *options.detail_px;
+  const lod::Eye eye = eye_of(camera, scene.origin(), scene.declarations()->z_near);
+  return lod::finest_detail(file->pages(), eye, *options.detail_px, *options.max_gaussians, file->n_present())
+      .detail_px;
 }
 
 Result<std::vector<std::uint32_t>> drawn_pages(const Scene& scene, const Camera& camera, float detail_px) {

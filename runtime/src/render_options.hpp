@@ -55,6 +55,8 @@ Result<float> drawn_detail(const RenderOptions& options, bool has_levels);
 /// `options` for drawing levels at this detail: above 0 with the anti-aliasing for which levels were fitted, unless
 /// they name another.
 RenderOptions with_levels(RenderOptions options, float detail_px);
+/// The detail at which the host draws a scene that is not streamed: options.detail_px, or coarser for max_gaussians.
+float chosen_detail(const Scene& scene, const Camera& camera, const RenderOptions& options);
 /// The camera for the choice of pages. `z_near`: as the scene declares.
 lod::Eye eye_of(const Camera& camera, const Origin& origin, float z_near);
 

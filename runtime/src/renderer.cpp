@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <optional>
 #include <string>
 #include <utility>
@@ -11,6 +12,7 @@
 
 #include "cpu/reference_renderer.hpp"
 #include "cuda/cuda_backend.hpp"
+#include "frame_budget.hpp"
 #include "render_options.hpp"
 #include "rgs/guard_memory.hpp"
 #include "stream/streamed_state.hpp"
@@ -31,6 +33,14 @@ struct Renderer::Impl {
   std::optional<detail::CudaBackend> cuda;
   std::string name;
   std::vector<float> scratch;  // for a picture whose codes alone are wanted
+  detail::FrameBudget budget;  // of RenderOptions::frame_ms
+  std::uint64_t n_cut = 0;     // Gaussians of the last frame's cut, in and out of view; 0 without levels
+
+  RenderOptions within_time(RenderOptions options) const {
+    if (options.frame_ms)
+      options.max_gaussians = std::min(options.max_gaussians.value_or(pages::kNoLimit), budget.max_gaussians());
+    return options;
+  }
 
   // Identifies this renderer's view of streamed scenes.
   std::uint64_t identity = next_identity();
@@ -44,7 +54,8 @@ struct Renderer::Impl {
   Result<std::vector<FrameStats>> render_on_device(const Scene& scene, std::span<const Camera> cameras,
                                                    const PictureArrays& pictures, const RenderOptions& options);
   Result<detail::StreamRule> rule_of(const Scene& scene, const Camera& camera, const RenderOptions& options) const;
-  std::uint64_t n_missing(const Scene& scene, const Camera& camera, const RenderOptions& options) const;
+  std::uint64_t n_missing(const Scene& scene, const Camera& camera, const RenderOptions& options,
+                          float detail_px) const;
   static std::uint64_t next_identity() {
     static std::atomic<std::uint64_t> last{0};
     return ++last;
@@ -84,6 +95,16 @@ Status Renderer::prepare(const Scene& scene) {
 
 Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                     const RenderOptions& options) {
+  if (!options.frame_ms) return draw(scene, camera, target, options);
+  const auto begin = std::chrono::steady_clock::now();
+  auto stats = draw(scene, camera, target, impl_->within_time(options));
+  const std::chrono::duration<double, std::milli> took = std::chrono::steady_clock::now() - begin;
+  if (stats && impl_->n_cut > 0) impl_->budget.drew(took.count(), *options.frame_ms, impl_->n_cut);
+  return stats;
+}
+
+Result<FrameStats> Renderer::draw(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                                  const RenderOptions& options) {
   if (scene.is_streamed()) return render_streamed(scene, camera, target, options);
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
   RenderOptions drawn = options;
@@ -91,12 +112,15 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
   const auto detail = drawn_detail(drawn, scene);
   if (!detail) return tl::unexpected(detail.error());
   drawn = detail::with_levels(drawn, *detail);
-  if (*detail > 0 && !target.contributions.empty()) {
-    return make_error(Errc::bad_argument, Error::kNone, "contributions are counted for the leaves alone: set detail 0");
+  if ((*detail > 0 || (drawn.max_gaussians && scene.levels() != nullptr)) && !target.contributions.empty()) {
+    return make_error(Errc::bad_argument, Error::kNone,
+                      "contributions are counted for the leaves alone: set detail 0 without a limit of Gaussians");
   }
   return detail::guard_memory([&]() -> Result<FrameStats> {
     auto stats = impl_->render(scene, camera, target, drawn);
-    if (stats) stats->stream.pages_missing = impl_->n_missing(scene, camera, drawn);
+    if (!stats) return stats;
+    impl_->n_cut = scene.levels() != nullptr ? stats->gaussians : 0;
+    stats->stream.pages_missing = impl_->n_missing(scene, camera, drawn, stats->detail_px);
     return stats;
   });
 }
@@ -127,7 +151,7 @@ Result<std::vector<FrameStats>> Renderer::Impl::render_on_device(const Scene& sc
                                                                  const RenderOptions& options) {
   const auto detail = drawn_detail(options, scene);
   if (!detail) return tl::unexpected(detail.error());
-  const RenderOptions drawn = detail::with_levels(options, *detail);
+  const RenderOptions drawn = detail::with_levels(within_time(options), *detail);
   const auto settings = detail::resolve(drawn, scene.declarations(), Backend::cuda);
   if (!settings) return tl::unexpected(settings.error());
   auto stats = cuda->render_all(scene, cameras, pictures, with_declarations(drawn, scene.declarations()));
@@ -135,7 +159,7 @@ Result<std::vector<FrameStats>> Renderer::Impl::render_on_device(const Scene& sc
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     FrameStats& s = (*stats)[i];
     s.depth_resolution = detail::depth_resolution(*settings, s.depth_bits, cameras[i], scene.declarations());
-    s.stream.pages_missing = n_missing(scene, cameras[i], drawn);
+    s.stream.pages_missing = n_missing(scene, cameras[i], drawn, s.detail_px);
   }
   return stats;
 }
@@ -195,7 +219,8 @@ Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& came
 
 Result<FrameStats> Renderer::Impl::draw_on_cpu(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                                const RenderOptions& options, const detail::FrameSettings& settings) {
-  const bool is_cut = *options.detail_px > 0;
+  const float detail_px = detail::chosen_detail(scene, camera, options);
+  const bool is_cut = detail_px > 0;
   const auto gaussians = is_cut ? scene.all_pages() : scene.view();
   if (!gaussians) return tl::unexpected(gaussians.error());
   std::vector<detail::ScenePart> parts;
@@ -205,7 +230,7 @@ Result<FrameStats> Renderer::Impl::draw_on_cpu(const Scene& scene, const Camera&
     n += count;
   };
   if (is_cut) {
-    const auto cut = drawn_pages(scene, camera, *options.detail_px);
+    const auto cut = drawn_pages(scene, camera, detail_px);
     if (!cut) return tl::unexpected(cut.error());
     parts.reserve(cut->size());
     for (const std::uint32_t page : *cut) add(scene.levels()->pages()[page].first, scene.levels()->pages()[page].count);
@@ -214,18 +239,18 @@ Result<FrameStats> Renderer::Impl::draw_on_cpu(const Scene& scene, const Camera&
   }
   if (n >= kMaxDrawn) return too_many(n);
   auto stats = reference->render({scene.sh_degree(), scene.origin(), parts}, camera, target, settings);
-  if (stats && is_cut) stats->pages = parts.size();
+  if (stats && is_cut) stats->pages = parts.size(), stats->detail_px = detail_px;
   return stats;
 }
 
-// Pages that the view wants and the file's missing end would hold: as a streamed scene counts them.
-std::uint64_t Renderer::Impl::n_missing(const Scene& scene, const Camera& camera, const RenderOptions& options) const {
+// Pages that the view wants at this detail and the file's missing end would hold: as a streamed scene counts them.
+std::uint64_t Renderer::Impl::n_missing(const Scene& scene, const Camera& camera, const RenderOptions& options,
+                                        float detail_px) const {
   const PagedFile* const file = scene.levels();
   if (file == nullptr || file->n_present() == file->n_pages()) return 0;
   const auto settings = detail::resolve(options, scene.declarations(), cuda ? Backend::cuda : Backend::cpu);
   if (!settings) return 0;  // drawing refuses them
-  const auto look =
-      detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, *options.detail_px}.look(camera);
+  const auto look = detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, detail_px}.look(camera);
   const pages::ViewVolume volume(look.view, look.low_pass);
   const auto wanted = lod::drawn_pages(file->pages(), look.eye, look.detail_px);
   return static_cast<std::uint64_t>(std::ranges::count_if(wanted, [&](std::uint32_t page) {
@@ -254,7 +279,8 @@ Result<detail::StreamRule> Renderer::Impl::rule_of(const Scene& scene, const Cam
   const auto settings =
       detail::resolve(detail::with_levels(options, *detail), scene.declarations(), cuda ? Backend::cuda : Backend::cpu);
   if (!settings) return tl::unexpected(settings.error());
-  return detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, *detail};
+  return detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, *detail,
+                            options.max_gaussians.value_or(pages::kNoLimit)};
 }
 
 Result<FrameStats> Renderer::Impl::render(const detail::StreamFrame& frame, const Scene& scene, const Camera& camera,
@@ -296,6 +322,8 @@ Result<FrameStats> Renderer::render_streamed(const Scene& scene, const Camera& c
       }
       if (!stats) return stats;
       stats->pages = frame->n_pages();
+      stats->detail_px = frame->cut().detail_px;
+      impl_->n_cut = frame->cut().allowed_gaussians;
       stats->stream = frame->stats();
       stats->depth_resolution =
           detail::depth_resolution(rule->settings, stats->depth_bits, camera, scene.declarations());
@@ -306,7 +334,7 @@ Result<FrameStats> Renderer::render_streamed(const Scene& scene, const Camera& c
 
 Result<bool> Renderer::refine(const Scene& scene, const Camera& camera, double seconds, const RenderOptions& options) {
   if (!scene.is_streamed()) return true;
-  const auto rule = impl_->rule_of(scene, camera, options);
+  const auto rule = impl_->rule_of(scene, camera, impl_->within_time(options));
   if (!rule) return tl::unexpected(rule.error());
   return detail::guard_memory(
       [&] { return detail::refine_view(*scene.streamed(), impl_->identity, camera, *rule, seconds); });

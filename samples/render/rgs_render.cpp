@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <deque>
 #include <filesystem>
 #include <future>
 #include <map>
@@ -66,12 +67,14 @@ struct Shot {
 struct Frame {
   const Shot* shot;
   rgs::FrameStats stats;
+  double draw_ms = 0;  // in the renderer, with copies to the host
   // Streamed scenes, ms: waited for pages; due and actual begin after the first frame.
   double wait_ms = 0, due_ms = 0, begin_ms = 0;
-  float detail_px = 0;  // in real time: as asked, or lowered
 };
 
 constexpr double kDefaultWait = 60;  // seconds a frame
+constexpr int kWarmUps = 3;          // frames
+constexpr std::size_t kWaitingBytes = 512 << 20;
 
 bool is_streamed(const Options& options) {
   return options.host_memory || options.device_memory || rgs::is_url(options.scene);
@@ -201,8 +204,9 @@ struct Picture {
   rgs::Image colour, depth;
 };
 
-rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const rgs::Scene& scene, const Shot& shot,
-                                 const rgs::RenderOptions& options, bool with_alpha, rgs::FrameStats& stats) {
+rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const rgs::Scene& scene, const rgs::RenderOptions& options,
+                                 bool with_alpha, Frame& frame) {
+  const Shot& shot = *frame.shot;
   Picture picture;
   const int width = shot.camera.width, height = shot.camera.height;
   picture.colour = rgs::Image::make(width, height, 3);
@@ -217,9 +221,11 @@ rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const rgs::Scene& scen
     picture.depth = rgs::Image::make(width, height, 1);
     target.depth = picture.depth.pixels;
   }
+  const auto begin = Clock::now();
   const auto rendered = renderer.render(scene, shot.camera, target, options);
   if (!rendered) return tl::unexpected(rendered.error());
-  stats = *rendered;
+  frame.stats = *rendered;
+  frame.draw_ms = 1e3 * seconds_since(begin);
   if (with_alpha) {
     rgs::Image rgba = rgs::Image::make(width, height, 4);
     for (std::size_t i = 0; i < alpha.pixels.size(); ++i) {
@@ -274,7 +280,6 @@ nlohmann::json stream_json(const Options& options, const Frame& frame) {
   if (options.realtime) {
     stream["due_ms"] = frame.due_ms;
     stream["begin_ms"] = frame.begin_ms;
-    stream["detail_px"] = frame.detail_px;
   } else {
     stream["wait_ms"] = frame.wait_ms;
   }
@@ -307,6 +312,7 @@ nlohmann::json summary(const Options& options, const SceneFacts& scene, const rg
                              {"blend", s.blend_ms}}},
                            {"gaussians", s.gaussians},
                            {"pages", s.pages},
+                           {"detail_px", s.detail_px},
                            {"visible", s.visible},
                            {"instances", s.instances},
                            {"evaluated", s.evaluated},
@@ -413,8 +419,9 @@ void warn_of_coarse_depths(const std::vector<Frame>& frames) {
       tool::printable(coarsest->shot->camera.name), s.depth_bits, s.depth_resolution, rgs::kCoarseDepthResolution));
 }
 
-// Draws and writes every shot, between begin(frame, options) and is_complete(frame). A picture is encoded while the next frame is
-// rendered; at most two are in memory. Returns an exit code.
+// Draws and writes every shot, between begin(frame, options) and is_complete(frame). A picture is encoded while the next
+// frame is rendered; at most two are in memory. In real time no frame waits for the one before to be encoded or for the
+// disk, up to kWaitingBytes of pictures. Returns an exit code.
 template <class Begin, class IsComplete>
 int draw_frames(const Options& options, rgs::Renderer& renderer, const rgs::Scene& scene,
                 const std::vector<Shot>& shots, Clock::time_point opened, const Begin& begin,
@@ -422,25 +429,31 @@ int draw_frames(const Options& options, rgs::Renderer& renderer, const rgs::Scen
   rgs::RenderOptions how = render_options(options);
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   progress.begin("rendering", shots.size(), "frames");
-  Picture done;
-  std::future<int> writing;
+  const rgs::Camera& camera = shots.front().camera;
+  const auto picture_bytes = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height) * 16;
+  const std::size_t n_writers = options.realtime ? std::clamp<std::size_t>(kWaitingBytes / picture_bytes, 1, 32) : 1;
+  std::deque<std::future<int>> writing;
   for (const Shot& shot : shots) {
     Frame frame{&shot, {}};
     begin(frame, how);
-    auto picture = render_shot(renderer, scene, shot, how, options.alpha, frame.stats);
+    auto picture = render_shot(renderer, scene, how, options.alpha, frame);
     if (!picture) return tool::report(shot.camera.name, picture.error());
-    if (drawn.frames.empty()) drawn.first_frame_ms = 1e3 * seconds_since(opened);
+    if (drawn.first_frame_ms == 0) drawn.first_frame_ms = 1e3 * seconds_since(opened);
     if (!is_complete(frame)) ++drawn.n_incomplete;
-    if (writing.valid())
-      if (const int code = writing.get(); code != tool::kSuccess) return code;
-    done = std::move(*picture);
-    // If no thread can be started it is written once the next frame is rendered.
-    writing = std::async(std::launch::async | std::launch::deferred,
-                         [&shot, &options, &done] { return write_shot(shot, done, options.overwrite); });
+    if (writing.size() == n_writers) {
+      if (const int code = writing.front().get(); code != tool::kSuccess) return code;
+      writing.pop_front();
+    }
+    // If no thread can be started it is written once later frames are rendered.
+    writing.push_back(std::async(
+        std::launch::async | std::launch::deferred,
+        [&shot, &options, done = *std::move(picture)] { return write_shot(shot, done, options.overwrite); }));
     drawn.frames.push_back(frame);
     progress.advance(1);
   }
-  if (const int code = writing.get(); code != tool::kSuccess) return code;
+  for (std::future<int>& one : writing) {
+    if (const int code = one.get(); code != tool::kSuccess) return code;
+  }
   progress.finish();
   return tool::kSuccess;
 }
@@ -519,12 +532,13 @@ void warn_of_incomplete_frame(const Frame& frame, const rgs::Status& why) {
 
 void warn_of_late_frames(const Options& options, const Drawn& drawn) {
   if (drawn.n_late == 0 && drawn.n_incomplete == 0) return;
-  const auto coarsest = std::ranges::max_element(drawn.frames, {}, &Frame::detail_px);
+  const auto coarsest =
+      std::ranges::max_element(drawn.frames, {}, [](const Frame& frame) { return frame.stats.detail_px; });
   tool::print_error(fmt::format(
       "rgs-render: of {} frames {} began late, {} are coarser than asked for: {:.3g} of {:g} frames a second, in a "
       "detail of up to {:.3g} px\n",
       drawn.frames.size(), drawn.n_late, drawn.n_incomplete, drawn.reached_fps, *options.realtime,
-      coarsest->detail_px));
+      coarsest->stats.detail_px));
 }
 
 // Frames of a streamed scene: each complete, or each at its time.
@@ -574,8 +588,21 @@ int render_streamed(const Options& options) {
   Drawn drawn;
   const rgs::RenderOptions asked = render_options(options);
   const float detail = asked.detail_px.value_or(asked.pipeline == rgs::Pipeline::baseline ? 0 : rgs::kDefaultDetailPx);
-  rgs::render::Pace pace(options.realtime.value_or(1), detail);
+  rgs::render::Pace pace(options.realtime.value_or(1));
   std::optional<Clock::time_point> flight;
+  // Before the clock starts, the renderer makes its workspace and learns what a frame costs, and the libraries that
+  // encode pictures are loaded, which can take seconds.
+  for (int n = 0; options.realtime && n < kWarmUps; ++n) {
+    Frame frame{&shots.front(), {}};
+    rgs::RenderOptions warm_up = asked;
+    warm_up.frame_ms = pace.draw_ms();
+    const auto picture = render_shot(*renderer, *scene, warm_up, options.alpha, frame);
+    if (!picture) return tool::report(frame.shot->camera.name, picture.error());
+    if (n > 0) continue;
+    drawn.first_frame_ms = 1e3 * seconds_since(opened);
+    const auto encoded = rgs::encode_image(picture->colour, rgs::ImageFormat::png);
+    if (!encoded) return tool::report(frame.shot->out, encoded.error());
+  }
   const auto begin = [&](Frame& frame, rgs::RenderOptions& render_how) {
     if (options.realtime) {
       if (!flight) flight = Clock::now();
@@ -583,7 +610,7 @@ int render_streamed(const Options& options) {
       std::this_thread::sleep_until(
           *flight + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1e-3 * frame.due_ms)));
       frame.begin_ms = 1e3 * seconds_since(*flight);
-      render_how.detail_px = frame.detail_px = pace.detail_px();
+      render_how.frame_ms = pace.draw_ms();
       return;
     }
     const auto waiting = Clock::now();
@@ -596,8 +623,8 @@ int render_streamed(const Options& options) {
   const auto is_complete = [&](const Frame& frame) {
     const bool has_pages = frame.stats.stream.pages_missing == 0;
     if (options.realtime) {
-      pace.drew(frame.stats.total_ms);
-      return has_pages && frame.detail_px <= detail;
+      pace.drew(frame.draw_ms);
+      return has_pages && frame.stats.detail_px <= detail;
     }
     if (has_pages && is_refined) return true;
     if (!options.quiet) warn_of_incomplete_frame(frame, why);
@@ -693,6 +720,8 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option("--detail", o.render.detail_px,
                  "levels of detail: projected error allowed, px [1]; 0 draws the leaves (docs/develop/LEVELS.md)")
       ->check(CLI::NonNegativeNumber);
+  app.add_option("--max-gaussians", o.render.max_gaussians,
+                 "levels of detail: coarser than --detail where that draws more Gaussians, in all directions");
   app.add_option("--low-pass", o.render.low_pass,
                  "px^2 added to projected covariances [as declared, else 0.3, mip 0.1]")
       ->check(CLI::NonNegativeNumber)

@@ -119,11 +119,13 @@ DeviceCut cut(std::span<const cuda::CutPage> table, const detail::PagePlan& plan
   const auto n_chunks = static_cast<std::uint32_t>(plan.n_chunks());
   const DeviceArray<cuda::CutPage> pages(table);
   const DeviceArray<cuda::CutCounts> sums(cuda::cut_blocks(plan.n_pages)), counts(2);
+  const DeviceArray<cuda::CutLimit> limit(1);
   const DeviceArray<std::uint32_t> chosen(n_chunks), chunks(capacity);
   const DeviceArray<std::uint32_t> in_view(cuda::cull_blocks(n_chunks)), chunk_table(entries);
   detail::PageLocked<cuda::CutCounts> seen;
   require_ok(seen.create());
-  require_ok(cuda::launch_cut({pages.data(), plan.n_pages, eye, sums.data(), counts.data(), chosen.data()}, nullptr));
+  require_ok(cuda::launch_cut(
+      {pages.data(), plan.n_pages, eye, sums.data(), counts.data(), chosen.data(), limit.data()}, nullptr));
   require_ok(cuda::launch_cull(
       {chosen.data(), counts.data(), n_chunks, chunk_table.data(), view.value_or(cuda::ViewParameters{}),
        view.has_value(), in_view.data(), counts.data() + 1, seen.get(), chunks.data(), capacity},
@@ -131,7 +133,7 @@ DeviceCut cut(std::span<const cuda::CutPage> table, const detail::PagePlan& plan
   const auto both = counts.download();
   DeviceCut cut{chosen.download(), chunks.download(), both[0], both[1]};
   cut.chosen.resize(cut.counts.chunks);
-  sums.check_guards(), in_view.check_guards();
+  sums.check_guards(), in_view.check_guards(), limit.check_guards();
   CHECK(std::memcmp(&cut.listed, seen.get(), sizeof cut.listed) == 0);
   return cut;
 }
@@ -237,6 +239,27 @@ TEST_CASE("each page's own decision equals the host's traversal from the root, i
       }
       REQUIRE(alone == lod::drawn_pages(file.pages(), host_eye(eye), eye.detail_px, n_present));
       if (k == 0) CHECK(n == plan.n_finest);
+      // What each page's own decision changes from step to step of the detail.
+      const lod::DetailSteps steps = lod::detail_steps(eye.detail_px);
+      const auto step_of = [&](const cuda::CutPage& page) {
+        return lod::first_fine_step(steps, page.error,
+                                    lod::pixel_footprint(page.low, page.high, eye.position, eye.focal_px, eye.z_near));
+      };
+      std::array<unsigned long long, lod::kDetailSteps + 1> changes{};
+      for (const cuda::CutPage& page : table) {
+        const int begin = step_of(page);
+        const int end = page.parent == cuda::kNoCutPage ? lod::kDetailSteps : step_of(table[page.parent]);
+        if (begin >= end) continue;
+        changes[static_cast<std::size_t>(begin)] += page.n;
+        changes[static_cast<std::size_t>(end)] -= page.n;
+      }
+      for (const std::uint64_t most : {std::uint64_t{0}, plan.n_finest / 30, plan.n_finest / 3, plan.n_finest}) {
+        const auto choice = lod::finest_detail(file.pages(), host_eye(eye), eye.detail_px, most, n_present);
+        unsigned long long gaussians = 0;
+        const int step = lod::finest_fitting_step(changes.data(), step_of(table[0]), most, gaussians);
+        REQUIRE(steps.px[step] == choice.detail_px);
+        REQUIRE(gaussians == choice.gaussians);
+      }
     }
   }
 }
@@ -272,6 +295,80 @@ TEST_CASE("the device's cut equals the host's in 200 views, of whole files and p
     }
   }
   CHECK(sizes.size() > sized(20u, 10u, 1u));  // cuts differ
+}
+
+TEST_CASE("with a limit of Gaussians the device takes the host's detail and its cut, of whole files and prefixes") {
+  if (!device_answers()) return;
+  Random random(1624);
+  const Levels& levels = many_pages();
+  const std::uint32_t n_pages = open(levels.bytes).n_pages();
+  std::set<float> details;
+  for (const std::uint32_t n_present : {n_pages, n_pages / 3, 1u}) {
+    const PagedFile file = open(levels.first_pages(n_present));
+    const detail::PagePlan plan(file);
+    const auto table = plan.table(file);
+    const std::vector<std::uint32_t> entries(12 * plan.n_chunks());
+    for (int k = 0; k < (n_present < n_pages ? sized(20, 10, 2) : sized(100, 100, 4)); ++k) {
+      cuda::CutEye eye = random_eye(random, file);
+      if (k % 4 == 0) eye.detail_px = 0;
+      for (const double share : {0.0, 0.02, 0.1, 0.5, 1.0}) {
+        eye.max_gaussians = static_cast<std::uint64_t>(share * static_cast<double>(plan.n_finest));
+        const auto choice =
+            lod::finest_detail(file.pages(), host_eye(eye), eye.detail_px, eye.max_gaussians, n_present);
+        const auto expected = lod::drawn_pages(file.pages(), host_eye(eye), choice.detail_px, n_present);
+        const DeviceCut drawn = cut(table, plan, eye, narrow(plan.n_chunks()), entries);
+        REQUIRE(drawn.counts.detail_px == choice.detail_px);
+        REQUIRE(drawn.counts.gaussians == choice.gaussians);
+        CHECK(drawn.counts.pages == expected.size());
+        CHECK(drawn.chosen == chunks_of(plan, expected));
+        CHECK(drawn.listed.detail_px == choice.detail_px);
+        details.insert(choice.detail_px);
+      }
+    }
+  }
+  CHECK(details.size() > sized(50u, 30u, 4u));
+}
+
+TEST_CASE("frames with a limit of Gaussians have the CPU's detail and pages, in all modes, queued and in batches") {
+  if (!device_answers()) return;
+  const Levels& levels = many_pages();
+  const DeviceScene on_device = upload(open(levels.bytes));
+  const Scene scene = load(levels.bytes);
+  Frames frames;
+  for (const double back : {0.0, 30.0}) {
+    const Camera camera = camera_at(back);
+    for (const RenderOptions& mode : level_modes()) {
+      for (const std::uint64_t most : {std::uint64_t{1}, scene.size() / 20, scene.size() / 3, scene.size()}) {
+        for (const bool queued : {false, true}) {
+          RenderOptions options = at_detail(mode, 0.05F);
+          options.max_gaussians = most;
+          options.turbo.asynchronous = queued;
+          const auto drawn = frames.draw(on_device, camera, options);
+          const Frame host = render(scene, camera, options, {.backend = Backend::cpu});
+          CHECK(drawn.stats.detail_px == host.stats.detail_px);
+          CHECK(drawn.stats.pages == host.stats.pages);
+          CHECK(drawn.stats.gaussians == host.stats.gaussians);
+          const auto same = frames.draw(on_device, camera, at_detail(mode, host.stats.detail_px));
+          if (mode.paper.deterministic) CHECK(same_bytes(drawn.rgb, same.rgb));
+        }
+      }
+    }
+  }
+  auto renderer = Renderer::create({.backend = Backend::cuda});
+  require_ok(renderer);
+  const std::vector<Camera> cameras{camera_at(0), camera_at(10), camera_at(30)};
+  std::vector<float> rgb(3 * 3 * 96 * 64);
+  PictureArrays pictures;
+  pictures.rgb = rgb.data();
+  RenderOptions options = at_detail(turbo_options(), 0.05F);
+  options.max_gaussians = scene.size() / 10;
+  const auto stats = renderer->render_all(scene, cameras, pictures, options);
+  require_ok(stats);
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    const Frame host = render(scene, cameras[i], options, {.backend = Backend::cpu});
+    CHECK((*stats)[i].detail_px == host.stats.detail_px);
+    CHECK((*stats)[i].gaussians == host.stats.gaussians);
+  }
 }
 
 TEST_CASE("chunks outside the view are dropped, the others keep their order; an overfull list is counted") {

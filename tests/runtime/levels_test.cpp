@@ -116,6 +116,63 @@ TEST_CASE("a view draws one page per path from leaf to root, and fewer Gaussians
   CHECK(before == pages.front().count);
 }
 
+TEST_CASE("a limit of Gaussians draws the finest cut that has no more, and says at which detail") {
+  const Files of = files();
+  const Scene scene = load(of.levels);
+  Camera camera = front_camera(90, 60);
+  camera.world_to_camera[3][2] += 20;
+  const auto all = render(scene, camera, at_detail(0.5F)).stats;
+  CHECK(all.detail_px == 0.5F);
+  float before = 1e9F;
+  for (const std::uint64_t most :
+       {std::uint64_t{1}, all.gaussians / 4, all.gaussians / 2, all.gaussians, 2 * all.gaussians}) {
+    CAPTURE(most);
+    RenderOptions options = at_detail(0.5F);
+    options.max_gaussians = most;
+    const Frame frame = render(scene, camera, options);
+    const auto& stats = frame.stats;
+    CHECK(stats.gaussians <= std::max<std::uint64_t>(most, scene.levels()->pages().front().count));
+    CHECK(stats.detail_px <= before);
+    CHECK(stats.detail_px >= 0.5F);
+    CHECK(frame.rgb == render(scene, camera, at_detail(stats.detail_px)).rgb);
+    if (most == 1) CHECK(stats.pages == 1);
+    if (most >= all.gaussians) CHECK(stats.detail_px == 0.5F);
+    before = stats.detail_px;
+  }
+  // The leaves have the arithmetic of a file without levels, also where they do not fit.
+  RenderOptions leaves = at_detail(0);
+  leaves.max_gaussians = scene.size();
+  CHECK(render(scene, camera, leaves).rgb == render(load(of.plain), camera, {}).rgb);
+  CHECK(render(scene, camera, leaves).stats.detail_px == 0);
+  leaves.max_gaussians = scene.size() - 1;
+  const Frame fewer = render(scene, camera, leaves);
+  CHECK(fewer.stats.detail_px >= 0.25F);
+  CHECK(fewer.stats.pages > 0);
+  RenderOptions as_classic = at_detail(fewer.stats.detail_px);
+  as_classic.anti_aliasing = math::AntiAliasing::classic;
+  CHECK(fewer.rgb == render(scene, camera, as_classic).rgb);
+  // Others have nothing coarser.
+  leaves.max_gaussians = 1;
+  CHECK(render(load(of.plain), camera, leaves).stats.gaussians == scene.size());
+}
+
+TEST_CASE("what draws the leaves alone has no limit of Gaussians") {
+  const Scene scene = load(files().levels);
+  const Camera camera = front_camera(9, 6);
+  auto renderer = Renderer::create({.backend = Backend::cpu});
+  REQUIRE(renderer);
+  Frame frame = Frame::of(camera);
+  RenderOptions options = baseline_options();
+  options.max_gaussians = 10;
+  CHECK(renderer->render(scene, camera, frame.target(), options).error().code == Errc::bad_argument);
+  CHECK(renderer->render(load(files().plain), camera, frame.target(), options));
+  std::vector<Contribution> contributions(scene.size());
+  RenderTarget counting = frame.target();
+  counting.contributions = contributions;
+  options = {.max_gaussians = 10};
+  CHECK(renderer->render(scene, camera, counting, options).error().code == Errc::bad_argument);
+}
+
 TEST_CASE("a view of a file with levels equals its pages drawn as a scene, with the opacities they were fitted with") {
   const Scene scene = load(files().levels);
   Camera camera = front_camera(90, 60);

@@ -11,6 +11,7 @@
 #include <limits>
 #include <vector>
 
+#include "rgs/footprint.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
@@ -104,6 +105,44 @@ double footprint(const Box& core, const Eye& eye);
 /// among the first `n_present` is drawn instead of them.
 std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
                                        std::uint32_t n_present = kNoPage);
+
+/// A detail, and the Gaussians of its cut.
+struct DetailChoice {
+  float detail_px = 0;
+  std::uint64_t gaussians = 0;
+};
+/// The finest of detail_steps(detail_px) whose cut has at most `max_gaussians`; if there is none, the finest whose cut
+/// is the root. Counts what lies outside the picture too, so turning the camera changes nothing. Allocates nothing.
+DetailChoice finest_detail(const std::vector<Page>& pages, const Eye& eye, float detail_px, std::uint64_t max_gaussians,
+                           std::uint32_t n_present = kNoPage);
+/// The same where has_children(page) says whether a page's children may be drawn.
+template <class HasChildren>
+DetailChoice finest_detail_of(const std::vector<Page>& pages, const Eye& eye, float detail_px,
+                              std::uint64_t max_gaussians, const HasChildren& has_children) {
+  const DetailSteps steps = detail_steps(detail_px);
+  unsigned long long changes[kDetailSteps] = {};
+  std::array<int, kMaxLevels> end_of = {};  // of pages of a level: the step at which the parent is drawn
+  end_of[pages.front().level] = kDetailSteps;
+  int root_step = 0;
+  walk_pages(pages, [&](std::uint32_t i) {
+    const Page& page = pages[i];
+    const bool is_last = !has_children(i);
+    const int end = end_of[page.level];
+    const int fine = is_last ? 0 : first_fine_step(steps, page.error, footprint(page.core, eye));
+    const int begin = fine < end ? fine : end;
+    if (i == 0) root_step = begin;
+    changes[begin] += page.count;
+    if (end < kDetailSteps) changes[end] -= page.count;
+    if (is_last || begin == 0) return Walk::on;
+    end_of[page.level - 1] = begin;
+    return Walk::down;
+  });
+  DetailChoice choice;
+  unsigned long long gaussians = 0;
+  choice.detail_px = steps.px[finest_fitting_step(changes, root_step, max_gaussians, gaussians)];
+  choice.gaussians = gaussians;
+  return choice;
+}
 
 /// A defect of a page and its field; without a defect `what` is null.
 enum class PageField : std::uint8_t { count, level, parent, children, bounds, core, error };

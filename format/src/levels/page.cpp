@@ -41,6 +41,12 @@ bool is_known(const std::vector<Page>& pages, std::uint64_t page) {
   return page < pages.size() && (pages[page].count != 0 || pages[page].parent != kNoPage);
 }
 
+// Whether all children of page i are known and among the first n_present.
+bool has_present_children(const std::vector<Page>& pages, std::uint32_t i, std::uint32_t n_present) {
+  const std::uint64_t end = std::uint64_t{pages[i].first_child} + pages[i].n_children;
+  return pages[i].n_children != 0 && end <= n_present && end <= pages.size() && pages[end - 1].parent == i;
+}
+
 }  // namespace
 
 std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level) {
@@ -95,11 +101,16 @@ std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye
                                        std::uint32_t n_present) {
   if (n_present == 0) return {};
   return pages_until(pages, [&](std::uint32_t i) {
-    const Page& page = pages[i];
-    const std::uint64_t last = std::uint64_t{page.first_child} + page.n_children - 1;
-    const bool has_children = last < n_present && last < pages.size() && pages[last].parent == i;
-    return !has_children || is_fine_enough(page.error, detail_px, footprint(page.core, eye));
+    return !has_present_children(pages, i, n_present) ||
+           is_fine_enough(pages[i].error, detail_px, footprint(pages[i].core, eye));
   });
+}
+
+DetailChoice finest_detail(const std::vector<Page>& pages, const Eye& eye, float detail_px, std::uint64_t max_gaussians,
+                           std::uint32_t n_present) {
+  if (n_present == 0) return {detail_px, 0};
+  return finest_detail_of(pages, eye, detail_px, max_gaussians,
+                          [&](std::uint32_t i) { return has_present_children(pages, i, n_present); });
 }
 
 PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size,

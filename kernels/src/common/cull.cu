@@ -49,7 +49,7 @@ __global__ void __launch_bounds__(kThreads)
   for (const std::uint32_t sum : sums_before) end += sum;
   if (listed && end <= a.capacity) a.chunks[end - 1] = a.chosen[first + threadIdx.x];
   if (n - first <= kThreads && threadIdx.x == kThreads - 1) {
-    const CutCounts all{a.counts->gaussians, a.counts->pages, end};
+    const CutCounts all{a.counts->gaussians, a.counts->pages, end, a.counts->detail_px, 0};
     *a.listed = all;
     *a.seen = all;
     __threadfence_system();

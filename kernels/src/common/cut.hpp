@@ -6,6 +6,7 @@
 #include <cstdint>
 
 #include "common/frame.hpp"
+#include "rgs/footprint.hpp"
 #include "rgs/result.hpp"
 
 namespace rgs::cuda {
@@ -24,20 +25,32 @@ struct alignas(16) CutPage {
 static_assert(sizeof(CutPage) == 48);
 inline constexpr std::uint32_t kNoCutPage = ~0u;
 
+inline constexpr std::uint64_t kNoLimit = ~std::uint64_t{0};
+
 /// lod::Eye and the detail.
 struct CutEye {
   double position[3];
   double focal_px, z_near;
   float detail_px;
+  std::uint64_t max_gaussians = kNoLimit;  ///< the detail is lod::finest_detail()
 };
 
 struct CutCounts {
   std::uint64_t gaussians;
   std::uint32_t pages, chunks;
+  float detail_px;  ///< at which the device chose the pages
+  std::uint32_t unused;
+};
+
+/// How a limit of Gaussians finds its detail.
+struct CutLimit {
+  unsigned long long changes[lod::kDetailSteps];  ///< lod::finest_fitting_step()
+  float detail_px;                                ///< found
 };
 
 /// Chooses among n_pages > 0 pages by lod::is_fine_enough(), each by its own record and its parent's: the pages of
-/// lod::drawn_pages(). Writes their chunks, page after page. Errors: device_failed.
+/// lod::drawn_pages(). Writes their chunks, page after page. With max_gaussians finds the detail first. Errors:
+/// device_failed.
 struct CutArguments {
   /// [n_pages] a page before its children and what is below them: the pages of a cut are then in the order of leaves.
   const CutPage* pages;
@@ -46,6 +59,7 @@ struct CutArguments {
   CutCounts* sums;        ///< [cut_blocks(n_pages)]
   CutCounts* counts;      ///< of the frame
   std::uint32_t* chunks;  ///< [all chunks]
+  CutLimit* limit;        ///< unused without eye.max_gaussians
 };
 Status launch_cut(const CutArguments& arguments, Stream stream);
 std::uint32_t cut_blocks(std::uint32_t n_pages);

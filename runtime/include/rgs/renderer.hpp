@@ -79,6 +79,14 @@ struct RenderOptions {
   /// kDefaultDetailPx, but 0 for Pipeline::baseline, which draws leaves alone, and where contributions are counted.
   /// Other scenes ignore it.
   std::optional<float> detail_px = std::nullopt;
+  /// Of a scene with levels of detail: the detail is the finest of detail_px and coarser ones, in steps of 1.2, whose
+  /// cut has at most so many Gaussians; the coarsest page is always drawn. Gaussians out of view count, so turning the
+  /// camera changes nothing. The anti-aliasing is that of detail_px. Absent: no limit. Other scenes ignore it.
+  std::optional<std::uint64_t> max_gaussians = std::nullopt;
+  /// ms, of a scene with levels of detail: Renderer lowers max_gaussians, from frame to frame, until render() takes no
+  /// longer, and raises it again where there is time. render_all() on CUDA keeps to what render() has learned, and
+  /// CudaRenderer ignores this. Absent: no limit. Pictures then depend on the machine and on the frames before.
+  std::optional<double> frame_ms = std::nullopt;
   Pipeline pipeline = Pipeline::automatic;
   PaperSteps paper = {};  ///< for Pipeline::paper: rgs/ablation.hpp
   TurboOptions turbo = {};
@@ -90,8 +98,8 @@ struct RenderOptions {
 /// this one.
 RenderOptions with_declarations(RenderOptions options, const std::optional<Declarations>& declared);
 
-/// The detail at which `scene` is drawn with `options`: 0 without levels, or if its leaves are drawn. Errors:
-/// bad_argument (negative, not finite, or not 0 for baseline).
+/// The detail that `options` ask for of `scene`, before max_gaussians: 0 without levels, or if its leaves are drawn.
+/// Errors: bad_argument (negative, not finite, not 0 or a limit for baseline, or a frame_ms that is not above 0).
 Result<float> drawn_detail(const RenderOptions& options, const Scene& scene);
 /// The cut of scene.levels() for a camera at a detail, in the order of leaves. Errors: bad_argument (no levels).
 Result<std::vector<std::uint32_t>> drawn_pages(const Scene& scene, const Camera& camera, float detail_px);
@@ -111,6 +119,7 @@ struct FrameStats {
   double total_ms = 0;
   std::uint64_t gaussians = 0;  ///< in the scene, or in the drawn pages
   std::uint64_t pages = 0;      ///< drawn pages of a scene with levels of detail; 0 without
+  float detail_px = 0;          ///< at which the pages were chosen; 0 without levels, and of the leaves
   std::uint64_t visible = 0;    ///< listed in at least one tile
   std::uint64_t instances = 0;  ///< (tile, Gaussian) pairs
   std::uint64_t evaluated = 0;  ///< (pixel, Gaussian) pairs that pixels visited before they stopped
@@ -179,6 +188,8 @@ class Renderer {
   const char* backend_name() const;  ///< e.g. "cpu AVX3_SPR", "cpu scalar"
 
  private:
+  Result<FrameStats> draw(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                          const RenderOptions& options);
   Result<FrameStats> render_streamed(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                      const RenderOptions& options);
   Result<std::vector<FrameStats>> render_each(const Scene& scene, std::span<const Camera> cameras,

@@ -168,7 +168,7 @@ Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camer
   ScenePages& pages = storage->pages.emplace();
   pages.chunk_size = plan.shape.chunk_size;
   pages.n_chunks = std::uint64_t{plan.n_slots} * plan.shape.page_chunks;
-  pages.chosen = {draw.chunks, {draw.gaussians, draw.pages, static_cast<std::uint32_t>(draw.chunks.size())}};
+  pages.chosen = {draw.chunks, {draw.gaussians, draw.pages, static_cast<std::uint32_t>(draw.chunks.size()), 0, 0}};
   FrameWorkspace& workspace = draw.slots.workspace();
   const std::scoped_lock lock(workspace.drawing);
   if (workspace.content == nullptr) {

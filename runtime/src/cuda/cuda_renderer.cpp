@@ -29,9 +29,9 @@ constexpr std::uint64_t kMaxRows = kMaxImageSide / math::kTileSize, kMaxTurboRow
 static_assert(kMaxRows <= 65535 && kMaxTurboRows * kMaxTurboRows * cuda::kTurboCells < std::uint64_t{1} << 31);
 static_assert(kMaxTurboRows <= std::uint64_t{1} << 15);
 
-cuda::CutEye cut_eye(const lod::Eye& eye, float detail_px) {
+cuda::CutEye cut_eye(const lod::Eye& eye, float detail_px, std::uint64_t max_gaussians) {
   const auto& at = eye.position;
-  return {{at[0], at[1], at[2]}, eye.focal_px, eye.z_near, detail_px};
+  return {{at[0], at[1], at[2]}, eye.focal_px, eye.z_near, detail_px, max_gaussians};
 }
 
 cuda::ViewParameters view_of(const Camera& camera, const Origin& origin, const FrameSettings& settings, int sh_degree,
@@ -166,7 +166,8 @@ Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
   detail::FrameState::HostCounters& host = *state.host.get();
   FrameStats stats;
   stats.gaussians = f.cut ? state.cut.seen().gaussians : f.n();
-  stats.pages = f.cut && f.cut->detail_px > 0 ? state.cut.seen().pages : 0;
+  stats.detail_px = f.cut ? state.cut.seen().detail_px : 0;
+  stats.pages = stats.detail_px > 0 ? state.cut.seen().pages : 0;
   stats.visible = host.counters.visible;
   stats.instances = *pairs;
   stats.depth_bits = f.view.key.quantized ? f.view.key.depth_bits : 0;
@@ -238,7 +239,8 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
                 .is_turbo = is_turbo,
                 .cut = std::nullopt};
     if (scene.has_levels()) {
-      frame.cut = cut_eye(detail::eye_of(camera, scene.origin(), scene.declarations()->z_near), *detail_px);
+      frame.cut = cut_eye(detail::eye_of(camera, scene.origin(), scene.declarations()->z_near), *detail_px,
+                          options.max_gaussians.value_or(cuda::kNoLimit));
     }
     if (frame.view.key.quantized) {
       frame.depth_resolution =

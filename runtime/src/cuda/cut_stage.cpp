@@ -22,7 +22,7 @@ std::uint64_t CutStage::held(const SceneStorage& scene, const DeviceBuffer& spla
 
 std::uint64_t CutStage::bytes() const {
   std::uint64_t sum = 0;
-  for (const DeviceBuffer* b : {&counts_, &chosen_, &in_view_, &chunks_}) sum += b->bytes();
+  for (const DeviceBuffer* b : {&counts_, &limit_, &chosen_, &in_view_, &chunks_}) sum += b->bytes();
   return sum;
 }
 
@@ -32,6 +32,7 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, Devi
   const std::uint64_t word = sizeof(std::uint32_t), limit = pages.n_chunks;
   const std::uint32_t n_blocks = pages.chosen ? 0 : cuda::cut_blocks(pages.n_pages);
   Status ok = reserve(counts_, (std::uint64_t{2} + n_blocks) * sizeof(cuda::CutCounts));
+  if (ok && !pages.chosen) ok = reserve(limit_, sizeof(cuda::CutLimit));
   if (ok) ok = reserve(chosen_, pages.n_chunks * word);
   if (ok) ok = reserve(in_view_, cuda::cull_blocks(static_cast<std::uint32_t>(pages.n_chunks)) * word);
   const std::uint64_t before = held(scene, splats);
@@ -60,7 +61,8 @@ Status CutStage::launch_choice(const SceneStorage& scene, const Choice& choice, 
   auto* const counts = counts_.as<cuda::CutCounts>();
   auto* const chosen = chosen_.as<std::uint32_t>();
   if (!pages.chosen) {
-    return cuda::launch_cut({pages.table.as<cuda::CutPage>(), pages.n_pages, choice.eye, counts + 2, counts, chosen},
+    return cuda::launch_cut({pages.table.as<cuda::CutPage>(), pages.n_pages, choice.eye, counts + 2, counts, chosen,
+                             limit_.as<cuda::CutLimit>()},
                             stream);
   }
   *seen_.get() = pages.chosen->counts;

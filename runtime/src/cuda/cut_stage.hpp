@@ -48,6 +48,7 @@ class CutStage {
   std::uint64_t capacity_ = 0;
   PageLocked<cuda::CutCounts> seen_;
   DeviceBuffer counts_;   ///< [2 + blocks] chosen, listed, and sums of blocks
+  DeviceBuffer limit_;    ///< how a limit of Gaussians finds its detail
   DeviceBuffer chosen_;   ///< [all chunks]
   DeviceBuffer in_view_;  ///< sums of blocks
   DeviceBuffer chunks_;   ///< [capacity]

@@ -30,9 +30,11 @@ struct StreamRule {
   Origin origin = kNoOrigin;
   float z_near = 0;  ///< as the scene declares
   float detail_px = 0;
+  std::uint64_t most_gaussians = pages::kNoLimit;
 
   pages::Look look(const Camera& camera) const {
-    return {eye_of(camera, origin, z_near), make_view(camera, origin, settings), settings.low_pass, detail_px};
+    return {eye_of(camera, origin, z_near), make_view(camera, origin, settings), settings.low_pass, detail_px,
+            most_gaussians};
   }
 };
 

@@ -469,6 +469,56 @@ TEST_CASE("cuts replace every leaf once, and the finest affordable one is chosen
   CHECK(first_two.size() == levels.pages[0].n_children);
 }
 
+TEST_CASE("a limit of Gaussians takes the finest step of the detail whose cut fits, never finer than asked for") {
+  const lod::Levels levels = trivial_levels(golden_cloud(5000, 0, 8), {.chunk_size = 32, .page_chunks = 2});
+  const auto n_pages = static_cast<std::uint32_t>(levels.pages.size());
+  const std::uint32_t root = levels.pages.front().count;
+  SplitMix random(10);
+  std::set<float> details;
+  for (int i = 0; i < 200; ++i) {
+    lod::Eye eye;
+    for (double& x : eye.position) x = static_cast<double>(random.dyadic(-8, 8));
+    eye.focal_px = 100;
+    eye.z_near = 0.01;
+    const float asked = i % 4 == 0 ? 0 : 0.2F * static_cast<float>(i % 9);
+    const std::uint32_t n_present = i % 5 == 0 ? n_pages / 3 : i % 5 == 1 ? n_pages - 1 : n_pages;
+    const auto count = [&](float detail) {
+      std::uint64_t n = 0;
+      for (const std::uint32_t page : lod::drawn_pages(levels.pages, eye, detail, n_present))
+        n += levels.pages[page].count;
+      return n;
+    };
+    std::vector<std::uint64_t> limits{0, root, 300, 1500, count(asked) - 1, count(asked), ~std::uint64_t{0}};
+    std::ranges::sort(limits);
+    float before = std::numeric_limits<float>::infinity();
+    for (const std::uint64_t most : limits) {
+      float expected = asked;
+      while (count(expected) > std::max<std::uint64_t>(most, root)) expected = lod::coarser(expected);
+      const lod::DetailChoice choice = lod::finest_detail(levels.pages, eye, asked, most, n_present);
+      CHECK(choice.detail_px == expected);
+      CHECK(choice.gaussians == count(expected));
+      CHECK(choice.detail_px <= before);
+      before = choice.detail_px;
+      details.insert(before);
+    }
+    CHECK(before == asked);
+  }
+  CHECK(details.size() > 20);
+}
+
+TEST_CASE("steps of the detail start at what was asked for, and at a quarter of a pixel after the leaves") {
+  const lod::DetailSteps steps = lod::detail_steps(0);
+  CHECK(steps.px[0] == 0);
+  CHECK(steps.px[1] == 0.25F);
+  CHECK(steps.px[2] == 0.3F);
+  CHECK(lod::detail_steps(2).px[1] == 2.4F);
+  CHECK(steps.px[lod::kDetailSteps - 1] > 1e9F);
+  CHECK(lod::coarser(3e38F) == std::numeric_limits<float>::max());
+  CHECK(lod::first_fine_step(steps, 0, 1) == 0);
+  CHECK(lod::first_fine_step(steps, 0.26F, 1) == 2);
+  CHECK(lod::first_fine_step(steps, 1, 1e-30) == lod::kDetailSteps - 1);
+}
+
 TEST_CASE("a view's cut is measured to the cores and replaces every leaf once from every camera") {
   lod::Levels levels = trivial_levels(golden_cloud(5000, 0, 8), {.chunk_size = 32, .page_chunks = 2});
   SplitMix random(9);

@@ -8,6 +8,7 @@
 #include <fstream>
 #include <limits>
 #include <optional>
+#include <set>
 #include <thread>
 
 #include "pages/scheduler.hpp"
@@ -50,6 +51,35 @@ TEST_CASE("a complete picture equals the whole file's, byte for byte, in every p
     CHECK(scene.status());
     CHECK(scene.stats().bytes_read <= 2 * bytes.size());
   }
+}
+
+TEST_CASE("with a limit of Gaussians, too, a complete picture equals the whole file's, at the same detail") {
+  const Bytes bytes = town();
+  const Scene all = whole(bytes);
+  const Scene scene = streamed(bytes);
+  Renderer renderer = cpu_renderer(1), reference = cpu_renderer();
+  const std::uint64_t root = all.levels()->pages().front().count;
+  std::set<float> details;
+  for (const Camera& camera : town_cameras(2, 8)) {
+    for (const float detail : {0.0F, 1.0F}) {
+      for (const unsigned share : {20U, 5U, 2U, 1U}) {
+        RenderOptions options = at_detail(detail);
+        const std::uint64_t most = options.max_gaussians.emplace(all.size() / share);
+        const auto complete = renderer.refine(scene, camera, kLong, options);
+        REQUIRE(complete);
+        REQUIRE(*complete);
+        const Frame expected = draw(reference, all, camera, options);
+        const Frame frame = draw(renderer, scene, camera, options);
+        CHECK(is_same_picture(frame, expected));
+        CHECK(frame.stats.detail_px == expected.stats.detail_px);
+        CHECK(frame.stats.detail_px >= detail);
+        CHECK(frame.stats.stream.pages_missing == 0);
+        CHECK(expected.stats.gaussians <= std::max(most, root));
+        details.insert(frame.stats.detail_px);
+      }
+    }
+  }
+  CHECK(details.size() > 5);
 }
 
 TEST_CASE("the first picture is the root, and there are no holes until the picture is complete") {

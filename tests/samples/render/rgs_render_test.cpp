@@ -574,7 +574,6 @@ TEST_CASE("in real time, too, coarser pictures than asked for end with exit code
   CHECK(quiet.code == 6);
   const auto json = nlohmann::json::parse(quiet.out);
   CHECK(json["frames_incomplete"] == 3);
-  for (const auto& frame : json["frames"]) CHECK(frame["stream"]["detail_px"] == 0);
 }
 
 TEST_CASE(
@@ -593,27 +592,48 @@ TEST_CASE(
   CHECK(stage.run("@cut.rgs --detail 1e6" + view).code == 0);  // the root
 }
 
-TEST_CASE("frames that take too long make the next ones coarser, and never finer than asked for") {
-  rgs::render::Pace pace(10, 2);
+TEST_CASE("a frame in real time has until the next is due, less what is done besides, and a late one is made up for") {
+  rgs::render::Pace pace(10);
+  CHECK(pace.draw_ms() == 100);
   CHECK(pace.begin(0) == 0);
-  CHECK(pace.detail_px() == 2);
-  pace.drew(101);
-  CHECK(pace.detail_px() == 2.5F);
-  CHECK(pace.begin(101) == 100);
-  CHECK(pace.n_late() == 1);
+  CHECK(pace.draw_ms() == 100);
   pace.drew(60);
-  CHECK(pace.detail_px() == 2.5F);
-  CHECK(pace.begin(161) == 200);
+  CHECK(pace.begin(90) == 100);  // 30 besides
+  CHECK(pace.n_late() == 0);
+  CHECK(pace.draw_ms() == 70);
+  pace.drew(90);
+  CHECK(pace.begin(220) == 200);
   CHECK(pace.n_late() == 1);
-  pace.drew(10);
-  CHECK(pace.detail_px() == 2);
-  pace.drew(10);
-  CHECK(pace.detail_px() == 2);
-  for (int i = 0; i < 1000; ++i) pace.drew(1000);
-  CHECK(pace.detail_px() == 1000);
-  rgs::render::Pace leaves(10, 0);
-  leaves.drew(1000);
-  CHECK(leaves.detail_px() == 0);
+  CHECK(pace.draw_ms() == 50);
+  pace.drew(30);
+  CHECK(pace.begin(280) == 300);
+  CHECK(pace.draw_ms() == 70);
+  pace.drew(1000);
+  CHECK(pace.begin(1330) == 400);
+  CHECK(pace.n_late() == 2);
+  CHECK(pace.draw_ms() == 25);
+}
+
+TEST_CASE("a limit of Gaussians gives coarser pictures, complete, with their detail") {
+  const StreamStage stage;
+  const std::string view = "@town.rgs --cameras @cameras.json --view 0 --backend cpu --json --quiet --overwrite";
+  const auto frame = [&](const std::string& arguments) {
+    const Outcome run = stage.run(view + arguments + " --out @a.png");
+    CHECK(run.code == 0);
+    return nlohmann::json::parse(run.out)["frames"][0];
+  };
+  const auto all = frame("");
+  CHECK(all["detail_px"] == 1);
+  CHECK(frame(" --detail 0")["detail_px"] == 0);
+  const auto n = all["gaussians"].get<std::uint64_t>() / 2;
+  for (const std::string memory : {"", " --host-memory 64MiB"}) {
+    const auto fewer = frame(memory + " --max-gaussians " + std::to_string(n));
+    CHECK(fewer["gaussians"] <= n);
+    CHECK(fewer["detail_px"] > 1);
+    if (memory.empty()) continue;
+    CHECK(fewer["stream"]["pages_missing"] == 0);
+    CHECK(fewer["detail_px"] == frame(" --max-gaussians " + std::to_string(n))["detail_px"]);
+  }
 }
 
 TEST_CASE("inputs that cannot be streamed are refused with advice") {

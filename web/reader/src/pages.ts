@@ -27,7 +27,7 @@ export interface Look {
   zNear: number;
   /** Projected error that is allowed, pixels; 0 draws leaves. */
   detailPx: number;
-  /** Most Gaussians to draw. */
+  /** Most Gaussians of the cut, in and out of view: a coarser detail is drawn where detailPx has more. */
   mostGaussians: number;
   /** Pages outside it are neither drawn nor wanted; without it the view sees everything. `rotation`: [9] world to camera. */
   picture?: { width: number; height: number; fx: number; fy: number; cx: number; cy: number; lowPassPx2: number; rotation: readonly number[] };
