@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "renderer_fixture.hpp"
@@ -154,6 +156,33 @@ TEST_CASE("a limit of Gaussians draws the finest cut that has no more, and says 
   // Others have nothing coarser.
   leaves.max_gaussians = 1;
   CHECK(render(load(of.plain), camera, leaves).stats.gaussians == scene.size());
+}
+
+TEST_CASE("a time that no frame keeps ends at the root, one that every frame keeps changes nothing") {
+  const Scene scene = load(files().levels);
+  Camera camera = front_camera(9, 6);
+  camera.world_to_camera[3][2] += 20;
+  const std::uint64_t all = render(scene, camera, at_detail(0.5F)).stats.gaussians;
+  auto renderer = Renderer::create({.backend = Backend::cpu});
+  REQUIRE(renderer);
+  Frame frame = Frame::of(camera);
+  const auto draw = [&](double frame_ms) {
+    RenderOptions options = at_detail(0.5F);
+    options.frame_ms = frame_ms;
+    return renderer->render(scene, camera, frame.target(), options);
+  };
+  for (int k = 0; k < 3; ++k) CHECK(draw(1e9)->gaussians == all);
+  std::uint64_t before = all;
+  for (int k = 0; k < 12; ++k) {
+    const auto stats = draw(1e-300);
+    REQUIRE(stats);
+    CHECK(stats->gaussians <= before);
+    before = stats->gaussians;
+  }
+  CHECK(before == scene.levels()->pages().front().count);
+  CHECK(renderer->render(scene, camera, frame.target(), at_detail(0.5F))->gaussians == all);  // without a time
+  for (const double wrong : {0.0, -1.0, std::numeric_limits<double>::quiet_NaN()})
+    CHECK(draw(wrong).error().code == Errc::bad_argument);
 }
 
 TEST_CASE("what draws the leaves alone has no limit of Gaussians") {

@@ -83,8 +83,8 @@ class DeviceScene {
 
   /// All pages that a file with levels of detail contains, in the same form, decoded and checked by host threads a few
   /// at a time, in 40 MB of page-locked memory: 76 bytes a Gaussian at SH degree 3, up to a chunk of padding a page
-  /// that is not a leaf, and 48 bytes a page. CudaRenderer chooses the cut on the device, by RenderOptions::detail_px.
-  /// Always waits. Errors: pages_missing (even the root), those of PageDecoder and check_page_values(), and of the
+  /// that is not a leaf, and 48 bytes a page. CudaRenderer chooses the cut on the device, by RenderOptions::detail_px
+  /// and max_gaussians. Always waits. Errors: pages_missing (even the root), those of PageDecoder and check_page_values(), and of the
   /// other overloads.
   static Result<DeviceScene> upload(const PagedFile& file, const UploadOptions& options = {});
 

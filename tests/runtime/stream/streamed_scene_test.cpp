@@ -82,6 +82,20 @@ TEST_CASE("with a limit of Gaussians, too, a complete picture equals the whole f
   CHECK(details.size() > 5);
 }
 
+TEST_CASE("a streamed scene, too, is drawn as its root in a time that no frame keeps") {
+  const Scene scene = streamed(town());
+  Renderer renderer = cpu_renderer();
+  const Camera camera = town_cameras(2, 1).front();
+  CHECK(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
+  RenderOptions options = at_detail(0);
+  options.frame_ms = 1e-300;
+  std::uint64_t pages = draw(renderer, scene, camera, options).stats.pages;
+  CHECK(pages > 1);
+  for (int k = 0; k < 20; ++k) pages = draw(renderer, scene, camera, options).stats.pages;
+  CHECK(pages == 1);
+  CHECK(renderer.refine(scene, camera, kLong, options) == true);
+}
+
 TEST_CASE("the first picture is the root, and there are no holes until the picture is complete") {
   const Bytes bytes = town();
   const Scene all = whole(bytes);
