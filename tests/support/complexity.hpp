@@ -18,6 +18,13 @@
 #include <fstream>
 #include <string>
 
+// In place of libhwy's own, which its initializer calls: valgrind lacks an instruction of that on some processors.
+namespace hwy::platform {
+[[gnu::used, gnu::visibility("default")]] inline std::uint64_t TimerResolution() {
+  return 1;
+}
+}  // namespace hwy::platform
+
 namespace rgs::test {
 
 /// Ratio of the two input sizes. Four would hardly separate n log n from n squared.

@@ -574,7 +574,7 @@ TEST_CASE("pages are compared with their children on request, and false errors r
     CHECK_FALSE(has(text.out, "verified: every"));
     CHECK(f.run(lie + " --verify --levels 10% --ascii").out == text.out);  // the same pages
     if (profile == Profile::archive) continue;  // its losses hide less than a factor of 1,000
-    const std::string small = f.write(with_errors_times(bytes, 0.1F), "small.rgs");
+    const std::string small = f.write(with_errors_times(bytes, 0.01F), "small.rgs");
     CHECK(f.json(small + " --verify --levels 100%", 4)["levels"]["check"]["refuted"].size() >= 1);
   }
 }
