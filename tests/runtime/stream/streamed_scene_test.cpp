@@ -83,7 +83,8 @@ TEST_CASE("with a limit of Gaussians, too, a complete picture equals the whole f
 }
 
 TEST_CASE("a streamed scene, too, is drawn as its root in a time that no frame keeps") {
-  const Scene scene = streamed(town());
+  const Bytes bytes = town();
+  const Scene scene = streamed(bytes);
   Renderer renderer = cpu_renderer();
   const Camera camera = town_cameras(2, 1).front();
   CHECK(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
