@@ -314,8 +314,8 @@ def test_detail(examples, renderer):
         renderer.render(levels, far, detail=detail)
         drawn.append(renderer.stats[0]["gaussians"])
     assert drawn[0] == 2000 and drawn == sorted(drawn, reverse=True) and drawn[-1] < 1000
-    renderer.render(levels, far, detail=0.5, max_gaussians=drawn[2])
-    assert renderer.stats[0]["gaussians"] <= drawn[2] and 0.5 < renderer.stats[0]["detail_px"] <= 4.8
+    renderer.render(levels, far, detail=0, max_gaussians=drawn[1])
+    assert renderer.stats[0]["gaussians"] <= drawn[1] and 0 < renderer.stats[0]["detail_px"] <= 0.6
     renderer.render(levels, far, detail=0.5, max_gaussians=drawn[1])
     assert renderer.stats[0]["gaussians"] == drawn[1] and renderer.stats[0]["detail_px"] == 0.5
     # Order in the file breaks no ties here, so that both files give one picture.
