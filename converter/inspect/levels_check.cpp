@@ -50,8 +50,8 @@ std::vector<std::uint32_t> draw(const PagedFile& file, double share, std::uint32
   const auto wanted = static_cast<std::size_t>(std::ceil(share * static_cast<double>(inner.size())));
   std::ranges::sort(inner);
   inner.resize(std::min(wanted, inner.size()));
-  std::vector<std::uint32_t> pages;
-  for (const auto& [hash, i] : inner) pages.push_back(i);
+  std::vector<std::uint32_t> pages(inner.size());
+  std::ranges::transform(inner, pages.begin(), [](const auto& each) { return each.second; });
   std::ranges::sort(pages);
   return pages;
 }
