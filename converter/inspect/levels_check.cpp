@@ -15,6 +15,7 @@
 namespace rgs::tool {
 namespace {
 
+constexpr std::uint64_t kMostRows = std::uint64_t{1} << 19;  // of a page and its children: of four of the largest, too
 constexpr std::uint64_t kTableHeadBytes = 64, kRecordBytes = 112;  // docs/format/FORMAT.md, LODS
 
 SplatView rows(const SplatView& all, std::uint64_t first, std::uint64_t n) {
@@ -47,7 +48,8 @@ std::vector<std::uint32_t> draw(const PagedFile& file, double share, std::uint32
     inner.emplace_back(hash_of(table, i), i);
   }
   n_inner = static_cast<std::uint32_t>(inner.size());
-  const auto wanted = static_cast<std::size_t>(std::ceil(share * static_cast<double>(inner.size())));
+  const auto wanted =
+      static_cast<std::size_t>(std::max(1.0, std::ceil(share * static_cast<double>(inner.size()) - 1e-9)));
   std::ranges::sort(inner);
   inner.resize(std::min(wanted, inner.size()));
   std::vector<std::uint32_t> pages(inner.size());
@@ -69,7 +71,12 @@ Result<LevelsCheck> check_levels(const PagedFile& file, double share) {
   for (const std::uint32_t i : draw(file, share, check.n_inner)) {
     const lod::Page& page = file.pages()[i];
     std::vector<std::uint32_t> group{i};
-    for (std::uint32_t k = 0; k < page.n_children; ++k) group.push_back(page.first_child + k);
+    std::uint64_t n_rows = page.count;
+    for (std::uint32_t k = 0; k < page.n_children; ++k) {
+      group.push_back(page.first_child + k);
+      n_rows += file.pages()[group.back()].count;
+    }
+    if (n_rows > kMostRows) continue;
     const auto splats = read_pages(file, group, {.validate = false});
     if (!splats) return tl::unexpected(splats.error());
     const SplatView all = splats->view();

@@ -25,7 +25,8 @@ struct LevelsCheck {
 std::uint64_t record_offset(const PagedFile& file, std::uint32_t page);
 
 /// Checks the share, rounded up, of the pages that are present with all their children. Which ones follows from the file's
-/// table of pages alone. `file`: validated. Memory: one page and its children at a time, about 2 KiB a Gaussian.
+/// table of pages alone. `file`: validated. Memory: one page and its children at a time, about 2 KiB a Gaussian; left out
+/// where these are more than half a million.
 /// Errors: those of read_pages().
 Result<LevelsCheck> check_levels(const PagedFile& file, double share);
 

@@ -28,7 +28,7 @@ constexpr float kRoundingMargin = 1.004F;
 constexpr float kBoundSigmas = 3;
 constexpr float kErrorGrowth = 1.01F;  // least ratio of a page's error to its children's largest
 constexpr float kMostError = 1e30F;
-constexpr double kMostKept = 0.75;  // of a group
+constexpr double kLeastKept = 0.02, kMostKept = 0.75;  // of a group
 // A run of boxes has a gap where the box around it is longer than kGap times the sum of their lengths.
 constexpr float kGap = 2;
 // Boxes whose lengths differ by more than this factor do not share a run: floaters.
@@ -256,15 +256,24 @@ std::vector<Page> cut_leaf_pages(std::span<const ChunkBoxes> chunks, std::uint64
 }
 
 MergeCosts merge_costs(const SplatView& splats, std::uint64_t first, std::uint64_t n) {
-  constexpr float kLeast = 1e-20F;  // equal Gaussians cost nothing
-  const Gaussians page = activate(splats, first, n, &splats.mean[3 * first]);
+  constexpr float kLeast = 1e-20F;  // equal Gaussians cost nothing, and so do invisible ones
+  MergeCosts out;
+  out.fill(kLeast);
+  float centre[3];
+  find_middle(splats, first, n, centre);
+  std::vector<std::uint32_t> near;
+  for (std::uint64_t i = 0; i < n; ++i) {
+    if (!is_far(splats, first + i, centre)) near.push_back(static_cast<std::uint32_t>(i));
+  }
+  const Gaussians page = subset(activate(splats, first, n, centre), near);
   const std::vector<float> area = areas(page);
+  if (std::ranges::none_of(area, [](float a) { return a > 0; })) return out;
   const auto kept = static_cast<std::size_t>(kKept * static_cast<double>(n));
   std::vector<float> costs = cheapest_merges(page, area, footprint_of(area, std::max<std::size_t>(kept, 1)));
   std::ranges::sort(costs);
-  MergeCosts out;
   for (std::size_t k = 0; k < out.size(); ++k) {
-    out[k] = std::max(std::sqrt(std::sqrt(costs[(2 * k + 1) * costs.size() / (2 * out.size())])), kLeast);
+    const float cost = costs[(2 * k + 1) * costs.size() / (2 * out.size())];
+    out[k] = std::max(std::sqrt(std::sqrt(std::max(cost, 0.F))), kLeast);  // rounding makes some less than 0
   }
   return out;
 }
@@ -304,6 +313,7 @@ std::vector<Group> group_pages(std::span<const Page> pages, std::span<const Merg
         run.take(pages[end++].bounds);
       }
       // The tree must narrow.
+      wanted = std::max(wanted, kLeastKept * static_cast<double>(rows));
       wanted = std::min({wanted, most, kMostKept * static_cast<double>(rows)});
       groups.push_back({i, end, std::max<std::uint64_t>(1, static_cast<std::uint64_t>(wanted))});
       i = end;

@@ -62,7 +62,7 @@ struct Group {
   std::uint32_t first, last;
   std::uint64_t wanted;
 };
-/// Groups of pages with these costs, one after the other. Together they want kKept of all Gaussians, each as many as it
+/// Groups of pages with these costs, one after the other. Together they want about kKept of all Gaussians, each as many as it
 /// costs: where merges cost much, groups have fewer pages.
 std::vector<Group> group_pages(std::span<const Page> pages, std::span<const MergeCosts> costs,
                                const BuildOptions& options);

@@ -587,7 +587,8 @@ int render_streamed(const Options& options) {
   rgs::Status why;
   Drawn drawn;
   const rgs::RenderOptions asked = render_options(options);
-  const float detail = asked.detail_px.value_or(asked.pipeline == rgs::Pipeline::baseline ? 0 : rgs::kDefaultDetailPx);
+  const bool keeps_time = asked.pipeline != rgs::Pipeline::baseline;  // which draws the leaves alone
+  const float detail = asked.detail_px.value_or(keeps_time ? rgs::kDefaultDetailPx : 0);
   rgs::render::Pace pace(options.realtime.value_or(1));
   std::optional<Clock::time_point> flight;
   // Before the clock starts, the renderer makes its workspace and learns what a frame costs, and the libraries that
@@ -595,7 +596,7 @@ int render_streamed(const Options& options) {
   for (int n = 0; options.realtime && n < kWarmUps; ++n) {
     Frame frame{&shots.front(), {}};
     rgs::RenderOptions warm_up = asked;
-    warm_up.frame_ms = pace.draw_ms();
+    if (keeps_time) warm_up.frame_ms = pace.draw_ms();
     const auto picture = render_shot(*renderer, *scene, warm_up, options.alpha, frame);
     if (!picture) return tool::report(frame.shot->camera.name, picture.error());
     if (n > 0) continue;
@@ -610,7 +611,7 @@ int render_streamed(const Options& options) {
       std::this_thread::sleep_until(
           *flight + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1e-3 * frame.due_ms)));
       frame.begin_ms = 1e3 * seconds_since(*flight);
-      render_how.frame_ms = pace.draw_ms();
+      if (keeps_time) render_how.frame_ms = pace.draw_ms();
       return;
     }
     const auto waiting = Clock::now();

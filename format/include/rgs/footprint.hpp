@@ -39,7 +39,8 @@ inline float coarser(float detail_px) {
   return next < kFirst ? kFirst : next > kMost ? kMost : next;
 }
 
-/// What a limit of Gaussians chooses from: the detail asked for, then coarser() ones, up to 1e9 px at least.
+/// What a limit of Gaussians chooses from: the detail asked for, then coarser() ones; at the last one any page is fine
+/// enough.
 inline constexpr int kDetailSteps = 128;
 struct DetailSteps {
   float px[kDetailSteps];
@@ -47,6 +48,7 @@ struct DetailSteps {
 inline DetailSteps detail_steps(float asked_px) {
   DetailSteps steps{};
   for (float& px : steps.px) px = asked_px, asked_px = coarser(asked_px);
+  steps.px[kDetailSteps - 1] = std::numeric_limits<float>::max();
   return steps;
 }
 

@@ -84,7 +84,7 @@ struct RenderOptions {
   /// camera changes nothing. The anti-aliasing is that of detail_px. Absent: no limit. Other scenes ignore it.
   std::optional<std::uint64_t> max_gaussians = std::nullopt;
   /// ms, of a scene with levels of detail: Renderer lowers max_gaussians, from frame to frame, until render() takes no
-  /// longer, and raises it again where there is time. render_all() on CUDA keeps to what render() has learned, and
+  /// longer, and raises it again after frames that took less than half of it. Not for contributions. render_all() on CUDA keeps to what render() has learned, and
   /// CudaRenderer ignores this. Absent: no limit. Pictures then depend on the machine and on the frames before.
   std::optional<double> frame_ms = std::nullopt;
   Pipeline pipeline = Pipeline::automatic;

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <vector>
 
 #include "complexity.hpp"
@@ -147,6 +148,30 @@ TEST_CASE("where merging costs more, groups have fewer pages and keep more, and 
   CHECK(wanted[1] > 2 * wanted[0]);
   CHECK(pages[0] / n_groups[0] > 3.5);
   CHECK(pages[1] / n_groups[1] < 3);
+}
+
+TEST_CASE("equal Gaussians, invisible ones and a huge one take no share from the others") {
+  rgs::test::SplitMix random(12);
+  const rgs::SplatCloud wall = rgs::test::wall(64, 0, random);  // 4,096 Gaussians
+  const BuildOptions options = small_pages();
+  for (const int kind : {0, 1, 2}) {
+    CAPTURE(kind);
+    rgs::SplatCloud cloud = wall;
+    const std::uint64_t half = cloud.size() / 2;
+    for (std::uint64_t i = 0; i < half; ++i) {
+      if (kind == 0 && i % 2 != 0) cloud.set(i, cloud.view().splat(i - 1));
+      if (kind == 1) cloud.opacity_logit[i] = -std::numeric_limits<float>::max();
+      if (kind == 2 && i % 256 == 100) cloud.log_scale[3 * i] = 60;
+    }
+    const std::vector<Page> leaves = cut_leaves(cloud.view(), options);
+    double wanted = 0, of_others = 0;
+    for (const Group& group : group_pages(leaves, costs_of(cloud.view(), leaves), options)) {
+      wanted += static_cast<double>(group.wanted);
+      if (leaves[group.first].first >= half) of_others += static_cast<double>(group.wanted);
+    }
+    CHECK(wanted < 0.25 * static_cast<double>(cloud.size()));
+    CHECK(of_others > 0.2 * static_cast<double>(half));
+  }
 }
 
 TEST_CASE("stretches are whole chunks of similar size, whatever the number of Gaussians") {
