@@ -26,8 +26,8 @@ class Gaussians {
   std::size_t padded() const { return stride_; }
   int sh_degree() const { return sh_degree_; }
   int n_values() const { return kSh + 3 * sh_coefficients(sh_degree_); }
-  float* of(int value) { return &values_[static_cast<std::size_t>(value) * stride_]; }
-  const float* of(int value) const { return &values_[static_cast<std::size_t>(value) * stride_]; }
+  float* of(int value) { return values_.data() + static_cast<std::size_t>(value) * stride_; }
+  const float* of(int value) const { return values_.data() + static_cast<std::size_t>(value) * stride_; }
 
  private:
   std::size_t n_ = 0, stride_ = 0;
