@@ -63,7 +63,7 @@ std::uint64_t hash_of(const std::vector<T>& values) {
 }
 
 inline std::vector<std::byte> file_bytes(const std::string& path) {
-  std::ifstream in(std::string(RGS_SOURCE_DIR "/tests/") + path, std::ios::binary);
+  std::ifstream in(source_dir() + "/tests/" + path, std::ios::binary);
   const std::string text{std::istreambuf_iterator<char>(in), {}};
   REQUIRE_FALSE(text.empty());
   const auto bytes = std::as_bytes(std::span(text));

@@ -33,7 +33,7 @@ fs::path south() {
 
 // The scene's PLY file in the build folder, unpacked once.
 std::string unpacked_scene() {
-  const std::string path = (fs::path(RGS_BINARY_DIR) / "south.ply").string();
+  const std::string path = binary_dir() + "/south.ply";
   if (fs::exists(path)) return path;
   const auto packed = MappedFile::open((south() / "south.ply.zst").string());
   REQUIRE(packed);

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "checkout.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 
@@ -25,7 +26,7 @@ inline CountedResult run_counted(const std::vector<std::string>& arguments,
   const TemporaryFolder folder;
   const std::string path = folder.file("peak");
   CountedResult result{run_program(arguments, [&] {
-    ::setenv("LD_PRELOAD", RGS_COUNTED_MEMORY, 1);
+    ::setenv("LD_PRELOAD", (binary_dir() + "/lib/librgs_counted_memory.so").c_str(), 1);
     ::setenv("RGS_PEAK_FILE", path.c_str(), 1);
     ::setenv("RGS_MOST_BYTES", std::to_string(most_bytes).c_str(), 1);
   })};

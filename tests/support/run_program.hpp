@@ -18,7 +18,14 @@
 #include <utility>
 #include <vector>
 
+#include "checkout.hpp"
+
 namespace rgs::test {
+
+/// The path of a program of this build.
+inline std::string built(const std::string& program) {
+  return binary_dir() + "/bin/" + program;
+}
 
 struct ProgramResult {
   int exit_code = -1;  ///< -1 if a signal ended it

@@ -60,7 +60,7 @@ class ReservedPort {
 /// hostile_server.py, which documents its addresses.
 class HostileServer {
  public:
-  HostileServer() : program_({RGS_PYTHON, "-B", RGS_SOURCE_DIR "/tests/support/hostile_server.py"}) {
+  HostileServer() : program_({RGS_PYTHON, "-B", source_dir() + "/tests/support/hostile_server.py"}) {
     use_no_proxy();
     await([&] { return log().find('\n') != std::string::npos || !program_.running(); });
     std::istringstream(log()).ignore(5) >> port_;

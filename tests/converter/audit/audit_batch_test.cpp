@@ -28,7 +28,7 @@ using namespace rgs::test;
 namespace {
 
 void convert(const std::vector<std::string>& arguments) {
-  std::vector<std::string> command{RGS_CONVERT, "-q", "--no-sync", "--overwrite"};
+  std::vector<std::string> command{built("rgs-convert"), "-q", "--no-sync", "--overwrite"};
   command.insert(command.end(), arguments.begin(), arguments.end());
   const ProgramResult run = run_program(command);
   INFO(run.err);

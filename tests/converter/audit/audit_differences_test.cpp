@@ -87,7 +87,7 @@ TEST_CASE("levels of detail are compared over both backgrounds too") {
   SplatCloud shelled = scene.cloud;
   append_splats(shelled, black_shell(14000));
   const std::string ply = write_ply(scene.file("shelled.ply"), shelled), rgs = scene.file("shelled.rgs");
-  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", "--lod", ply, rgs}).exit_code == 0);
+  REQUIRE(run_program({built("rgs-convert"), "--no-sync", "--quiet", "--lod", ply, rgs}).exit_code == 0);
   const json j = audited({scene.ply, rgs, "--cameras", scene.cameras, "--no-attribution"});
   for (const json& row : j["distances"]["rows"])
     for (const char* scenes : {"leaves", "compensated", "levels"}) CHECK(row[scenes]["psnr"].get<double>() < 15);
@@ -136,8 +136,8 @@ TEST_CASE("Gaussians added behind the cameras are counted in assets of every for
     if (std::string(format) == "ply")
       write_ply(same, scene.cloud);
     else {
-      REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", scene.ply, same}).exit_code == 0);
-      REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", ply, asset}).exit_code == 0);
+      REQUIRE(run_program({built("rgs-convert"), "--no-sync", "--quiet", scene.ply, same}).exit_code == 0);
+      REQUIRE(run_program({built("rgs-convert"), "--no-sync", "--quiet", ply, asset}).exit_code == 0);
     }
     const json kept = audited({scene.ply, same, "--no-render", "--fail-below", "added=0,dropped=0"});
     CHECK(kept["gaussians"]["paired"] == 700);
@@ -166,7 +166,7 @@ TEST_CASE("as many Gaussians replaced as were there do not go unnoticed") {
   SplatCloud replaced = scene.cloud;
   for (std::uint64_t i = 0; i < 50; ++i) replaced.mean[3 * i + 2] -= 12;
   const std::string ply = write_ply(scene.file("replaced.ply"), replaced), spz = scene.file("replaced.spz");
-  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", ply, spz}).exit_code == 0);
+  REQUIRE(run_program({built("rgs-convert"), "--no-sync", "--quiet", ply, spz}).exit_code == 0);
   for (const std::string& asset : {ply, spz}) {
     const json found = audited({scene.ply, asset, "--no-render"})["gaussians"];
     CHECK(found["added"] == 50);
@@ -216,7 +216,7 @@ TEST_CASE("a file audited against itself is identical, in pictures and attribute
   for (const auto& options : {more("--keep-order"), more("--profile", "packed"), more("--profile", "archive"),
                               more("--lod"), more("--axes", "opengl"), more("--aa", "mip")}) {
     CAPTURE(options[0]);
-    std::vector<std::string> command{RGS_CONVERT, "--no-sync", "--quiet", "--overwrite", scene.ply, rgs};
+    std::vector<std::string> command{built("rgs-convert"), "--no-sync", "--quiet", "--overwrite", scene.ply, rgs};
     command.insert(command.end(), options.begin(), options.end());
     REQUIRE(run_program(command).exit_code == 0);
     const json j = audited({rgs, rgs, "--cameras", scene.cameras, "--no-attribution"});
@@ -263,8 +263,8 @@ TEST_CASE("a linear asset of an sRGB source fails every gate that does not allow
   EncodeOptions linear;
   linear.colour_space = ColourSpace::linear_display;
   const std::string rgs = write_rgs(scene.file("linear.rgs"), scene.cloud, linear), glb = scene.file("linear.glb");
-  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", "--colour-space", "linear", scene.ply, glb}).exit_code ==
-          0);
+  REQUIRE(run_program({built("rgs-convert"), "--no-sync", "--quiet", "--colour-space", "linear", scene.ply, glb})
+              .exit_code == 0);
   for (const std::string& asset : {rgs, glb}) {
     const std::vector<std::string> command{scene.ply, asset, "--cameras", scene.cameras, "--no-attribution"};
     const auto gated = [&](const char* conditions, int exit_code) {
@@ -283,7 +283,7 @@ TEST_CASE("a linear asset of an sRGB source fails every gate that does not allow
   }
   // The reverse, and a format that cannot state it.
   const std::string spz = scene.file("linear.spz");
-  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", rgs, spz}).exit_code == 0);
+  REQUIRE(run_program({built("rgs-convert"), "--no-sync", "--quiet", rgs, spz}).exit_code == 0);
   for (const std::string& asset : {scene.ply, spz})
     audited({rgs, asset, "--cameras", scene.cameras, "--no-attribution", "--fail-below", "psnr=20"}, 5);
   const json other = audited({scene.ply, scene.rgs, "--no-render", "--fail-below", "contradictions=0"});

@@ -36,7 +36,7 @@ struct LevelsFolder : TemporaryFolder {
     ply = write_ply(file("scene.ply"), cloud);
     for (const std::vector<std::string>& arguments :
          {std::vector<std::string>{ply, plain}, std::vector<std::string>{ply, levels, "--lod"}}) {
-      std::vector<std::string> command{RGS_CONVERT, "--quiet"};
+      std::vector<std::string> command{built("rgs-convert"), "--quiet"};
       command.insert(command.end(), arguments.begin(), arguments.end());
       const ProgramResult run = run_program(command);
       INFO(run.err);

@@ -20,7 +20,7 @@
 namespace rgs::test {
 
 inline ProgramResult run_audit(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), RGS_AUDIT);
+  arguments.insert(arguments.begin(), built("rgs-audit"));
   return run_program(arguments);
 }
 

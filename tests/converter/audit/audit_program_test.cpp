@@ -324,7 +324,7 @@ TEST_CASE("a far scene is audited as it would be near the world's origin") {
   const Origin place{4.2e6, 1.7e5, 4.8e6};
   const std::string ply = write_ply(scene.file("far.ply"), scene.cloud, place), rgs = scene.file("far.rgs"),
                     cameras = write_cameras(scene.file("far.json"), 3, 96, 72, place);
-  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", ply, rgs}).exit_code == 0);
+  REQUIRE(run_program({built("rgs-convert"), "--no-sync", "--quiet", ply, rgs}).exit_code == 0);
   const auto audited = [](const std::vector<std::string>& files) {
     std::vector<std::string> arguments{files};
     arguments.insert(arguments.end(), {"--json", "-", "--quiet"});
@@ -347,7 +347,7 @@ TEST_CASE("an audit warns that FP32 rounds the source's positions as it does the
   SplatCloud apart = scene.cloud;
   for (std::uint64_t i = 0; i < apart.size(); ++i) apart.mean[3 * i] += i % 2 == 0 ? 6.4e6F : -6.4e6F;
   const std::string ply = write_ply(scene.file("apart.ply"), apart, {0.1, 0, 0}), rgs = scene.file("apart.rgs");
-  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", "--allow-rounding", ply, rgs}).exit_code == 0);
+  REQUIRE(run_program({built("rgs-convert"), "--no-sync", "--quiet", "--allow-rounding", ply, rgs}).exit_code == 0);
   const ProgramResult run = run_audit({ply, rgs, "--no-render", "--json", "-", "--quiet"});
   REQUIRE(run.exit_code == 0);
   CHECK(json::parse(run.out)["warnings"].dump().find("positions by up to 0.1 world units") != std::string::npos);
@@ -383,11 +383,11 @@ TEST_CASE("files of other formats are measured, also as the asset") {
   const SceneFolder scene;
   const std::string spz = scene.file("scene.spz"), packed_ply = scene.file("scene.compressed.ply");
   for (const std::string& file : {spz, packed_ply})
-    REQUIRE(run_program({RGS_CONVERT, scene.ply, file, "--quiet"}).exit_code == 0);
+    REQUIRE(run_program({built("rgs-convert"), scene.ply, file, "--quiet"}).exit_code == 0);
   for (const std::string version : {"2", "3", "4"}) {
     CAPTURE(version);
-    REQUIRE(run_program({RGS_CONVERT, scene.ply, spz, "--quiet", "--overwrite", "--spz-version", version}).exit_code ==
-            0);
+    REQUIRE(run_program({built("rgs-convert"), scene.ply, spz, "--quiet", "--overwrite", "--spz-version", version})
+                .exit_code == 0);
     const json also = scene.result({"--also", spz, "--no-attribution"})["also"][0];
     CHECK(also["measured"] == true);
     CHECK(also["bytes"] == fs::file_size(spz));
@@ -600,8 +600,8 @@ TEST_CASE("two folders become a table, and an interrupted run continues") {
 TEST_CASE("a conversion to a larger file does not call its output smaller") {
   const SceneFolder scene;
   const std::string small = scene.file("small.spz"), large = scene.file("large.ply");
-  REQUIRE(run_program({RGS_CONVERT, scene.ply, small, "--quiet"}).exit_code == 0);
-  const ProgramResult run = run_program({RGS_CONVERT, small, large});
+  REQUIRE(run_program({built("rgs-convert"), scene.ply, small, "--quiet"}).exit_code == 0);
+  const ProgramResult run = run_program({built("rgs-convert"), small, large});
   REQUIRE(run.exit_code == 0);
   CHECK(run.out.find("smaller") == std::string::npos);
   CHECK(run.out.find("x larger, ") != std::string::npos);
@@ -612,7 +612,7 @@ TEST_CASE("a conversion to a larger file does not call its output smaller") {
 TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the verdict on") {
   const SceneFolder scene;
   const std::string out = scene.file("made.rgs");
-  const std::vector<std::string> command{RGS_CONVERT, scene.ply, out, "--audit", "--cameras", scene.cameras};
+  const std::vector<std::string> command{built("rgs-convert"), scene.ply, out, "--audit", "--cameras", scene.cameras};
   const ProgramResult run = run_program(command);
   INFO(run.err);
   CHECK(run.exit_code == 0);
@@ -620,21 +620,21 @@ TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the 
   CHECK(run.out.find("report: " + scene.file("made.audit.html")) != std::string::npos);
   CHECK(read_text(scene.file("made.audit.html")).starts_with("<!doctype html>"));
   CHECK(run_program(command).exit_code == 3);  // both exist already
-  CHECK(run_program({RGS_CONVERT, scene.ply, "-", "--to", "rgs", "--audit"}).exit_code == 2);
-  CHECK(run_program({RGS_CONVERT, out, scene.file("back.ply"), "--audit"}).exit_code == 2);
+  CHECK(run_program({built("rgs-convert"), scene.ply, "-", "--to", "rgs", "--audit"}).exit_code == 2);
+  CHECK(run_program({built("rgs-convert"), out, scene.file("back.ply"), "--audit"}).exit_code == 2);
   // Unpairable outputs are refused before the conversion; dropped Gaussians are reported.
   const std::string again = scene.file("again.rgs");
-  CHECK(run_program({RGS_CONVERT, out, again, "--audit", "--level-of-detail", "0"}).exit_code == 2);
-  CHECK(run_program({RGS_CONVERT, scene.ply, again, "--audit", "--scale", "2"}).exit_code == 2);
-  CHECK(run_program({RGS_CONVERT, scene.ply, scene.ply, again, "--merge", "--audit"}).exit_code == 2);
+  CHECK(run_program({built("rgs-convert"), out, again, "--audit", "--level-of-detail", "0"}).exit_code == 2);
+  CHECK(run_program({built("rgs-convert"), scene.ply, again, "--audit", "--scale", "2"}).exit_code == 2);
+  CHECK(run_program({built("rgs-convert"), scene.ply, scene.ply, again, "--merge", "--audit"}).exit_code == 2);
   CHECK_FALSE(fs::exists(again));
-  CHECK(run_program({RGS_CONVERT, scene.ply, again, "--audit", "--max-count", "600"}).exit_code == 0);
+  CHECK(run_program({built("rgs-convert"), scene.ply, again, "--audit", "--max-count", "600"}).exit_code == 0);
   CHECK(fs::exists(scene.file("again.audit.html")));
-  CHECK(run_program({RGS_CONVERT, out, scene.file("from-rgs.rgs"), "--audit"}).exit_code == 0);
+  CHECK(run_program({built("rgs-convert"), out, scene.file("from-rgs.rgs"), "--audit"}).exit_code == 0);
   CHECK(fs::exists(scene.file("from-rgs.audit.html")));
   // Without rgs-audit the program says so before it converts anything.
   fs::create_directory(scene.file("bin"));
-  fs::copy(RGS_CONVERT, scene.file("bin/rgs-convert"));
+  fs::copy(built("rgs-convert"), scene.file("bin/rgs-convert"));
   const ProgramResult alone =
       run_program({scene.file("bin/rgs-convert"), scene.ply, scene.file("other.rgs"), "--audit"});
   CHECK(alone.exit_code == 3);

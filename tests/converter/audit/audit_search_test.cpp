@@ -101,7 +101,7 @@ TEST_CASE("levels that are bad where they switch alone are found there") {
   SplatCloud cloud = audit_cloud(14000, 1);
   for (float& s : cloud.log_scale) s -= 1.5F;
   const std::string source = write_ply(folder.file("scene.ply"), cloud), good = folder.file("good.rgs");
-  REQUIRE(run_program({RGS_CONVERT, "--quiet", "--no-sync", source, good, "--lod"}).exit_code == 0);
+  REQUIRE(run_program({built("rgs-convert"), "--quiet", "--no-sync", source, good, "--lod"}).exit_code == 0);
   const std::string bad = with_changed_levels(good, folder.file("bad.rgs"), [](lod::Levels& levels) {
     REQUIRE(levels.pages.front().level == 2);
     // Level 1 is drawn in a narrow range of distances, and is black there.

@@ -64,7 +64,7 @@ Quality audited(const std::string& source, const std::string& asset, const std::
 
 std::string converted(const TemporaryFolder& folder, const std::string& source, const std::string& name,
                       std::vector<std::string> more) {
-  std::vector<std::string> command{RGS_CONVERT, source, folder.file(name)};
+  std::vector<std::string> command{built("rgs-convert"), source, folder.file(name)};
   command.insert(command.end(), more.begin(), more.end());
   const ProgramResult run = run_program(command);
   INFO(run.err);

@@ -259,7 +259,7 @@ TEST_CASE("rgs-convert --audit reports that nothing was rated") {
   const SceneFolder scene;
   const std::string cameras = write_cameras(scene.file("far.json"), std::array{kTiny});
   const ProgramResult run =
-      run_program({RGS_CONVERT, scene.ply, scene.file("made.rgs"), "--audit", "--cameras", cameras});
+      run_program({built("rgs-convert"), scene.ply, scene.file("made.rgs"), "--audit", "--cameras", cameras});
   INFO(run.err);
   CHECK(run.exit_code == 0);
   CHECK(run.out.find("not rated") != std::string::npos);

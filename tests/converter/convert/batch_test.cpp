@@ -61,7 +61,7 @@ Batch lines_of(ProgramResult run, const std::string& text) {
 }
 
 Batch convert_all(std::vector<std::string> arguments, const std::function<void()>& before_exec = {}) {
-  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync"});
+  arguments.insert(arguments.begin(), {built("rgs-convert"), "--no-sync"});
   ProgramResult run = run_program(arguments, before_exec);
   const std::string text = run.out;
   return lines_of(std::move(run), text);
@@ -122,7 +122,7 @@ struct Folders : TemporaryFolder {
 };
 
 std::vector<std::string> program(const std::vector<std::string>& arguments) {
-  std::vector<std::string> command{RGS_CONVERT, "--no-sync"};
+  std::vector<std::string> command{built("rgs-convert"), "--no-sync"};
   command.insert(command.end(), arguments.begin(), arguments.end());
   return command;
 }
@@ -171,7 +171,9 @@ TEST_CASE("a folder of all formats becomes a folder of the same shape, byte for 
     const std::string& input = name;
     CAPTURE(input);
     const std::string single = f.file("single.rgs");
-    REQUIRE(run_program({RGS_CONVERT, "-q", "--no-sync", "--overwrite", f.in + "/" + input, single}).exit_code == 0);
+    REQUIRE(
+        run_program({built("rgs-convert"), "-q", "--no-sync", "--overwrite", f.in + "/" + input, single}).exit_code ==
+        0);
     CHECK(read_text(single) == contents(f.out)[line["output_path"].get<std::string>()]);
   }
   // To other formats, from .rgs too.
@@ -399,7 +401,7 @@ TEST_CASE("a damaged scene stops no other, and the worst error decides the exit 
 TEST_CASE("an unreadable input is reported and stops no other") {
   const Folders f(3);
   const std::string program = f.file("rgs-convert");
-  fs::copy_file(RGS_CONVERT, program);  // a path that the other user can reach
+  fs::copy_file(built("rgs-convert"), program);  // a path that the other user can reach
   scene(f.in + "/locked/x.ply", 8);
   fs::create_directory(f.out);
   fs::permissions(f.in + "/b.ply", fs::perms(0));
@@ -479,9 +481,9 @@ TEST_CASE("a list names inputs, and outputs after a tab") {
   CHECK(run.lines.at("missing.ply")["exit_code"] == 3);
   CHECK(convert_all(f.command({"--list", list})).count("kept") == 2);
   // Relative to the working folder, through a pipe; paths outside lose their folders.
-  const ProgramResult piped = run_shell("cd '" + f.path().string() + "' && ls in/*.ply | '" + RGS_CONVERT +
+  const ProgramResult piped = run_shell("cd '" + f.path().string() + "' && ls in/*.ply | '" + built("rgs-convert") +
                                         "' --no-sync -q --list - piped --to spz && echo \"$PWD/in/a.ply\" > one && '" +
-                                        RGS_CONVERT + "' --no-sync -q --list one absolute --to ply");
+                                        built("rgs-convert") + "' --no-sync -q --list one absolute --to ply");
   CHECK(piped.exit_code == 0);
   CHECK(names(contents(f.file("piped"))) == std::set<std::string>{"in/a.spz", "in/b.spz", "in/c.spz"});
   CHECK(names(contents(f.file("absolute"))) == std::set<std::string>{"a.ply"});
@@ -537,7 +539,7 @@ TEST_CASE("levels of detail share the memory limit among processes") {
   CHECK(run.count("converted") == 2);
   CHECK(run.lines.at("a.ply")["levels"]["levels"].get<int>() > 1);
   const std::string single = f.file("single.rgs");
-  REQUIRE(run_program({RGS_CONVERT, "-q", "--no-sync", "--lod", f.in + "/a.ply", single}).exit_code == 0);
+  REQUIRE(run_program({built("rgs-convert"), "-q", "--no-sync", "--lod", f.in + "/a.ply", single}).exit_code == 0);
   CHECK(read_text(single) == contents(f.out).at("a.rgs"));
   CHECK(entries(f.out) == 3);  // and no scratch files
 }
@@ -790,7 +792,7 @@ TEST_CASE("on a terminal --quiet prints no lines") {
   if (run_shell("command -v script").exit_code != 0) return skip("`script` is not installed (Debian: bsdutils)");
   const auto on_terminal = [&](const std::string& more) {
     fs::remove_all(f.out);
-    return run_shell("script -qec '" RGS_CONVERT " --no-sync " + f.in + " " + f.out + " --to rgs " + more +
+    return run_shell("script -qec '" + built("rgs-convert") + " --no-sync " + f.in + " " + f.out + " --to rgs " + more +
                      " 2>/dev/null' /dev/null")
         .out;
   };

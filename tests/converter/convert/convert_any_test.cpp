@@ -229,7 +229,7 @@ TEST_CASE("pipes, wrong names and damage in other formats") {
   const SplatCloud cloud = ordinary_cloud(300, 1, 5);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), spz = folder.file("scene.spz"),
                     misnamed = folder.file("scene.glb");
-  const std::string program = "'" RGS_CONVERT "' --quiet --no-sync ";
+  const std::string program = "'" + built("rgs-convert") + "' --quiet --no-sync ";
   REQUIRE(run_shell("cat " + ply + " | " + program + "--to spz - - | cat > " + spz).exit_code == 0);
   CHECK(read_splats(spz)->cloud.size() == 300);
   REQUIRE(rgs_convert({"--to", "splat", ply, misnamed}).exit_code == 0);

@@ -27,7 +27,7 @@ using namespace rgs::test;
 namespace {
 
 ProgramResult rgs_convert(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync", "--overwrite"});
+  arguments.insert(arguments.begin(), {built("rgs-convert"), "--no-sync", "--overwrite"});
   return run_program(arguments);
 }
 
@@ -201,7 +201,7 @@ TEST_CASE("--lod takes no more than --memory, leaves --scratch empty, and refuse
   CHECK(none.err.find("--scratch") != std::string::npos);
   CHECK(none.err.find(scratch.file("missing")) != std::string::npos);
   CHECK_FALSE(std::filesystem::exists(levels));
-  const CountedResult run = run_counted({RGS_CONVERT, "--no-sync", "--lod", "--memory", "128MiB", "--scratch",
+  const CountedResult run = run_counted({built("rgs-convert"), "--no-sync", "--lod", "--memory", "128MiB", "--scratch",
                                          scratch.path().string(), "--threads", "2", ply, levels});
   CAPTURE(run.program.err);
   REQUIRE(run.program.exit_code == 0);
@@ -234,7 +234,7 @@ TEST_CASE("--merge takes more inputs than the shell's limit of open files") {
     std::filesystem::create_hard_link(ply, inputs.back());
   }
   for (const bool lod : {false, true}) {
-    std::vector<std::string> arguments{RGS_CONVERT, "--no-sync", "--merge"};
+    std::vector<std::string> arguments{built("rgs-convert"), "--no-sync", "--merge"};
     if (lod) arguments.emplace_back("--lod");
     arguments.insert(arguments.end(), inputs.begin(), inputs.end());
     const std::string out = folder.file(lod ? "levels.rgs" : "plain.rgs");

@@ -139,16 +139,16 @@ TEST_CASE("formats without an origin: the summary states the rounding") {
       CHECK(rounding <= (format == "spz" ? 0.75 : 0.25) + 1e-6);
     }
     const ProgramResult text =
-        run_program({RGS_CONVERT, "--no-sync", "--overwrite", ply, folder.file("far." + format)});
+        run_program({built("rgs-convert"), "--no-sync", "--overwrite", ply, folder.file("far." + format)});
     REQUIRE(text.exit_code == 0);
     CHECK(text.out.find("positions  rounded by up to 0.") != std::string::npos);
     CHECK(text.out.find("origin") == std::string::npos);
     const ProgramResult strict =
-        run_program({RGS_CONVERT, "--no-sync", "--overwrite", "--strict", ply, folder.file("far." + format)});
+        run_program({built("rgs-convert"), "--no-sync", "--overwrite", "--strict", ply, folder.file("far." + format)});
     CHECK(strict.exit_code == 4);
     CHECK(strict.err.find("holds no origin") != std::string::npos);
   }
-  const ProgramResult kept = run_program({RGS_CONVERT, "--no-sync", "--overwrite", ply, rgs});
+  const ProgramResult kept = run_program({built("rgs-convert"), "--no-sync", "--overwrite", ply, rgs});
   CHECK(kept.out.find("origin     4200000, 170000, 4800000") != std::string::npos);
   CHECK(kept.out.find("rounded by up to ") != std::string::npos);
 }
@@ -208,7 +208,7 @@ TEST_CASE("means that one origin rounds by more than a millimetre are refused un
   const std::string home = folder.file("home.ply"), away = folder.file("away.ply"), out = folder.file("out.rgs");
   const SplatCloud cloud = ordinary_cloud(300, 0, 4);
   const auto runs = [](std::vector<std::string> arguments) {
-    arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync", "--overwrite", "--json"});
+    arguments.insert(arguments.begin(), {built("rgs-convert"), "--no-sync", "--overwrite", "--json"});
     return run_program(arguments);
   };
   const auto refused = [&](const std::vector<std::string>& arguments) {

@@ -14,7 +14,7 @@
 namespace rgs::test {
 
 inline ProgramResult rgs_convert(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync", "--overwrite"});
+  arguments.insert(arguments.begin(), {built("rgs-convert"), "--no-sync", "--overwrite"});
   return run_program(arguments);
 }
 

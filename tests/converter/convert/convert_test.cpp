@@ -57,7 +57,7 @@ Bytes expected_rgs(const std::string& ply_path, EncodeOptions options, const std
 }
 
 ProgramResult rgs_convert(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync"});
+  arguments.insert(arguments.begin(), {built("rgs-convert"), "--no-sync"});
   return run_program(arguments);
 }
 
@@ -313,7 +313,7 @@ TEST_CASE("pipes: standard input and output in both directions") {
   packed.profile = Profile::packed;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(20000, 3, 4)),
                     rgs = folder.file("piped.rgs"), back = folder.file("back.ply"), named = folder.file("named.ply");
-  const std::string program = "'" RGS_CONVERT "' ";
+  const std::string program = "'" + built("rgs-convert") + "' ";
   REQUIRE(run_shell("cat " + ply + " | " + program + "--quiet --to rgs - - | cat > " + rgs).exit_code == 0);
   CHECK(read_bytes(rgs) == expected_rgs(ply, packed, "stdin"));
   const ProgramResult run = run_shell("cat " + rgs + " | " + program + "--to ply - - > " + back);
@@ -327,7 +327,8 @@ TEST_CASE("pipes: standard input and output in both directions") {
 TEST_CASE("a reader that closes the pipe early leaves no temporary file behind") {
   const TemporaryFolder folder, scratch;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(20000, 3, 4));
-  run_shell("TMPDIR=" + scratch.path().string() + " '" RGS_CONVERT "' --quiet --to rgs " + ply + " - | head -c 10");
+  run_shell("TMPDIR=" + scratch.path().string() + " '" + built("rgs-convert") + "' --quiet --to rgs " + ply +
+            " - | head -c 10");
   CHECK(entries(scratch.path()) == 0);
 }
 
@@ -551,7 +552,7 @@ TEST_CASE("wrong command lines exit with 2 and write nothing") {
 TEST_CASE("malformed inputs exit with 4, state the offset, and write nothing") {
   const TemporaryFolder folder;
   const std::string out = folder.file("out.rgs"), back = folder.file("back.ply"), bad = folder.file("bad");
-  ProgramResult run = rgs_convert({RGS_SOURCE_DIR "/tests/fuzz/corpus/ply/two_scales_2dgs", out});
+  ProgramResult run = rgs_convert({source_dir() + "/tests/fuzz/corpus/ply/two_scales_2dgs", out});
   CHECK(run.exit_code == 4);
   CHECK(holds(run.err, "2DGS"));
 

@@ -38,7 +38,7 @@ constexpr const char* kOld = "the output of an earlier run";
 struct Sample {
   explicit Sample(std::uint64_t n) : ply(folder.file("scene.ply")), rgs(folder.file("scene.rgs")) {
     write_scene(ply, golden_cloud(n, 3, 77));
-    REQUIRE(run_program({RGS_CONVERT, "--quiet", "--no-sync", ply, rgs}).exit_code == 0);
+    REQUIRE(run_program({built("rgs-convert"), "--quiet", "--no-sync", ply, rgs}).exit_code == 0);
   }
   TemporaryFolder folder;
   std::string ply, rgs;
@@ -68,7 +68,7 @@ std::vector<std::string> temporaries(const fs::path& folder) {
 }
 
 std::vector<std::string> overwriting(const std::string& input, const std::string& output) {
-  return {RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", input, output};
+  return {built("rgs-convert"), "--quiet", "--no-sync", "--overwrite", input, output};
 }
 
 ProgramResult overwrite(const std::string& input, const std::string& output,
@@ -86,7 +86,7 @@ const std::vector<Reading>& readings() {
   // A packed file may have read all rows before it writes the first; a direct one has not.
   static const std::string direct = folder.file("direct.rgs");
   static const ProgramResult made =
-      run_program({RGS_CONVERT, "--quiet", "--no-sync", "--profile", "direct", sample().ply, direct});
+      run_program({built("rgs-convert"), "--quiet", "--no-sync", "--profile", "direct", sample().ply, direct});
   REQUIRE(made.exit_code == 0);
   static const std::vector<Reading> all{
       {sample().ply, "out.rgs", "scan"}, {sample().ply, "out.rgs", "encode"}, {direct, "out.ply", "decode"}};
@@ -108,7 +108,7 @@ TEST_CASE("headers that declare billions of Gaussians are refused in little memo
     put(bytes, c.offset, 0xFFFFFFF0U);
     const std::string path = folder.file("scene.bin");
     write_text(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
-    const ProgramResult run = run_program({RGS_CONVERT, "--no-sync", path, folder.file("out.rgs")}, [] {
+    const ProgramResult run = run_program({built("rgs-convert"), "--no-sync", path, folder.file("out.rgs")}, [] {
       const rlimit limit{rlim_t{1} << 29, rlim_t{1} << 29};
       if (!kSanitized) ::setrlimit(RLIMIT_AS, &limit);  // sanitizers reserve terabytes of addresses
     });
@@ -161,7 +161,7 @@ TEST_CASE("a limit of file sizes is a reported error, not death by signal") {
 }
 
 TEST_CASE("a full scratch disk fails the pipe and writes nothing") {
-  const ProgramResult run = run_program({RGS_CONVERT, "--quiet", "--to", "rgs", sample().ply, "-"}, [] {
+  const ProgramResult run = run_program({built("rgs-convert"), "--quiet", "--to", "rgs", sample().ply, "-"}, [] {
     const rlimit limit{1 << 20, 1 << 20};
     ::setrlimit(RLIMIT_FSIZE, &limit);
   });
@@ -176,7 +176,7 @@ TEST_CASE("a folder without write permission is reported and unchanged") {
                     out = (locked / "out.rgs").string();
   fs::create_directory(locked);
   write_text(out, kOld);
-  fs::copy_file(RGS_CONVERT, program);  // a path that the other user can reach
+  fs::copy_file(built("rgs-convert"), program);  // a path that the other user can reach
   fs::copy_file(sample().ply, input);
   fs::permissions(locked, fs::perms(0555));
   fs::permissions(folder.path(), fs::perms(0755));
@@ -200,7 +200,7 @@ TEST_CASE("an output that is the input, a folder, or in a missing folder is refu
   fs::create_hard_link(ply, link);
   for (const std::string& out : {ply, link, folder.path().string(), folder.file("missing/out.rgs")}) {
     CAPTURE(out);
-    const ProgramResult run = run_program({RGS_CONVERT, "--no-sync", "--overwrite", "--to", "rgs", ply, out});
+    const ProgramResult run = run_program({built("rgs-convert"), "--no-sync", "--overwrite", "--to", "rgs", ply, out});
     CHECK(run.exit_code == (out == ply || out == link ? 2 : 3));
     CHECK(run.out == "");
     CHECK(run.err != "");
@@ -213,7 +213,7 @@ TEST_CASE("an existing output stays unless --overwrite is given") {
   const TemporaryFolder folder;
   const std::string out = folder.file("out.rgs");
   write_text(out, kOld);
-  const ProgramResult run = run_program({RGS_CONVERT, "--no-sync", sample().ply, out});
+  const ProgramResult run = run_program({built("rgs-convert"), "--no-sync", sample().ply, out});
   CHECK(run.exit_code == 3);
   CHECK(run.err.find("--overwrite") != std::string::npos);
   CHECK(is_old(out));
@@ -349,8 +349,8 @@ TEST_CASE("--overwrite keeps permissions and owner, and follows a link to its ta
     }
   }
   // Without --overwrite nothing behind a link changes, and a dangling link's target is created.
-  CHECK(run_program({RGS_CONVERT, "--no-sync", sample().ply, chain}).exit_code == 3);
-  CHECK(run_program({RGS_CONVERT, "--quiet", "--no-sync", sample().ply, dangling}).exit_code == 0);
+  CHECK(run_program({built("rgs-convert"), "--no-sync", sample().ply, chain}).exit_code == 3);
+  CHECK(run_program({built("rgs-convert"), "--quiet", "--no-sync", sample().ply, dangling}).exit_code == 0);
   CHECK(fs::is_symlink(dangling));
   CHECK(same_contents((real / "new.rgs").string(), sample().rgs));
   const std::string loop = folder.file("loop.rgs");
@@ -374,7 +374,7 @@ TEST_CASE("a pipe that closes during progress ends the program by SIGPIPE and le
   const TemporaryFolder folder;
   int ends[2];
   REQUIRE(::pipe2(ends, O_CLOEXEC) == 0);
-  Program program({RGS_CONVERT, "--no-sync", sample().ply, folder.file("out.rgs")}, [&] {
+  Program program({built("rgs-convert"), "--no-sync", sample().ply, folder.file("out.rgs")}, [&] {
     ::dup2(ends[1], STDERR_FILENO);
     failpoint("scan")();
   });
@@ -422,8 +422,8 @@ TEST_CASE("SIGKILL while levels are built leaves the old output, and nothing in 
   write_text(out, kOld);
   for (const std::string stage : {"cut", "place", "levels", "encode"}) {
     CAPTURE(stage);
-    Program program({RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", "--lod", "--memory", "128MiB", "--scratch",
-                     scratch.path().string(), ply, out},
+    Program program({built("rgs-convert"), "--quiet", "--no-sync", "--overwrite", "--lod", "--memory", "128MiB",
+                     "--scratch", scratch.path().string(), ply, out},
                     failpoint(stage));
     REQUIRE(program.stops());
     std::size_t n_open = 0;  // unlinked scratch files

@@ -19,7 +19,7 @@ using namespace rgs::test;
 namespace {
 
 ProgramResult program(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync"});
+  arguments.insert(arguments.begin(), {built("rgs-convert"), "--no-sync"});
   return run_program(arguments);
 }
 

@@ -25,7 +25,7 @@ class Fixture {
  public:
   // `after` may redirect standard output.
   ProgramResult run(const std::string& arguments, const std::string& after = "") {
-    return run_shell("'" RGS_INFO "' " + arguments + " " + after);
+    return run_shell("'" + test::built("rgs-info") + "' " + arguments + " " + after);
   }
 
   std::string write(const std::vector<std::byte>& bytes, const std::string& name = "scene.rgs") {
@@ -432,7 +432,8 @@ TEST_CASE_FIXTURE(Fixture, "exit codes") {
 TEST_CASE_FIXTURE(Fixture, "a closed or full standard output is reported") {
   const std::string path = write(encoded(10, 0));
   // The pipe has no reader by the time the program writes; its exit code goes past the pipe.
-  const ProgramResult closed = run_shell("{ ( sleep 0.1; '" RGS_INFO "' '" + path + "'; echo $? >&3 ) | true; } 3>&1");
+  const ProgramResult closed =
+      run_shell("{ ( sleep 0.1; '" + test::built("rgs-info") + "' '" + path + "'; echo $? >&3 ) | true; } 3>&1");
   CHECK(closed.out == "0\n");
   CHECK(run(path, ">/dev/full").exit_code == 3);
 }

@@ -62,7 +62,7 @@ struct Stage {
   }
   std::string file(const std::string& name) const { return folder.file(name); }
   ProgramResult run(const std::string& input, const std::string& output, const std::vector<std::string>& more) const {
-    std::vector<std::string> arguments{RGS_PRUNE, input, output, "--cameras", cameras, "--no-sync"};
+    std::vector<std::string> arguments{test::built("rgs-prune"), input, output, "--cameras", cameras, "--no-sync"};
     arguments.insert(arguments.end(), more.begin(), more.end());
     return test::run_program(arguments);
   }
@@ -78,7 +78,8 @@ TEST_CASE("a far scene is pruned as it would be near the world's origin, and sta
   std::ofstream(cameras) << R"([{"width":64,"height":48,"fx":50,"fy":50,"world_to_camera":)"
                          << R"([[1,0,0,-4200000],[0,1,0,-170000],[0,0,1,-4800000],[0,0,0,1]]}])";
   for (const std::string& output : {stage.file("out.ply"), stage.file("out.rgs")}) {
-    const auto run = test::run_program({RGS_PRUNE, far, output, "--cameras", cameras, "--no-sync", "--keep", "36"});
+    const auto run =
+        test::run_program({test::built("rgs-prune"), far, output, "--cameras", cameras, "--no-sync", "--keep", "36"});
     CAPTURE(run.err);
     REQUIRE(run.exit_code == 0);
     const auto kept = read_splats(output);
@@ -246,7 +247,7 @@ TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input; existing outputs are
   CHECK(code({"--keep", "1", "--scores", out}) == 2);
   CHECK(stage.run(stage.ply, stage.file("out.spz"), {"--keep", "1"}).exit_code == 2);
   CHECK_FALSE(fs::exists(out));
-  CHECK(test::run_program({RGS_PRUNE, "--help"}).exit_code == 0);
+  CHECK(test::run_program({test::built("rgs-prune"), "--help"}).exit_code == 0);
   CHECK(stage.run(stage.file("missing.ply"), out, {"--keep", "1"}).exit_code == 3);
   CHECK(stage.run(stage.ply, stage.ply, {"--keep", "1", "--overwrite"}).exit_code == 2);
   std::ofstream(out) << "mine";

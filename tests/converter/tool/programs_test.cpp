@@ -20,6 +20,7 @@
 #include <string_view>
 #include <vector>
 
+#include "checkout.hpp"
 #include "counted_program.hpp"
 #include "edit_file.hpp"
 #include "file_times.hpp"
@@ -42,7 +43,11 @@ namespace {
 
 using Arguments = std::vector<std::string>;
 
-const Arguments kPrograms{RGS_PROGRAMS};  // paths, set by CMake
+const Arguments kPrograms = [] {     // paths
+  Arguments programs{RGS_PROGRAMS};  // names, set by CMake
+  for (std::string& program : programs) program = built(program);
+  return programs;
+}();
 
 std::string program(const std::string& name) {
   for (const std::string& path : kPrograms)
@@ -619,7 +624,7 @@ TEST_CASE("a program that gets few threads works with those, or says so with exi
     for (int n = 0; n <= 8; ++n) {
       CAPTURE(n);
       const ProgramResult result = run_program(run, [n] {
-        ::setenv("LD_PRELOAD", RGS_INJECTED_FAULTS, 1);
+        ::setenv("LD_PRELOAD", (binary_dir() + "/lib/librgs_injected_faults.so").c_str(), 1);
         ::setenv("RGS_MOST_THREADS", std::to_string(n).c_str(), 1);
       });
       CAPTURE(result.err);

@@ -27,7 +27,7 @@ namespace fs = std::filesystem;
 
 namespace {
 
-const fs::path kGolden = fs::path(RGS_SOURCE_DIR) / "tests/golden";
+const fs::path kGolden = fs::path(source_dir()) / "tests/golden";
 
 // Compressed bytes depend on the libraries: the coded files were written with these versions.
 const bool kGoldenZstd = ZSTD_versionNumber() == 10504;
@@ -296,7 +296,7 @@ TEST_CASE("golden files have the scale sets and optional sections that they test
 }
 
 TEST_CASE("the example of the specification is the golden file of two Gaussians") {
-  std::ifstream document(fs::path(RGS_SOURCE_DIR) / "docs/format/FORMAT_EXAMPLE.md");
+  std::ifstream document(fs::path(source_dir()) / "docs/format/FORMAT_EXAMPLE.md");
   REQUIRE(document);
   // Dump lines: indent, offset of 8 hex digits, up to 16 bytes of 2, two spaces, explanation. Omitted lines are zero.
   Bytes bytes(golden("two").size());

@@ -18,7 +18,7 @@ namespace fs = std::filesystem;
 
 namespace {
 
-const fs::path kGolden = fs::path(RGS_SOURCE_DIR) / "tests/golden";
+const fs::path kGolden = fs::path(source_dir()) / "tests/golden";
 
 std::vector<fs::path> files_in(const fs::path& folder) {
   std::vector<fs::path> files;

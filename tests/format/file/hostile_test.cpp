@@ -23,7 +23,7 @@ using namespace rgs::test;
 namespace {
 
 Bytes golden(const std::string& name) {
-  return read_bytes(std::string(RGS_SOURCE_DIR) + "/tests/golden/" + name + ".rgs");
+  return read_bytes(source_dir() + "/tests/golden/" + name + ".rgs");
 }
 
 // Decodes from an exact-size heap block, so that AddressSanitizer detects any overread. A decoded scene must be

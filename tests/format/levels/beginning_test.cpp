@@ -670,11 +670,11 @@ TEST_CASE("growth: reading a table in pieces is linear in its size") {
 }
 
 TEST_CASE("fuzzing seeds are valid files: others would stop at the first check") {
-  for (const auto& entry : std::filesystem::directory_iterator(RGS_SOURCE_DIR "/tests/fuzz/corpus/reader")) {
+  for (const auto& entry : std::filesystem::directory_iterator(source_dir() + "/tests/fuzz/corpus/reader")) {
     CAPTURE(entry.path().string());
     CHECK(decode(read_bytes(entry.path())));
   }
-  for (const auto& entry : std::filesystem::directory_iterator(RGS_SOURCE_DIR "/tests/fuzz/corpus/levels")) {
+  for (const auto& entry : std::filesystem::directory_iterator(source_dir() + "/tests/fuzz/corpus/levels")) {
     CAPTURE(entry.path().string());
     const Bytes bytes = read_bytes(entry.path());
     const auto file = PagedFile::open(bytes);
@@ -687,7 +687,7 @@ TEST_CASE("a damaged beginning is refused with the error of the whole file") {
   std::mt19937 random(31);
   int n_refused = 0, n_trailing = 0;
   for (const char* name : {"levels_direct.rgs", "levels_packed.rgs", "levels_archive.rgs"}) {
-    const Bytes golden = read_bytes(std::filesystem::path(RGS_SOURCE_DIR) / "tests/golden" / name);
+    const Bytes golden = read_bytes(std::filesystem::path(source_dir()) / "tests/golden" / name);
     const std::uint64_t pages = section_of(golden, "PAGE");
     for (int i = 0; i < 2000; ++i) {
       Bytes file = golden;

@@ -28,7 +28,7 @@ namespace fs = std::filesystem;
 namespace {
 
 // expected.json: of each file or folder, its cameras or its error. The web page reads those without "page".
-const std::string kGolden = RGS_SOURCE_DIR "/tests/golden/cameras/";
+const std::string kGolden = source_dir() + "/tests/golden/cameras/";
 
 std::string golden(const std::string& name) {
   std::ifstream in(kGolden + name, std::ios::binary);

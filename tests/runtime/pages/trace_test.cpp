@@ -224,7 +224,7 @@ std::vector<double> setup(double budget, double most_bytes = 1) {
 /// The same bytes as the golden file NAME.txt; with RGS_WRITE_GOLDEN it is written.
 void check_golden(const std::string& name, const Trace& trace) {
   CAPTURE(name);
-  const std::string path = RGS_SOURCE_DIR "/tests/golden/pages/" + name + ".txt";
+  const std::string path = source_dir() + "/tests/golden/pages/" + name + ".txt";
   if (std::getenv("RGS_WRITE_GOLDEN") != nullptr) write_text(path, trace.text);
   CHECK(read_text(path) == trace.text);
 }

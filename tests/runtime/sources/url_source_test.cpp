@@ -205,7 +205,7 @@ TEST_CASE("a server without ranges is an error unless the file is small") {
 }
 
 TEST_CASE("a file on a server is read by the rules that both readers have") {
-  std::ifstream file(RGS_SOURCE_DIR "/tests/golden/http-rules.json");
+  std::ifstream file(test::source_dir() + "/tests/golden/http-rules.json");
   const auto rules = nlohmann::json::parse(file);
   const HostileServer server;
   UrlOptions options = patient();

@@ -404,7 +404,8 @@ TEST_CASE("the tables of the documents are made from JSON reports") {
   std::ofstream(folder.file("audit.json")) << R"({"rendered":{"psnr":28.09,"worst_psnr":25.74,)"
                                               R"("photos":{"asset_psnr":20.98,"loss":1.046}}})";
   const auto tables = [&](const std::vector<std::string>& more) {
-    std::vector<std::string> arguments{RGS_PYTHON, RGS_SOURCE_DIR "/scripts/bench_tables.py", folder.file("full.json")};
+    std::vector<std::string> arguments{RGS_PYTHON, rgs::test::source_dir() + "/scripts/bench_tables.py",
+                                       folder.file("full.json")};
     arguments.insert(arguments.end(), more.begin(), more.end());
     const auto result = rgs::test::run_program(arguments);
     CHECK_MESSAGE(result.exit_code == 0, result.err);

@@ -16,11 +16,14 @@
 
 namespace {
 
+using rgs::test::built;
 using rgs::test::ProgramResult;
 using rgs::test::read_text;
+using rgs::test::run_program;
+using rgs::test::source_dir;
 using rgs::test::TemporaryFolder;
 
-const std::string kLevels = RGS_SOURCE_DIR "/tests/golden/levels_packed.rgs";  // 300 Gaussians, 3 levels in 8 pages
+const std::string kLevels = source_dir() + "/tests/golden/levels_packed.rgs";  // 300 Gaussians, 3 levels in 8 pages
 
 struct Stage {
   TemporaryFolder folder;
@@ -34,9 +37,9 @@ struct Stage {
     std::ofstream(cameras) << "[" << camera("a", 8) << "," << camera("b", 5) << "," << camera("c", 12) << "]";
   }
   ProgramResult run(const std::vector<std::string>& more, const std::string& scene = kLevels) const {
-    std::vector<std::string> arguments{RGS_BENCH_FLIGHT, scene, "--path", cameras, "--size", "64x48"};
+    std::vector<std::string> arguments{built("rgs-bench-flight"), scene, "--path", cameras, "--size", "64x48"};
     arguments.insert(arguments.end(), more.begin(), more.end());
-    return rgs::test::run_program(arguments);
+    return run_program(arguments);
   }
 };
 
@@ -44,8 +47,8 @@ struct Stage {
 
 TEST_CASE("rgs-bench-flight refuses what it cannot measure, and keeps existing outputs") {
   const Stage stage;
-  CHECK(rgs::test::run_program({RGS_BENCH_FLIGHT}).exit_code == 2);
-  CHECK(rgs::test::run_program({RGS_BENCH_FLIGHT, kLevels}).exit_code == 2);
+  CHECK(run_program({built("rgs-bench-flight")}).exit_code == 2);
+  CHECK(run_program({built("rgs-bench-flight"), kLevels}).exit_code == 2);
   CHECK(stage.run({"--frames", "0"}).exit_code == 2);
   CHECK(stage.run({"--fps", "0"}).exit_code == 2);
   CHECK(stage.run({"--host-memory", "0"}).exit_code == 2);
@@ -53,7 +56,7 @@ TEST_CASE("rgs-bench-flight refuses what it cannot measure, and keeps existing o
   CHECK(stage.run({"--pictures", "."}).exit_code == 2);  // without --compare
   CHECK(stage.run({"--cold"}, "http://127.0.0.1:1/a.rgs").exit_code == 2);
   CHECK(stage.run({"--frames", "2"}, stage.folder.file("nothing.rgs")).exit_code == 3);
-  CHECK(stage.run({"--frames", "2"}, RGS_SOURCE_DIR "/tests/golden/degree3.rgs").exit_code == 4);  // no levels
+  CHECK(stage.run({"--frames", "2"}, source_dir() + "/tests/golden/degree3.rgs").exit_code == 4);  // no levels
   const ProgramResult small = stage.run({"--frames", "2", "--host-memory", "1000"});
   CHECK(small.exit_code == 4);
   CHECK(small.err.find("budget") != std::string::npos);

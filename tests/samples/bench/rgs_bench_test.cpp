@@ -19,12 +19,15 @@
 
 namespace {
 
+using rgs::test::built;
 using rgs::test::ProgramResult;
 using rgs::test::read_text;
+using rgs::test::run_program;
+using rgs::test::source_dir;
 using rgs::test::TemporaryFolder;
 
-const std::string kScene = RGS_SOURCE_DIR "/tests/golden/degree3.rgs";
-const std::string kLevels = RGS_SOURCE_DIR "/tests/golden/levels_packed.rgs";  // 300 Gaussians, 3 levels in 8 pages
+const std::string kScene = source_dir() + "/tests/golden/degree3.rgs";
+const std::string kLevels = source_dir() + "/tests/golden/levels_packed.rgs";  // 300 Gaussians, 3 levels in 8 pages
 
 struct Stage {
   TemporaryFolder folder;
@@ -35,9 +38,9 @@ struct Stage {
   }
   ProgramResult run(const std::vector<std::string>& more, const std::string& scene = kScene,
                     const std::function<void()>& before_exec = {}) const {
-    std::vector<std::string> arguments{RGS_BENCH, scene, "--cameras", cameras};
+    std::vector<std::string> arguments{built("rgs-bench"), scene, "--cameras", cameras};
     arguments.insert(arguments.end(), more.begin(), more.end());
-    return rgs::test::run_program(arguments, before_exec);
+    return run_program(arguments, before_exec);
   }
 };
 
@@ -45,7 +48,7 @@ struct Stage {
 
 TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
   const Stage stage;
-  CHECK(rgs::test::run_program({RGS_BENCH}).exit_code == 2);
+  CHECK(run_program({built("rgs-bench")}).exit_code == 2);
   CHECK(stage.run({"--pixel-format", "rgb8"}).exit_code == 2);
   CHECK(stage.run({"--mode", "fastest"}).exit_code == 2);
   CHECK(stage.run({"--graph"}).exit_code == 2);
@@ -64,10 +67,10 @@ TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
     CHECK(refused.exit_code == 2);
     CHECK(refused.err.find("--views stress takes no " + more.front()) != std::string::npos);
   }
-  const ProgramResult blind = rgs::test::run_program({RGS_BENCH, kScene});
+  const ProgramResult blind = run_program({built("rgs-bench"), kScene});
   CHECK(blind.exit_code == 2);
   CHECK(blind.err.find("--cameras is required") != std::string::npos);
-  CHECK(rgs::test::run_program({RGS_BENCH, "--help"}).exit_code == 0);
+  CHECK(run_program({built("rgs-bench"), "--help"}).exit_code == 0);
 }
 
 TEST_CASE("rgs-bench keeps existing outputs, and checks them before it measures") {
@@ -139,8 +142,7 @@ TEST_CASE("without a device rgs-bench reports it and writes nothing") {
   const ProgramResult result = stage.run({"--json", json}, kScene, [] { ::setenv("CUDA_VISIBLE_DEVICES", "", 1); });
   CHECK(result.exit_code == 3);  // as its --help states
   const auto blind = [] { ::setenv("CUDA_VISIBLE_DEVICES", "", 1); };
-  CHECK(rgs::test::run_program({RGS_BENCH, kScene, "--views", "stress"}, blind).exit_code ==
-        3);  // even without cameras
+  CHECK(run_program({built("rgs-bench"), kScene, "--views", "stress"}, blind).exit_code == 3);  // even without cameras
   CHECK(result.err.find("no CUDA device answers") != std::string::npos);
   CHECK_FALSE(std::filesystem::exists(json));
 }
@@ -189,7 +191,7 @@ TEST_CASE("rgs-bench runs the stress views, and fails if turbo is slower") {
   const Stage stage;
   const std::string json = stage.folder.file("stress.json");
   const ProgramResult result =
-      rgs::test::run_program({RGS_BENCH, kScene, "--views", "stress", "--frames", "5", "--json", json});
+      run_program({built("rgs-bench"), kScene, "--views", "stress", "--frames", "5", "--json", json});
   // 40 Gaussians: either may be faster, but the exit code must agree with the report.
   const auto report = nlohmann::json::parse(read_text(json));
   CHECK(report["cameras"] == 1);

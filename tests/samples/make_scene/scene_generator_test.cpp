@@ -206,11 +206,11 @@ TEST_CASE("the portrait camera faces the house with a right-handed frame") {
   CHECK(row(1, tower_tip) < row(1, door));                                     // y down
 }
 
-#ifdef RGS_MAKE_SCENE
+#ifdef RGS_TEST_MAKE_SCENE
 namespace {
 
 int make_scene(const std::string& arguments) {
-  return test::run_shell("'" RGS_MAKE_SCENE "' --quiet --no-sync " + arguments).exit_code;
+  return test::run_shell("'" + test::built("rgs-make-scene") + "' --quiet --no-sync " + arguments).exit_code;
 }
 
 std::string contents(const std::string& path) {

@@ -372,11 +372,11 @@ TEST_CASE("the path hits nothing") {
   }
 }
 
-#ifdef RGS_MAKE_SCENE
+#ifdef RGS_TEST_MAKE_SCENE
 namespace {
 
 int make_town(const std::string& arguments) {
-  return test::run_shell("'" RGS_MAKE_SCENE "' --town --quiet --no-sync " + arguments).exit_code;
+  return test::run_shell("'" + test::built("rgs-make-scene") + "' --town --quiet --no-sync " + arguments).exit_code;
 }
 
 std::string contents(const std::string& path) {
@@ -434,7 +434,7 @@ TEST_CASE("rgs-make-scene --town refuses bad arguments with exit code 2 and writ
   CHECK(make_town("--camera-path " + ply + " " + ply) == 2);
   CHECK(make_town("--camera-path " + path + " --cameras " + path + " " + ply) == 2);
   // A path and blocks require a town.
-  const std::string plain = "'" RGS_MAKE_SCENE "' --quiet --no-sync --gaussians 10 ";
+  const std::string plain = "'" + test::built("rgs-make-scene") + "' --quiet --no-sync --gaussians 10 ";
   CHECK(test::run_shell(plain + "--camera-path " + path + " " + ply).exit_code == 2);
   CHECK(test::run_shell(plain + "--blocks 2 " + ply).exit_code == 2);
   CHECK(!std::filesystem::exists(ply));
@@ -478,9 +478,9 @@ TEST_CASE("rgs-make-scene --town needs little memory, however large the town") {
   if (kSanitized) return;  // sanitizers use more memory
   const test::TemporaryFolder folder;
   const auto peak_bytes = [&](const char* n_gaussians, const char* n_blocks) {
-    const test::CountedResult run =
-        test::run_counted({RGS_MAKE_SCENE, "--town", "--quiet", "--no-sync", "--degree", "0", "--overwrite",
-                           "--threads", "2", "--gaussians", n_gaussians, "--blocks", n_blocks, folder.file("a.ply")});
+    const test::CountedResult run = test::run_counted({test::built("rgs-make-scene"), "--town", "--quiet", "--no-sync",
+                                                       "--degree", "0", "--overwrite", "--threads", "2", "--gaussians",
+                                                       n_gaussians, "--blocks", n_blocks, folder.file("a.ply")});
     CHECK(run.program.exit_code == 0);
     CHECK(run.peak_bytes > 0);
     return run.peak_bytes;

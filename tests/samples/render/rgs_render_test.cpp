@@ -32,6 +32,7 @@
 #endif
 
 namespace fs = std::filesystem;
+using rgs::test::built;
 using rgs::test::TemporaryFolder;
 using rgs::test::write_text;
 
@@ -43,7 +44,7 @@ struct Outcome {
 };
 
 Outcome render(const std::string& arguments) {
-  rgs::test::ProgramResult run = rgs::test::run_shell("'" RGS_RENDER "' " + arguments + " 2>&1");
+  rgs::test::ProgramResult run = rgs::test::run_shell("'" + built("rgs-render") + "' " + arguments + " 2>&1");
   return {run.exit_code, std::move(run.out)};
 }
 
