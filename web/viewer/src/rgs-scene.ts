@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf, type Colour, RgsResource } from "@roofgs/playcanvas";
 import type { Look, PageEvent, PageScheduler, Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
+import { isWorthShowing } from "./first-picture.js";
 import { kSchedule, PageDriver, type Trouble } from "./page-driver.js";
 import { type Box, Scene, type Tint } from "./scene.js";
 import type { Side, Stage } from "./stage.js";
@@ -58,6 +59,8 @@ export class RgsScene extends Scene {
   private shown = { shDegree: 3, tint: "none" as Tint };
   private readonly stop = new AbortController();
   private readonly driver: PageDriver<StoredGaussians> | undefined;
+  /** When the first view was looked at, ms. */
+  private waitsSince: number | undefined;
   private rebuilt = -Infinity;
   private read = 0;
   private view: Look | undefined;
@@ -97,7 +100,6 @@ export class RgsScene extends Scene {
       };
       const readTable = (group: number): Promise<PageEvent> => file.readTable(group, { signal: this.stop.signal });
       this.driver = new PageDriver(scheduler, { childrenOf, read, readTable }, first, { ...on, changed: () => this.stage.request() });
-      this.rebuild(this.driver, [0]);
       const { fileBytes } = file.header;
       if (file.fileBytes < fileBytes) on.damaged({ code: "pages_missing", text: `the file has ${file.fileBytes} of its ${fileBytes} bytes` });
     } else {
@@ -160,6 +162,12 @@ export class RgsScene extends Scene {
     driver.look(view, (draw) => {
       this.tintAnew(view, now);
       if (draw.length === this.drawn.length && draw.every((index, i) => index === this.drawn[i])) return;
+      this.waitsSince ??= now;
+      const isFirst = this.resources.length === 0;
+      if (isFirst && !isWorthShowing(Math.max(...draw.map((index) => driver.errorPx(index))), driver.nWanted, now - this.waitsSince)) {
+        this.stage.request();
+        return;
+      }
       if (now - this.rebuilt < kRebuildMs) {
         this.stage.request();
         return;

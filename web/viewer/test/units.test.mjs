@@ -18,7 +18,7 @@ let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "controls", "declared", "difference", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "spz", "store"];
+  const names = ["cameras", "controls", "declared", "difference", "first-picture", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "spz", "store"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -137,6 +137,12 @@ test("a picture is no larger than browsers draw", () => {
   const [width, height] = of(9500, 6400, 1);
   assert.ok(width * height <= 7680 * 4320 && width * height > 0.99 * 7680 * 4320, `${width}x${height}`);
   assert.ok(Math.abs(width / height - 9500 / 6400) < 1e-3);
+});
+
+test("a first picture is shown once it is within 64 px, or nothing more is to come, or after 0.3 s", () => {
+  const { isWorthShowing } = modules["first-picture"];
+  assert.deepEqual([64, 65].map((errorPx) => isWorthShowing(errorPx, 5, 299)), [true, false]);
+  assert.deepEqual([isWorthShowing(6000, 0, 0), isWorthShowing(6000, 5, 300)], [true, true]);
 });
 
 test("the difference of two pictures", () => {
