@@ -141,21 +141,22 @@ int look_at(const Options& options, Shown& shown) {
   return options.photos.empty() ? tool::kSuccess : add_photos(options.photos, shown);
 }
 
-// The folder of the built page: named by the environment, beside the installed program, in the source tree.
+// The folder of the built page: named by the environment, beside the installed program, or in a source tree around it.
 rgs::Result<std::string> page_folder() {
   if (const char* named = std::getenv("RGS_VIEWER_DIR"); named != nullptr && *named != '\0') return std::string(named);
   std::vector<fs::path> places;
-  if (const auto folder = tool::program_folder())
-    places.push_back(fs::path(*folder).parent_path() / "share/roofgs/viewer");
-  places.emplace_back(RGS_SOURCE_DIR "/web/viewer/dist");
+  if (const auto folder = tool::program_folder()) {
+    fs::path above = fs::path(*folder).parent_path();
+    places.push_back(above / "share/roofgs/viewer");
+    for (; above.has_relative_path(); above = above.parent_path()) places.push_back(above / "web/viewer/dist");
+  }
   std::error_code ignored;
   for (const fs::path& place : places)
     if (fs::exists(place / "index.html", ignored)) return place.string();
-  return rgs::make_error(rgs::Errc::open_failed, rgs::Error::kNone,
-                         fs::exists(RGS_SOURCE_DIR "/scripts/build_page.sh", ignored)
-                             ? "the viewer's page is not built; type: sh " RGS_SOURCE_DIR "/scripts/build_page.sh"
-                             : "the viewer's page is not installed; in the source tree of RoofGS type: sh "
-                               "scripts/build_page.sh, then here: export RGS_VIEWER_DIR=SOURCE_TREE/web/viewer/dist");
+  return rgs::make_error(
+      rgs::Errc::open_failed, rgs::Error::kNone,
+      "the viewer's page is not there; in the source tree of RoofGS type: sh scripts/build_page.sh; if the "
+      "program is elsewhere: export RGS_VIEWER_DIR=SOURCE_TREE/web/viewer/dist");
 }
 
 // Ctrl-C ends the server with success. Signals are blocked in all threads but the one that waits for them here; those that were ignored
