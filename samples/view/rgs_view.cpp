@@ -141,14 +141,15 @@ int look_at(const Options& options, Shown& shown) {
   return options.photos.empty() ? tool::kSuccess : add_photos(options.photos, shown);
 }
 
-// The folder of the built page: named by the environment, beside the installed program, or in a source tree around it.
+// The folder of the built page: named by the environment, beside the installed program, or in the source tree that holds
+// build/PRESET.
 rgs::Result<std::string> page_folder() {
   if (const char* named = std::getenv("RGS_VIEWER_DIR"); named != nullptr && *named != '\0') return std::string(named);
   std::vector<fs::path> places;
   if (const auto folder = tool::program_folder()) {
-    fs::path above = fs::path(*folder).parent_path();
-    places.push_back(above / "share/roofgs/viewer");
-    for (; above.has_relative_path(); above = above.parent_path()) places.push_back(above / "web/viewer/dist");
+    const fs::path prefix = fs::path(*folder).parent_path(), above = prefix.parent_path();
+    places.push_back(prefix / "share/roofgs/viewer");
+    if (above.filename() == "build") places.push_back(above.parent_path() / "web/viewer/dist");
   }
   std::error_code ignored;
   for (const fs::path& place : places)

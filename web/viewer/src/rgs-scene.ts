@@ -163,12 +163,9 @@ export class RgsScene extends Scene {
       this.tintAnew(view, now);
       if (draw.length === this.drawn.length && draw.every((index, i) => index === this.drawn[i])) return;
       this.waitsSince ??= now;
+      const errorPx = Math.max(...draw.map((index) => driver.errorPx(index)));
       const isFirst = this.resources.length === 0;
-      if (isFirst && !isWorthShowing(Math.max(...draw.map((index) => driver.errorPx(index))), driver.nWanted, now - this.waitsSince)) {
-        this.stage.request();
-        return;
-      }
-      if (now - this.rebuilt < kRebuildMs) {
+      if (isFirst ? !isWorthShowing(errorPx, driver.nWanted, now - this.waitsSince) : now - this.rebuilt < kRebuildMs) {
         this.stage.request();
         return;
       }
