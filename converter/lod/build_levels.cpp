@@ -321,8 +321,8 @@ std::vector<Group> group_pages(std::span<const Page> pages, std::span<const Merg
     return groups;
   };
   std::vector<Group> groups = group(true);
-  // If too few pages are alike, group them by order alone.
-  if (groups.size() > std::max<std::size_t>(1, n / 2)) groups = group(false);
+  // If too few pages are alike, group them by order alone, which gives no more than pairs and one page.
+  if (groups.size() > (n + 1) / 2) groups = group(false);
   return groups;
 }
 

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <span>
 #include <vector>
 
 #include "complexity.hpp"
@@ -172,6 +173,23 @@ TEST_CASE("equal Gaussians, invisible ones and a huge one take no share from the
     CHECK(wanted < 0.25 * static_cast<double>(cloud.size()));
     CHECK(of_others > 0.2 * static_cast<double>(half));
   }
+}
+
+TEST_CASE("pages are grouped by place where that halves their number, else by order") {
+  const BuildOptions options = small_pages();
+  std::vector<Page> pages(3);
+  for (std::uint32_t i = 0; i < 3; ++i) {
+    const float x = i == 2 ? 1000 : static_cast<float>(i);
+    pages[i].count = 256;
+    pages[i].bounds = {{x, 0, 0}, {x + 1, 1, 1}};
+  }
+  MergeCosts equal;
+  equal.fill(1);
+  const std::vector<MergeCosts> costs(3, equal);
+  const std::vector<Group> pair_and_one = group_pages(pages, costs, options);
+  REQUIRE(pair_and_one.size() == 2);
+  CHECK(pair_and_one[0].last == 2);
+  CHECK(group_pages(std::span(pages).subspan(1), std::span(costs).subspan(1), options).size() == 1);  // else no end
 }
 
 TEST_CASE("stretches are whole chunks of similar size, whatever the number of Gaussians") {
