@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <span>
 #include <utility>
 #include <vector>
@@ -122,7 +123,8 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
   }
   for (Measured& of_class : measured) {
     for (int k = 0; k < kFootprints; ++k) of_class.covered[k] = std::min(covered[k], kOfClass * of_class.covered[k]);
-    out.error = std::max(out.error, error_of(of_class, pixel));
+    const float error = error_of(of_class, pixel);
+    out.error = std::max(out.error, std::isnan(error) ? std::numeric_limits<float>::infinity() : error);
   }
   return out;
 }

@@ -13,7 +13,8 @@ namespace rgs::lod {
 struct Simplified {
   Gaussians gaussians;
   /// Footprint, world units, from which on the result may replace the group: the squared difference of its pictures
-  /// from supersampled ones of the group is then at most allowed_squared(). docs/develop/LEVELS.md, "Error".
+  /// from supersampled ones of the group is then at most allowed_squared(). Infinite where squares overflow FP32.
+  /// docs/develop/LEVELS.md, "Error".
   float error = 0;
 };
 
