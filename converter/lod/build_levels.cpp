@@ -144,7 +144,7 @@ float replace(const SplatView& splats, std::uint64_t from, std::uint64_t n, std:
     append(group, centre, out);
     return 0;
   }
-  const Simplified simple = simplify(group, wanted, fit_options(options.quality));
+  const Simplified simple = simplify(group, wanted, options.quality);
   append(simple.gaussians, centre, out);
   return simple.error;
 }
@@ -184,10 +184,6 @@ void find_cores(const SplatView& leaves, std::span<Page> pages) {
 }
 
 }  // namespace
-
-FitOptions fit_options(Quality quality) {
-  return quality == Quality::best ? FitOptions{4, 4, 96} : FitOptions{};
-}
 
 ChunkBoxes::ChunkBoxes() : means(empty_box()), bounds(empty_box()) {}
 

@@ -14,11 +14,6 @@
 
 namespace rgs::lod {
 
-enum class Quality : std::uint8_t {
-  fast,  ///< closed form
-  best,  ///< and colours and opacities fitted to pictures
-};
-
 struct BuildOptions {
   Quality quality = Quality::fast;
   std::uint32_t chunk_size = 256;           ///< of the file: leaf pages consist of whole chunks
@@ -29,7 +24,6 @@ struct BuildOptions {
   std::uint32_t stretch_pages = 1024;  ///< whole leaf pages of a stretch; half as many must have two pages or more ...
   std::uint32_t stretch_levels = 4;    ///< ... at this level
 };
-FitOptions fit_options(Quality quality);
 
 /// Pages of one level in order, and their Gaussians page after page. Page::first counts within the level, `first_child`
 /// within the level below; `parent` is not set.

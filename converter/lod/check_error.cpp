@@ -70,7 +70,7 @@ float error_against(const SplatView& children, const SplatView& page, float stat
   // The builder's footprints, or coarser ones that reach what is refuted.
   const float pixel = std::max(footprint_of(areas(group), n), std::min(kFirst * stated, kFarAway));
   Measured measured;
-  measure(framed, group, result, pixel, std::max(pixel, extent(framed) / kMostOfFrame), FitOptions{}, measured);
+  measure(framed, group, result, pixel, std::max(pixel, extent(framed) / kMostOfFrame), measured);
   if (looks_same(measured)) return 0;
   // A page that is good at one footprint counts as good at coarser ones. There the whole may miss by a little what its
   // classes of size, judged by themselves, do not.

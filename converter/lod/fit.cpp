@@ -17,7 +17,7 @@ namespace {
 
 constexpr int kMostPixels = 288;  // sides of a picture
 
-constexpr int kDirections = 32;
+constexpr int kSteps = 96, kDirections = 32;
 constexpr int kSupersampling = 4;  // of the truth
 // Step sizes of the first picture; they fall to a tenth until the last. Ten times as large, they would spoil the many
 // Gaussians that are right already.
@@ -105,7 +105,7 @@ Difference difference(const Picture& truth, const Picture& drawn) {
   return out;
 }
 
-void fit_colors(const Gaussians& group, Gaussians& out, float pixel, const FitOptions& options) {
+void fit_colors(const Gaussians& group, Gaussians& out, float pixel) {
   std::vector<Frame> frames;
   std::vector<Picture> truths(kDirections);
   Projection projection;
@@ -123,7 +123,7 @@ void fit_colors(const Gaussians& group, Gaussians& out, float pixel, const FitOp
     logit[i] = std::log(opacity / (1 - opacity));
   }
   constexpr int kStride = 29;  // visits all directions, neighbours far apart in time
-  for (int step = 0; step < options.n_color_steps; ++step) {
+  for (int step = 0; step < kSteps; ++step) {
     const auto view = static_cast<std::size_t>(step * kStride % kDirections);
     const Frame& frame = frames[view];
     project(out, frame, kDrawn, projection);
@@ -131,7 +131,7 @@ void fit_colors(const Gaussians& group, Gaussians& out, float pixel, const FitOp
     draw(projection.dots, drawn);
     differentiate(truths[view], drawn, by);
     gradients(frame, projection.dots, by, drawn, scratch, n, slopes);
-    adam.begin_step(std::pow(0.1F, static_cast<float>(step) / static_cast<float>(options.n_color_steps)));
+    adam.begin_step(std::pow(0.1F, static_cast<float>(step) / kSteps));
     const auto slope = [&](int gradient) { return &slopes[static_cast<std::size_t>(gradient) * n]; };
     for (std::size_t i = 0; i < n; ++i) by_logit[i] = slope(kByLogOpacity)[i] * (1 - out.of(kOpacity)[i]);
     adam.step(0, by_logit.data(), 1, kLogitStep,

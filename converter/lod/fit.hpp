@@ -10,12 +10,6 @@ namespace rgs::lod {
 /// How levels are drawn: docs/develop/LEVELS.md.
 inline constexpr Filter kDrawn{0.1F, true};
 
-struct FitOptions {
-  /// Of the pictures that measure the error: with a factor of two it is within 4% of that with four.
-  int n_error_directions = 3, error_supersampling = 2;
-  int n_color_steps = 0;  ///< of fit_colors()
-};
-
 /// The supersampled picture of a group in `frame`: drawn at `supersampling` times the size, then averaged.
 void true_picture(const Gaussians& gaussians, const Frame& frame, int supersampling, Projection& projection,
                   Picture& fine, Picture& out);
@@ -29,6 +23,6 @@ Difference difference(const Picture& truth, const Picture& drawn);
 
 /// Draws `gaussians` from many sides, one a step, in pixels of size `pixel` and twice that, and moves opacities and
 /// harmonics downhill (Adam) towards the pictures of `group`. Those that cross a picture's edge do not move in that step.
-void fit_colors(const Gaussians& group, Gaussians& gaussians, float pixel, const FitOptions& options);
+void fit_colors(const Gaussians& group, Gaussians& gaussians, float pixel);
 
 }  // namespace rgs::lod

@@ -6,14 +6,17 @@
 #include <cmath>
 #include <utility>
 
+#include "fit.hpp"
 #include "pictures.hpp"
 #include "views.hpp"
 
 namespace rgs::lod {
 namespace {
 
-constexpr int kMostPixels = 512;  // sides of pictures
-constexpr float kCoarseness = 2;  // pixels per Gaussian: see footprint_of()
+constexpr int kMostPixels = 512;   // sides of pictures
+constexpr int kDirections = 3;     // other than those of the fit
+constexpr int kSupersampling = 2;  // of the truth: with it the error is within 4% of that with four
+constexpr float kCoarseness = 2;   // pixels per Gaussian: see footprint_of()
 
 // Of the squared difference to the one allowed; at most 1 is good enough.
 double ratio(const Measured& measured, int k) {
@@ -36,25 +39,25 @@ float footprint_of(std::span<const float> area, std::size_t n) {
   return std::max(kCoarseness * static_cast<float>(above), 1e-18F);
 }
 
-// Directions differ from those of the fit. One fine picture a direction is the truth for all footprints.
+// One fine picture a direction is the truth for all footprints.
 void measure(const Gaussians& framed, const Gaussians& group, const Gaussians& result, float pixel, float least_pixel,
-             const FitOptions& options, Measured& out) {
+             Measured& out) {
   constexpr int kCoarsest = 1 << (kFootprints - 1);
   const float base = std::max(pixel, least_pixel);
   Projection of_group, of_result;
   Picture fine, truth, coarser, drawn;
   Measured piece;
-  for (int view = 0; view < options.n_error_directions; ++view) {
-    const Frame coarse = frame_around(framed, direction(view, options.n_error_directions), base * kCoarsest,
-                                      kMostPixels / 2 / kCoarsest);
-    const Frame finest = finer(coarse, kCoarsest * options.error_supersampling);
+  for (int view = 0; view < kDirections; ++view) {
+    const Frame coarse =
+        frame_around(framed, direction(view, kDirections), base * kCoarsest, kMostPixels / 2 / kCoarsest);
+    const Frame finest = finer(coarse, kCoarsest * kSupersampling);
     project(group, finest, kDrawn, of_group);
     fine.resize(finest.width, finest.height);
     draw(of_group.dots, fine);
     project(result, finest, kDrawn, of_result);
     for (int k = 0; k < kFootprints; ++k) {
       const Frame frame = finer(coarse, kCoarsest >> k);
-      box_filter(k == 0 ? fine : truth, k == 0 ? options.error_supersampling : 2, coarser);
+      box_filter(k == 0 ? fine : truth, k == 0 ? kSupersampling : 2, coarser);
       std::swap(truth, coarser);
       const auto compare = [&](const Gaussians& gaussians, Projection& projection) {
         project_again(gaussians, frame, kDrawn, projection);
@@ -62,8 +65,7 @@ void measure(const Gaussians& framed, const Gaussians& group, const Gaussians& r
         draw(projection.dots, drawn);
         return difference(truth, drawn);
       };
-      const double area =
-          static_cast<double>(frame.pixel) * static_cast<double>(frame.pixel) / options.n_error_directions;
+      const double area = static_cast<double>(frame.pixel) * static_cast<double>(frame.pixel) / kDirections;
       const Difference by_group = compare(group, of_group);
       piece.of_group[k] += area * by_group.squared;
       piece.of_result[k] += area * compare(result, of_result).squared;

@@ -6,7 +6,6 @@
 #include <cstddef>
 #include <span>
 
-#include "fit.hpp"
 #include "gaussians.hpp"
 
 namespace rgs::lod {
@@ -33,7 +32,7 @@ struct Measured {
 /// Adds the differences of one piece; `least_pixel` is the finest pixel that suits it. Pictures hold the means of
 /// `framed`.
 void measure(const Gaussians& framed, const Gaussians& group, const Gaussians& result, float pixel, float least_pixel,
-             const FitOptions& options, Measured& out);
+             Measured& out);
 
 /// The first of the footprints from which on the result is good enough by allowed_squared(); kFootprints: none is.
 int first_good(const Measured& measured);

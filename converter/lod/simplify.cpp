@@ -80,7 +80,7 @@ bool is_finite(const Gaussians& gaussians) {
 
 }  // namespace
 
-Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options) {
+Simplified simplify(const Gaussians& group, std::size_t n, Quality quality) {
   const std::vector<float> area = areas(group);
   const float pixel = footprint_of(area, n);
   const Clusters clusters = merge_neighbours(group, area, n, pixel);
@@ -89,9 +89,9 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
   set_all(out.gaussians, group, clusters, area, pixel);
   // Not if the group needs much larger pixels to fit on a picture, which would lose quality.
   const float whole = extent(group) / kMostOfFrame;
-  if (options.n_color_steps > 0 && whole < 2 * pixel) {
+  if (quality == Quality::best && whole < 2 * pixel) {
     Gaussians fitted = out.gaussians;
-    fit_colors(group, fitted, std::max(pixel, whole), options);
+    fit_colors(group, fitted, std::max(pixel, whole));
     if (is_finite(fitted)) out.gaussians = std::move(fitted);
   }
 
@@ -111,9 +111,9 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
       for (const std::uint32_t i : items) {
         clusters.each_member(clusters.all[i], [&](std::uint32_t member) { members.push_back(member); });
       }
-      if (members.size() == items.size() && options.n_color_steps == 0) continue;
+      if (members.size() == items.size() && quality == Quality::fast) continue;
       const Gaussians piece = subset(group, members);
-      measure(piece, piece, subset(out.gaussians, items), pixel, p, options, measured[c]);
+      measure(piece, piece, subset(out.gaussians, items), pixel, p, measured[c]);
     }
   }
   // By class: small errors of small Gaussians must not excuse those of large ones, unless these are very few.

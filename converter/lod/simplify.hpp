@@ -3,10 +3,9 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
-#include "fit.hpp"
 #include "gaussians.hpp"
-#include "measure.hpp"
 
 namespace rgs::lod {
 
@@ -18,7 +17,12 @@ struct Simplified {
   float error = 0;
 };
 
+enum class Quality : std::uint8_t {
+  fast,  ///< closed form
+  best,  ///< and colours and opacities fitted to pictures
+};
+
 /// Replaces `group` by at most `n` < group.size() Gaussians. Deterministic.
-Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options);
+Simplified simplify(const Gaussians& group, std::size_t n, Quality quality = Quality::fast);
 
 }  // namespace rgs::lod

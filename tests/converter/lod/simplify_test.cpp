@@ -11,6 +11,7 @@
 
 #include "fit.hpp"
 #include "lod_scenes.hpp"
+#include "measure.hpp"
 #include "views.hpp"
 
 namespace {
@@ -18,7 +19,6 @@ namespace {
 using namespace rgs::lod;
 
 constexpr float kCentre[3] = {0, 0, 0};
-constexpr FitOptions kBest{4, 4, 96};
 
 // Squared difference per covered pixel between `drawn` and the supersampled `group` at that pixel size, from 7
 // directions that the builder does not use; and the covered share.
@@ -54,8 +54,8 @@ Gaussians small_wall(std::uint64_t side) {
 
 TEST_CASE("a quarter of a wall's Gaussians looks like the wall from its error on, with its coverage") {
   const Gaussians group = small_wall(64);
-  for (const bool best : {false, true}) {
-    const Simplified simple = simplify(group, group.size() / 4, best ? kBest : FitOptions{});
+  for (const Quality quality : {Quality::fast, Quality::best}) {
+    const Simplified simple = simplify(group, group.size() / 4, quality);
     CHECK(simple.gaussians.size() <= group.size() / 4);
     CHECK(simple.error > 0);
     CHECK(simple.error < 0.25F);  // of a wall of 1 x 1
@@ -68,8 +68,7 @@ TEST_CASE("a quarter of a wall's Gaussians looks like the wall from its error on
 
 TEST_CASE("fitted colours and opacities improve the picture and lower the error") {
   const Gaussians group = small_wall(64);
-  const Simplified fast = simplify(group, group.size() / 4, FitOptions{}),
-                   best = simplify(group, group.size() / 4, kBest);
+  const Simplified fast = simplify(group, group.size() / 4), best = simplify(group, group.size() / 4, Quality::best);
   constexpr float kPixel = 0.06F;
   const double squared[] = {seen(group, fast.gaussians, kPixel).squared, seen(group, best.gaussians, kPixel).squared};
   INFO(squared[0], ' ', squared[1], "; ", fast.error, ' ', best.error);
@@ -93,7 +92,7 @@ TEST_CASE("a few large Gaussians before many small ones are merged to what they 
     large.of(kOpacity)[i] = 0.1F;
   }
   for (int v = 0; v < group.n_values(); ++v) std::copy_n(large.of(v), kLarge, group.of(v) + wall.size());
-  const Simplified simple = simplify(group, group.size() / 4, FitOptions{});
+  const Simplified simple = simplify(group, group.size() / 4);
   std::vector<std::uint32_t> left;
   for (std::uint32_t i = 0; i < simple.gaussians.size(); ++i) {
     if (simple.gaussians.of(kMean + 2)[i] > 4) left.push_back(i);
@@ -112,7 +111,7 @@ TEST_CASE("a few large Gaussians before many small ones are merged to what they 
 TEST_CASE("invisible and coincident Gaussians are simplified too") {
   Gaussians group = small_wall(16);
   const auto check = [&](const Gaussians& g) {
-    const Simplified simple = simplify(g, g.size() / 4, FitOptions{});
+    const Simplified simple = simplify(g, g.size() / 4);
     CHECK(simple.gaussians.size() <= g.size() / 4);
     CHECK(simple.gaussians.size() > 0);
     CHECK(std::isfinite(simple.error));
@@ -138,7 +137,7 @@ TEST_CASE("invisible and coincident Gaussians are simplified too") {
 TEST_CASE("pictures too bright to compare do not pass for equal ones") {
   Gaussians group = small_wall(16);
   for (std::size_t i = 0; i < group.size(); ++i) group.of(kSh)[i] = i % 2 == 0 ? 1e25F : -1e25F;
-  const float error = simplify(group, group.size() / 4, FitOptions{}).error;
+  const float error = simplify(group, group.size() / 4).error;
   CAPTURE(error);
   CHECK_FALSE(error < 1e30F);
 }
