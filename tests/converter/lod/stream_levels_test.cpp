@@ -134,6 +134,28 @@ TEST_CASE("a streamed file's bytes depend on neither memory nor threads and equa
   }
 }
 
+TEST_CASE("progress goes on while merges are weighed, and ends at all Gaussians below the root") {
+  const SplatCloud cloud = scene();
+  EncodeOptions encode;
+  encode.on_bad = BadPolicy::drop;
+  StreamOptions options;
+  SceneScan scan(cloud.sh_degree, encode.on_bad);
+  std::uint64_t first_damaged = 0, done = 0;
+  REQUIRE(scan_stream(stream_of(cloud), options, scan, first_damaged));
+  StreamedLevels levels;
+  REQUIRE(order_leaves(stream_of(cloud), scan, encode, options, levels));
+  std::vector<std::uint64_t> steps;
+  options.advance = [&](std::uint64_t units) {
+    done += units;
+    steps.push_back(done);
+  };
+  tbb::task_arena(1).execute([&] { REQUIRE(build_upper(encode, options, levels)); });
+  const std::size_t n_leaf_pages = levels.pages.front().size();
+  REQUIRE(steps.size() > n_leaf_pages);
+  CHECK(steps[n_leaf_pages - 1] < levels.n_leaves / 3);
+  CHECK(done == levels.n_stored() - levels.pages.back().front().count);
+}
+
 TEST_CASE("too little memory to sort is an error, and so is a source that changes between passes") {
   SplatCloud cloud = scene();
   EncodeOptions encode;
