@@ -18,7 +18,7 @@ let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "controls", "declared", "difference", "first-picture", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "spz", "store"];
+  const names = ["cameras", "controls", "declared", "difference", "first-picture", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "rgs-scene", "spz", "store"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -143,6 +143,20 @@ test("a first picture is shown once it is within 64 px, or nothing more is to co
   const { isWorthShowing } = modules["first-picture"];
   assert.deepEqual([64, 65].map((errorPx) => isWorthShowing(errorPx, 5, 299)), [true, false]);
   assert.deepEqual([isWorthShowing(6000, 0, 0), isWorthShowing(6000, 5, 300)], [true, true]);
+});
+
+test("a scene with levels shows its first picture when that is worth showing", () => {
+  const file = { declarations: { origin: [0, 0, 0], axes: [] }, subjectBox: { min: [], max: [] }, header: {}, levels: { page: () => ({}) } };
+  const stage = { app: { root: { addChild: () => undefined } }, request: () => undefined };
+  /** Whether a view is drawn so many ms after the first, by its coarsest page, which has no Gaussians and so needs no device. */
+  const isDrawn = (errorPx, nWanted, ms) => {
+    const step = ([[event]]) => (event === "frame" ? [{ is: "draw", pages: [0] }] : []);
+    const scheduler = { addView: () => 0, step, errorPx: () => errorPx, nWanted: () => nWanted };
+    const scene = new modules["rgs-scene"].RgsScene("a.rgs", { file }, { n: 0 }, scheduler, stage, "left", {});
+    for (const now of [1000, 1000 + ms]) scene.look({ mostGaussians: 1e6 }, now);
+    return scene.pages.drawn === 1;
+  };
+  assert.deepEqual([isDrawn(64, 5, 0), isDrawn(65, 0, 0), isDrawn(65, 5, 299), isDrawn(65, 5, 300)], [true, true, false, true]);
 });
 
 test("the difference of two pictures", () => {
