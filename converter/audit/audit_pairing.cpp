@@ -119,13 +119,7 @@ Pairing join(std::vector<KeyedRow> of_source, std::vector<KeyedRow> of_asset) {
 Pairing pair_by_means(const Source& source, const FileView& asset) {
   std::vector<KeyedRow> of_source(source.size()), of_asset(asset.header().n_gaussians);
   const UseMean note = note_in(of_source);
-  if (const ArchiveParameters* archive = asset.archive()) {
-    for_each_mean(source, [&](std::uint64_t row, const float* mean) {
-      note(row, archive_mean(*archive, mean).data());  // its value in the archive
-    });
-  } else {
-    for_each_mean(source, note);
-  }
+  for_each_mean(source, note);
   for_each_mean(asset, note_in(of_asset));
   return join(std::move(of_source), std::move(of_asset));
 }

@@ -187,24 +187,15 @@ void OutputOptions::add_to(CLI::App& app) {
          "--profile",
          [&e](const std::string& name) {
            e.profile = name == "direct" ? Profile::direct : name == "packed" ? Profile::packed : Profile::archive;
-           e.archive = name == "archive:small" ? archive_small() : archive_high();
+           e.archive = name == "archive:tiny" ? archive_tiny() : name == "archive:small" ? archive_small() : archive_high();
          },
          "packed (the default), or direct: as the GPU reads it; same Gaussians. archive:high or archive:small: lossy "
          "within stated bounds, a fifth of packed's size or less (docs/user/PROFILES.md)")
-      ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small"}))
-      ->option_text("packed|direct|archive:high|archive:small")
+      ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small", "archive:tiny"}))
+      ->option_text("packed|direct|archive:high|archive:small|archive:tiny")
       ->trigger_on_parse();  // before the steps below, which override a preset's wherever they are given
-  ArchiveOptions& a = e.archive;
-  app.add_option("--archive-mean-cells", a.mean_cells,
-                 "archive: 2^N cells from the middle to a side of the scene's robust box, 4 to 20 [15; small 13]");
-  app.add_option("--archive-sh-step", a.sh_step, "archive: step of SH above degree 0 [0.11; small 0.24]");
-  app.add_option("--archive-dc-step", a.dc_step, "archive: step of SH degree 0 [0.14; small 0.3]");
-  app.add_option("--archive-rotation-step", a.rotation_step,
-                 "archive: step of quaternion components [0.0156; small 0.0357]");
-  app.add_option("--archive-scale-step", a.scale_step, "archive: step of ln(scale) [0.15; small 0.35]");
-  app.add_option("--archive-opacity-levels", a.opacity_levels, "archive: steps of opacity from 0 to 1 [96; small 32]");
-  app.add_option("--archive-slope", a.slope,
-                 "archive: steps fall with importance to the power of half of this, 0 to 1 [0.6]");
+  app.add_option("--archive-step", e.archive.step,
+                 "archive: size of all steps, 1/16 to 64: twice as large, errors are twice as large [1; small 2; tiny 4]");
   app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: higher is slower to write and a little smaller")
       ->check(CLI::Range(1, kMaxLevel));
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");

@@ -492,15 +492,11 @@ Name name_of(Order order) {
 }
 
 std::string archive_name(const ArchiveParameters& p) {
-  ArchiveOptions found;
-  found.mean_cells = static_cast<int>(p.mean_cells);
-  found.sh_step = p.sh_step;
-  found.dc_step = p.dc_step;
-  found.rotation_step = p.rotation_step;
-  found.scale_step = p.scale_step;
-  found.opacity_levels = static_cast<int>(p.opacity_levels);
-  found.slope = p.slope;
-  return found == archive_high() ? "archive:high" : found == archive_small() ? "archive:small" : "archive";
+  for (const auto& [options, name] : {std::pair(archive_high(), "archive:high"), {archive_small(), "archive:small"},
+                                      {archive_tiny(), "archive:tiny"}}) {
+    if (p.codec == Codec::archive && p.step == options.step) return name;
+  }
+  return "archive";
 }
 
 double scale_step(const ArchiveClass& c) {
@@ -539,7 +535,7 @@ std::string codec_name(const SectionEntry& section) {
   const bool known = *describe(static_cast<SectionType>(section.type)) != '\0';
   if (codec == Codec::none) return "none";
   if (codec == Codec::planes && known) return "planes";
-  if (codec == Codec::archive && known) return "archive";
+  if (is_archive(codec) && known) return "archive";
   return "codec " + std::to_string(section.codec);
 }
 

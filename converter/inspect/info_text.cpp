@@ -237,12 +237,31 @@ class TextReport : private TextLines {
 
   void archive(const ArchiveParameters& p) {
     line("\narchive: steps, and the largest errors that its writer has verified");
+    const bool draco = p.codec == Codec::archive_draco;
     row("means", fmt::format("2^{} cells from the middle to {:.4g}, {:.4g}, {:.4g} on each side, coarser in proportion "
-                             "beyond; error at most {:.2g} of that or of the distance",
-                             p.mean_cells, p.half_width[0], p.half_width[1], p.half_width[2], p.bound_mean));
-    row("opacity", fmt::format("{} levels; error at most {:.2g}", p.opacity_levels, p.bound_opacity));
-    row("steps", fmt::format("times importance^-{:.3g}, classes of {:.3g} octaves from the least seen to the most",
-                             p.slope / 2, p.class_octaves));
+                             "beyond; {}",
+                             p.mean_cells, p.half_width[0], p.half_width[1], p.half_width[2],
+                             draco ? fmt::format("error at most {:.2g} of that or of the distance", p.bound_mean)
+                                   : "finer where it shows"));
+    row("opacity", fmt::format("{} levels; error {}at most {:.2g}", p.opacity_levels, draco ? "" : "of its root ",
+                               p.bound_opacity));
+    if (draco) {
+      row("steps", fmt::format("times importance^-{:.3g}, classes of {:.3g} octaves from the least seen to the most",
+                               p.slope / 2, p.class_octaves));
+      classes_of_draco(p);
+    } else {
+      row("steps", fmt::format("{:.4g}; fall with importance, classes of an octave from the least seen to the most", p.step));
+      line("  {:<8}{:>12}{:>12}{:^22}{:^22}", "class", "means", "covariance", "SH degree 0", "SH above");
+      line("  {0:<8}{1:>12}{1:>12}{2:>10}{1:>12}{2:>10}{1:>12}", "", "bound", "step");
+      for (std::size_t i = 0; i < p.classes.size(); ++i) {
+        const ArchiveClass& c = p.classes[i];
+        line("  {:<8}{:>12.3g}{:>12.3g}{:>10.3g}{:>12.3g}{:>10.3g}{:>12.3g}", i, c.bound_mean, c.bound_covariance,
+             dc_step(c), c.bound_dc, c.sh_step, c.bound_sh);
+      }
+    }
+  }
+
+  void classes_of_draco(const ArchiveParameters& p) {
     line("  {:<8}{:^22}{:^22}{:^22}{:^22}", "class", "rotation, degrees", "ln(scale)", "SH degree 0", "SH above");
     line("  {0:<8}{1:>10}{2:>12}{1:>10}{2:>12}{1:>10}{2:>12}{1:>10}{2:>12}", "", "step", "bound");
     constexpr float kDegrees = 180 / std::numbers::pi_v<float>;

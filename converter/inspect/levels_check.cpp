@@ -67,7 +67,7 @@ std::uint64_t record_offset(const PagedFile& file, std::uint32_t page) {
 Result<LevelsCheck> check_levels(const PagedFile& file, double share) {
   LevelsCheck check;
   check.share = share;
-  check.tolerance = file.codec() == Codec::archive ? lod::kLossyErrorTolerance : lod::kErrorTolerance;
+  check.tolerance = is_archive(file.codec()) ? lod::kLossyErrorTolerance : lod::kErrorTolerance;
   for (const std::uint32_t i : draw(file, share, check.n_inner)) {
     const lod::Page& page = file.pages()[i];
     std::vector<std::uint32_t> group{i};

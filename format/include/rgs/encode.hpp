@@ -37,20 +37,15 @@ enum class Profile : std::uint8_t {
 /// squared distance where that is large); a Gaussian of x times that importance gets steps x^(-slope / 2) times as
 /// large, x limited to 2^-8 .. 2^8. Defaults are archive_high().
 struct ArchiveOptions {
-  int mean_cells = 15;    ///< 4 to 20: 2^mean_cells cells between centre and half width of the robust box, on each axis
-  float sh_step = 0.11f;  ///< of SH above degree 0, after decorrelation; 2^-20 to 2^20
-  float dc_step = 0.14f;  ///< of SH degree 0, after decorrelation; 2^-10 to 2^6
-  float rotation_step = 1.f / 64;  ///< of quaternion components; 2^-10 to 0.5
-  float scale_step = 0.15f;        ///< of ln(scale); 2^-10 to 2
-  int opacity_levels = 96;         ///< 1 to 4096 steps between 0 and 1
-  float slope = 0.6f;              ///< 0 to 1
-  unsigned threads = 0;            ///< 0: as many as the machine runs at once; the file does not depend on it
+  float step = 1;        ///< 1/16 to 64: all errors are about in proportion to it; docs/user/PROFILES.md
+  unsigned threads = 0;  ///< 0: as many as the machine runs at once; the file does not depend on it
 
   bool operator==(const ArchiveOptions&) const = default;
 };
 /// Presets; costs in docs/user/PROFILES.md.
 ArchiveOptions archive_high();
 ArchiveOptions archive_small();
+ArchiveOptions archive_tiny();
 inline constexpr int kMaxLevel = 19;
 
 struct EncodeOptions {
@@ -102,9 +97,5 @@ Status check_encodable(const SceneScan& scan, const EncodeOptions& options);
 /// Gaussian's index), unavailable (see check_encodable()), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians
 /// to sort); those of SceneWriter::finish().
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
-
-/// The mean that a file with these parameters decodes for a source mean `mean`: finds Gaussians again after Draco's
-/// reordering. It does not tell apart Gaussians in one cell of the grid.
-std::array<float, 3> archive_mean(const ArchiveParameters& parameters, const float mean[3]);
 
 }  // namespace rgs

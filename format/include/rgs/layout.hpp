@@ -72,8 +72,12 @@ enum class SectionType : std::uint32_t {
 enum class Codec : std::uint32_t {
   none = 0,    ///< stored bytes are the decoded bytes
   planes = 1,  ///< a frame table and frames: byte planes of transformed rows, Zstandard; for coded_type()
-  archive = 2  ///< a frame table and frames: lossy codes, docs/format/ARCHIVE.md; MEAN, GEOM and SHI8 together
+  archive_draco = 2,  ///< a frame table and frames: lossy codes, docs/format/ARCHIVE.md; MEAN, GEOM and SHI8 together
+  archive = 3         ///< the same in fewer bytes, from version 1.5 on
 };
+constexpr bool is_archive(Codec codec) {
+  return codec == Codec::archive_draco || codec == Codec::archive;
+}
 
 /// Section types that may have Codec::planes.
 constexpr bool coded_type(SectionType type) {
@@ -81,7 +85,7 @@ constexpr bool coded_type(SectionType type) {
          type == SectionType::geometry || type == SectionType::sh;
 }
 
-/// Section types that have Codec::archive, all or none. Pages of a file with levels may have it, or Codec::planes.
+/// Section types that have one of the archive codecs, all or none. Pages may have it, or Codec::planes.
 constexpr bool archive_type(SectionType type) {
   return type == SectionType::means || type == SectionType::geometry || type == SectionType::sh;
 }
@@ -198,31 +202,45 @@ struct ShStepSet {
   constexpr float of_value(int i) const { return step[sh_degree_of(i / 3)][i % 3]; }
 };
 
-/// Steps of Codec::archive for the Gaussians of a class, and the error bounds that its writer verified.
+/// Steps of archives for the Gaussians of a class, and the error bounds that the writer verified.
 struct ArchiveClass {
-  float rotation_step = 0;       ///< of quaternion components
-  std::uint32_t scale_step = 1;  ///< of log2(scale), 1/65536
-  std::int32_t scale_base = 0;   ///< log2(scale) of code 0, 1/65536
   std::uint32_t dc_step = 1;     ///< of SH degree 0, 1/65536
   float sh_step = 0;             ///< of the other degrees
-  float bound_rotation = 0;      ///< angle, radians
-  float bound_scale = 0;         ///< of ln(scale), if it is stored as a normal FP16 number
   float bound_dc = 0;            ///< of each coefficient of degree 0; half the chunk's SH step comes on top
   float bound_sh = 0;            ///< of the other coefficients, likewise
+  float bound_mean = 0;          ///< Codec::archive: of the distance, in blurred standard deviations
+  float bound_covariance = 0;    ///< Codec::archive: see docs/format/ARCHIVE.md
+  float rotation_step = 0;       ///< Codec::archive_draco: of quaternion components
+  std::uint32_t scale_step = 1;  ///< likewise: of log2(scale), 1/65536
+  std::int32_t scale_base = 0;   ///< likewise: log2(scale) of code 0, 1/65536
+  float bound_rotation = 0;      ///< likewise: angle, radians
+  float bound_scale = 0;         ///< likewise: of ln(scale), if it is stored as a normal FP16 number
 };
 inline constexpr std::uint32_t kMaxArchiveClasses = 32;
 
-/// Informative contents of section ARCH; requested steps are those of the middle class.
+/// Steps of Codec::archive; logarithms to base 2 in 1/65536.
+struct ShapeParameters {
+  double nearest = 1;            ///< distances from the grid's centre count as this much at least; squared
+  std::int32_t blur = 0;         ///< of what a pixel blurs, in distances
+  std::int32_t coarse_step = 1;  ///< of blurred scales
+  std::int32_t fine_step = 0, turn_step = 0, mean_step = 0;  ///< logarithms of steps at the middle importance
+  std::int32_t middle = 0;                                   ///< importance of the middle class
+  std::int32_t slope = 0;        ///< steps are proportional to importance^(-slope / 2), 1/65536
+};
+
+/// Contents of section ARCH.
 struct ArchiveParameters {
+  Codec codec = Codec::archive;
   std::uint32_t mean_cells = 4;  ///< 2^mean_cells cells between centre and half width on each axis
   std::uint32_t mean_bits = 1;   ///< of a coordinate
   std::uint32_t opacity_levels = 1;
   std::array<double, 3> centre{0, 0, 0}, half_width{1, 1, 1};
-  float sh_step = 0, dc_step = 0, rotation_step = 0, scale_step = 0;  ///< scale_step: of ln(scale)
-  float slope = 0;          ///< steps are proportional to importance^(-slope / 2)
-  float class_octaves = 0;  ///< of importance
-  float bound_mean = 0;     ///< of |error| / max(half_width, |mean - centre|) on each axis
-  float bound_opacity = 0;
+  float step = 0;  ///< Codec::archive: ArchiveOptions::step
+  ShapeParameters shape;
+  float sh_step = 0, dc_step = 0, rotation_step = 0, scale_step = 0;  ///< archive_draco: of the middle class
+  float slope = 0, class_octaves = 0;                                 ///< archive_draco
+  float bound_mean = 0;     ///< archive_draco: of |error| / max(half_width, |mean - centre|) on each axis
+  float bound_opacity = 0;  ///< Codec::archive: of the square root
   std::vector<ArchiveClass> classes;
 };
 

@@ -12,20 +12,29 @@
 #include "archive/archive_kernels.hpp"
 #include "archive/archive_tables.hpp"
 #include "archive/point_codec.hpp"
+#include "archive/shape_codec.hpp"
 #include "packed/codec_kernels.hpp"
 #include "rgs/result.hpp"
 
 namespace rgs::detail {
 
-/// Codes of a frame's Gaussians: planes of n numbers, one after the other.
-struct FrameCodes {
+/// Codes of a frame's SH: planes of n numbers, one after the other.
+struct ColourCodes {
+  std::size_t n = 0;
+  std::vector<std::uint8_t> classes;  ///< [n]
+  std::vector<std::int16_t> dc, sh;   ///< [3, n], [n_sh, n]
+
+  void resize(std::size_t n_rows, std::size_t n_sh);
+};
+
+/// Of geometry with Codec::archive_draco.
+struct GeometryCodes {
   std::size_t n = 0;
   std::vector<std::uint8_t> classes, largest;  ///< [n]
   std::vector<std::uint16_t> opacity;          ///< [n]
   std::vector<std::int16_t> rotation, scale;   ///< [3, n]
-  std::vector<std::int16_t> dc, sh;            ///< [3, n], [n_sh, n]
 
-  void resize(std::size_t n_rows, std::size_t n_sh);
+  void resize(std::size_t n_rows);
 };
 
 /// Magnitudes of each row's codes so far: the context of the next plane.
@@ -43,9 +52,9 @@ constexpr std::size_t scale_bucket(std::int16_t code) {
   return static_cast<std::size_t>(std::clamp((code >> 2) + 8, 0, 15));
 }
 
-/// Passes every plane of GEOM with its contexts to coder.plane(), in stream order.
+/// Passes every plane of GEOM of Codec::archive_draco with its contexts to coder.plane(), in stream order.
 template <class Coder>
-void walk_geometry(FrameCodes& f, const ArchiveTables& t, Coder& coder) {
+void walk_geometry(GeometryCodes& f, const ArchiveTables& t, Coder& coder) {
   const std::size_t n = f.n, n_classes = t.parameters.classes.size();
   const std::uint32_t levels = t.parameters.opacity_levels;
   const ArchiveContexts at = t.contexts();
@@ -69,9 +78,9 @@ void walk_geometry(FrameCodes& f, const ArchiveTables& t, Coder& coder) {
   });
 }
 
-/// The same for SHI8, once classes are known.
+/// Those of SHI8, once classes are known.
 template <class Coder>
-void walk_sh(FrameCodes& f, const ArchiveTables& t, CodeSizes& sizes, Coder& coder) {
+void walk_sh(ColourCodes& f, const ArchiveTables& t, CodeSizes& sizes, Coder& coder) {
   const std::size_t n = f.n, n_classes = t.parameters.classes.size();
   const ArchiveContexts at = t.contexts();
   const auto planes = [&](std::vector<std::int16_t>& codes, std::size_t count, std::size_t first_context) {
@@ -88,22 +97,11 @@ void walk_sh(FrameCodes& f, const ArchiveTables& t, CodeSizes& sizes, Coder& cod
 
 // ---- what codes stand for --------------------------------------------------------------------------------------------
 
-/// Mean on one axis from its coordinate.
-float grid_mean(const ArchiveParameters& p, std::size_t axis, std::uint32_t coordinate);
-/// log2 of a scale in 1/65536, limited as the format prescribes; and the scale without `exponent`.
-std::int32_t scale_octaves(const ArchiveClass& c, std::int16_t code);
-struct OctaveScale {
-  float significand;  ///< about 1 to 2
-  int exponent;
-};
-OctaveScale scale_of_octaves(std::int32_t octaves);
-void geometry_row(const ArchiveParameters& p, const FrameCodes& f, std::size_t i, int scale_exponent,
-                  std::uint16_t row[8]);
 /// (2 g + S) div (2 S) of docs/format/ARCHIVE.md "DC": the predicted code after two values.
 std::int64_t expected_dc(const std::int16_t weights[2], std::int64_t before, std::int64_t before_that,
                          std::int64_t step);
 /// DC values [3, n] in 1/65536.
-void dc_values(const ArchiveTables& t, const FrameCodes& f, std::vector<std::int32_t>& values);
+void dc_values(const ArchiveTables& t, const ColourCodes& f, std::vector<std::int32_t>& values);
 
 /// SH of 64 consecutive Gaussians: value [48][64], coefficient-major as in a row.
 struct alignas(64) ShBlock {
@@ -116,39 +114,51 @@ struct alignas(64) ShBlock {
 /// Matrix of t with rows padded to an even length, for sh_block().
 std::vector<std::int16_t> paired_matrix(const ArchiveTables& t);
 /// Values of rows first .. first + count - 1, count <= 64.
-void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, const FrameCodes& f,
+void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, const ColourCodes& f,
               std::span<const std::int32_t> dc, std::size_t first, std::size_t count, ShBlock& block);
 
-/// Decodes frames, one at a time. Safe on untrusted bytes. Errors: corrupt_data at `offset`, the frame's.
+/// The streams of a frame's MEAN, GEOM and SHI8, and their offsets in the file. A page of Codec::archive is one stream:
+/// `means`, the others empty.
+struct FrameStreams {
+  struct Stream {
+    std::span<const std::byte> bytes;
+    std::uint64_t offset = 0;
+  };
+  Stream means, geometry, sh;
+};
+
+/// Decodes frames, one at a time. Safe on untrusted bytes. Errors: corrupt_data at the stream's offset.
 class ArchiveDecoder {
  public:
   explicit ArchiveDecoder(const ArchiveTables& tables) : tables_(tables), matrix_(paired_matrix(tables)) {}
-  /// Rows [n, 12] of MEAN; `corner` is added to coordinates.
-  Status means(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n, std::span<std::byte> out,
-               const GridPoint& corner = {});
-  /// Codes of GEOM; call before the others.
-  Status geometry_codes(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n);
-  /// Rows [n, 16] of GEOM.
-  void geometry(int scale_exponent, std::span<std::byte> out);
-  Status sh_codes(std::span<const std::byte> stored, std::uint64_t offset);
+  /// The first step: all codes. Of a page: its level and corner, which is added to the cells of means.
+  Status codes(const FrameStreams& streams, std::size_t n, int level = 0, const GridPoint& corner = {});
+  /// Rows [n, 12] of MEAN and [n, 16] of GEOM.
+  void rows(int scale_exponent, std::span<std::byte> means, std::span<std::byte> geometry);
   /// Rows [n, sh_bytes] of SHI8; steps of each chunk of chunk_rows in the frame.
   void sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ShStepSet> chunk_steps, std::span<std::byte> out);
 
   /// The same if chunks take the steps that their values need, which are written to `steps` [n_chunks, 48] bytes.
   void sh_and_steps(int sh_degree, std::uint32_t chunk_rows, std::span<std::byte> steps, std::span<std::byte> out);
 
-  /// For codes that are known already.
-  FrameCodes& codes() { return codes_; }
+  std::span<const std::uint8_t> classes() const { return colours_.classes; }
 
  private:
+  Status draco_codes(const FrameStreams& streams, std::size_t n, const GridPoint& corner);
+  Status shape_codes(const FrameStreams& streams, std::size_t n, int level, const GridPoint& corner);
+  void draco_geometry(int scale_exponent, std::span<std::byte> out);
+  void store_block(std::size_t first, std::size_t count, std::size_t stride, std::span<std::byte> out);
+
   const ArchiveTables& tables_;
   std::vector<std::int16_t> matrix_;
-  FrameCodes codes_;
+  ColourCodes colours_;
   CodeSizes sizes_;
-  std::vector<GridPoint> points_;
+  ShapeCodes shapes_;
+  PointTree tree_;
+  GeometryCodes geometry_;         // archive_draco
+  std::vector<GridPoint> points_;  // likewise
   std::vector<float> means_;
   std::vector<std::int32_t> dc_;
-  void store_block(std::size_t first, std::size_t count, std::size_t stride, std::span<std::byte> out);
   std::vector<float> values_;  // of a chunk's blocks, one after the other
   ShBlock block_{};            // zeros, since computations include the unused lanes of a short block
   GeometryLanes lanes_{};      // likewise

@@ -25,15 +25,20 @@ constexpr std::int64_t floor_divide(std::int64_t a, std::int64_t b) {  // b > 0
 
 }  // namespace
 
-void FrameCodes::resize(std::size_t n_rows, std::size_t n_sh) {
+void ColourCodes::resize(std::size_t n_rows, std::size_t n_sh) {
+  n = n_rows;
+  classes.resize(n);
+  dc.resize(3 * n);
+  sh.resize(n_sh * n);
+}
+
+void GeometryCodes::resize(std::size_t n_rows) {
   n = n_rows;
   classes.resize(n);
   largest.resize(n);
   opacity.resize(n);
   rotation.resize(3 * n);
   scale.resize(3 * n);
-  dc.resize(3 * n);
-  sh.resize(n_sh * n);
 }
 
 void CodeSizes::reset(std::size_t n) {
@@ -45,39 +50,13 @@ void CodeSizes::note(const std::int16_t* codes) {
   archive_kernels().note(codes, sizes_.size(), history_.data(), sizes_.data());
 }
 
-float grid_mean(const ArchiveParameters& p, std::size_t axis, std::uint32_t coordinate) {
-  return grid_mean(coordinate, p.mean_bits, p.mean_cells, p.centre[axis], p.half_width[axis]);
-}
-
-std::int32_t scale_octaves(const ArchiveClass& c, std::int16_t code) {
-  return scale_octaves(c.scale_base, c.scale_step, code);
-}
-
-OctaveScale scale_of_octaves(std::int32_t octaves) {
-  return {scale_significand(octaves), octaves >> 16};
-}
-
-void geometry_row(const ArchiveParameters& p, const FrameCodes& f, std::size_t i, int scale_exponent,
-                  std::uint16_t row[8]) {
-  const ArchiveClass& c = p.classes[f.classes[i]];
-  const auto step = static_cast<double>(c.rotation_step);
-  float value[8];
-  unit_quaternion(f.rotation[i] * step, f.rotation[f.n + i] * step, f.rotation[2 * f.n + i] * step, f.largest[i],
-                  value);
-  for (std::size_t j = 0; j < 3; ++j) {
-    value[4 + j] = stored_scale(scale_octaves(c, f.scale[j * f.n + i]), scale_exponent);
-  }
-  value[7] = stored_opacity(f.opacity[i], p.opacity_levels);
-  for (int k = 0; k < 8; ++k) row[k] = geometry_half(k, value[k]);
-}
-
 std::int64_t expected_dc(const std::int16_t weights[2], std::int64_t before, std::int64_t before_that,
                          std::int64_t step) {
   const std::int64_t guess = (weights[0] * before + weights[1] * before_that) >> 8;
   return floor_divide(2 * guess + step, 2 * step);
 }
 
-void dc_values(const ArchiveTables& t, const FrameCodes& f, std::vector<std::int32_t>& values) {
+void dc_values(const ArchiveTables& t, const ColourCodes& f, std::vector<std::int32_t>& values) {
   values.resize(3 * f.n);
   std::int64_t before[3] = {}, before_that[3] = {};
   for (std::size_t i = 0; i < f.n; ++i) {
@@ -98,7 +77,7 @@ std::vector<std::int16_t> paired_matrix(const ArchiveTables& t) {
   return matrix;
 }
 
-void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, const FrameCodes& f,
+void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, const ColourCodes& f,
               std::span<const std::int32_t> dc, std::size_t first, std::size_t count, ShBlock& block) {
   const ArchiveKernels& kernels = archive_kernels();
   const int n_lanes = static_cast<int>(count);
@@ -118,41 +97,120 @@ void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, cons
 
 // ---- frames --------------------------------------------------------------------------------------------------------
 
-Status ArchiveDecoder::means(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n,
-                             std::span<std::byte> out, const GridPoint& corner) {
-  points_.resize(n);
-  if (Status s = decode_points(stored, offset, tables_.parameters.mean_bits, points_); !s) return s;
-  const ArchiveParameters& p = tables_.parameters;
+namespace {
+
+template <class Walk>
+Status read_stream(const ArchiveTables& t, const FrameStreams::Stream& stream, const Walk& walk) {
+  RansReader reader(t.rans, t.map);
+  if (!reader.begin(stream.bytes)) return make_error(Errc::corrupt_data, stream.offset, "a stream is incomplete");
+  if (Status s = walk(reader); !s) return s;
+  if (!reader.ok() || !reader.finished()) return make_error(Errc::corrupt_data, stream.offset, "a stream does not decode");
+  return {};
+}
+
+// Of cells relative to a corner.
+Status move_to(const GridPoint& corner, std::uint32_t bits, std::uint64_t offset, std::span<GridPoint> points) {
   std::uint32_t beyond = 0;
-  for (GridPoint& point : points_) {
+  for (GridPoint& point : points) {
     for (std::size_t k = 0; k < 3; ++k) {
       point[k] += corner[k];  // both are below 2^28
-      beyond |= point[k] >> p.mean_bits;
+      beyond |= point[k] >> bits;
     }
   }
   if (beyond != 0) return make_error(Errc::corrupt_data, offset, "a mean lies outside the archive's grid");
-  means_.resize(3 * n);
-  for (std::size_t k = 0; k < 3; ++k) {
-    archive_kernels().means({p.mean_bits, p.mean_cells, p.centre[k], p.half_width[k]}, points_[0].data() + k, n, 3,
-                            means_.data() + k);
+  return {};
+}
+
+}  // namespace
+
+Status ArchiveDecoder::codes(const FrameStreams& streams, std::size_t n, int level, const GridPoint& corner) {
+  colours_.resize(n, tables_.n_sh);
+  return tables_.parameters.codec == Codec::archive ? shape_codes(streams, n, level, corner)
+                                                    : draco_codes(streams, n, corner);
+}
+
+Status ArchiveDecoder::shape_codes(const FrameStreams& streams, std::size_t n, int level, const GridPoint& corner) {
+  const std::uint64_t offset = streams.means.offset;
+  const std::uint32_t mean_bits = tables_.parameters.mean_bits;
+  shapes_.resize(n, level);
+  std::array<std::uint8_t, 3> bits{};
+  FrameStreams::Stream means = streams.means;
+  if (means.bytes.size() < 4) return make_error(Errc::corrupt_data, offset, "a frame of means has no bit lengths");
+  std::memcpy(bits.data(), means.bytes.data(), bits.size());
+  if (std::ranges::any_of(bits, [=](std::uint8_t b) { return b > mean_bits; }) || means.bytes[3] != std::byte{0}) {
+    return make_error(Errc::corrupt_data, offset, "the bit lengths of a frame of means are not those of its grid");
   }
-  std::memcpy(out.data(), means_.data(), n * kMeanBytes);
-  return {};
+  means.bytes = means.bytes.subspan(4);
+  const auto walk_means = [&](RansReader& reader) -> Status {
+    if (!tree_.walk(shapes_.points, bits, reader))
+      return make_error(Errc::corrupt_data, offset, "a frame of means has a cell of more points than there are");
+    if (Status s = move_to(corner, mean_bits, offset, shapes_.points); !s) return s;
+    shapes_.find_distances(tables_.parameters);
+    return {};
+  };
+  const auto walk_geometry = [&](RansReader& reader) -> Status {
+    walk_shapes(shapes_, tables_, reader);
+    colours_.classes = shapes_.classes;
+    return {};
+  };
+  const auto walk_colours = [&](RansReader& reader) -> Status {
+    walk_sh(colours_, tables_, sizes_, reader);
+    return {};
+  };
+  if (streams.geometry.bytes.empty() && streams.sh.bytes.empty()) {
+    return read_stream(tables_, means, [&](RansReader& reader) -> Status {
+      if (Status s = walk_means(reader); !s) return s;
+      if (Status s = walk_geometry(reader); !s) return s;
+      return walk_colours(reader);
+    });
+  }
+  if (Status s = read_stream(tables_, means, walk_means); !s) return s;
+  if (Status s = read_stream(tables_, streams.geometry, walk_geometry); !s) return s;
+  return read_stream(tables_, streams.sh, walk_colours);
 }
 
-Status ArchiveDecoder::geometry_codes(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n) {
-  codes_.resize(n, tables_.n_sh);
-  RansReader reader(tables_.rans, tables_.map);
-  if (!reader.begin(stored))
-    return make_error(Errc::corrupt_data, offset, "a frame of geometry has an incomplete stream");
-  walk_geometry(codes_, tables_, reader);
-  if (!reader.ok() || !reader.finished())
-    return make_error(Errc::corrupt_data, offset, "a frame of geometry does not decode");
-  return {};
+Status ArchiveDecoder::draco_codes(const FrameStreams& streams, std::size_t n, const GridPoint& corner) {
+  const ArchiveParameters& p = tables_.parameters;
+  points_.resize(n);
+  if (Status s = decode_points(streams.means.bytes, streams.means.offset, p.mean_bits, points_); !s) return s;
+  if (Status s = move_to(corner, p.mean_bits, streams.means.offset, points_); !s) return s;
+  geometry_.resize(n);
+  const Status geometry = read_stream(tables_, streams.geometry, [this](RansReader& reader) -> Status {
+    walk_geometry(geometry_, tables_, reader);
+    colours_.classes = geometry_.classes;
+    return {};
+  });
+  if (!geometry) return geometry;
+  return read_stream(tables_, streams.sh, [this](RansReader& reader) -> Status {
+    walk_sh(colours_, tables_, sizes_, reader);
+    return {};
+  });
 }
 
-void ArchiveDecoder::geometry(int scale_exponent, std::span<std::byte> out) {
-  const FrameCodes& f = codes_;
+void ArchiveDecoder::rows(int scale_exponent, std::span<std::byte> means, std::span<std::byte> geometry) {
+  const ArchiveParameters& p = tables_.parameters;
+  const std::size_t n = colours_.n;
+  means_.resize(3 * n);
+  if (p.codec == Codec::archive) {
+    for (std::size_t i = 0; i < n; ++i) {
+      const auto mean = shapes_.mean(p, i);
+      std::uint16_t row[8];
+      shapes_.geometry_row(tables_, scale_exponent, i, row);
+      std::memcpy(&means_[3 * i], mean.data(), sizeof mean);
+      std::memcpy(geometry.data() + i * kGeometryBytes, row, sizeof row);
+    }
+  } else {
+    for (std::size_t k = 0; k < 3; ++k) {
+      archive_kernels().means({p.mean_bits, p.mean_cells, p.centre[k], p.half_width[k]}, points_[0].data() + k, n, 3,
+                              means_.data() + k);
+    }
+    draco_geometry(scale_exponent, geometry);
+  }
+  std::memcpy(means.data(), means_.data(), n * kMeanBytes);
+}
+
+void ArchiveDecoder::draco_geometry(int scale_exponent, std::span<std::byte> out) {
+  const GeometryCodes& f = geometry_;
   const ArchiveParameters& p = tables_.parameters;
   std::uint16_t rows[kShLanes][8];
   for (std::size_t first = 0; first < f.n; first += kShLanes) {
@@ -173,25 +231,16 @@ void ArchiveDecoder::geometry(int scale_exponent, std::span<std::byte> out) {
   }
 }
 
-Status ArchiveDecoder::sh_codes(std::span<const std::byte> stored, std::uint64_t offset) {
-  RansReader reader(tables_.rans, tables_.map);
-  if (!reader.begin(stored)) return make_error(Errc::corrupt_data, offset, "a frame of SH has an incomplete stream");
-  walk_sh(codes_, tables_, sizes_, reader);
-  if (!reader.ok() || !reader.finished())
-    return make_error(Errc::corrupt_data, offset, "a frame of SH does not decode");
-  return {};
-}
-
 void ArchiveDecoder::sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ShStepSet> chunk_steps,
                         std::span<std::byte> out) {
   constexpr std::size_t kPart = kMinChunkSize;  // of one chunk: chunks start at its multiples
   static_assert(kShLanes % kPart == 0);
   const std::size_t stride = sh_bytes(sh_degree), n_values = 3 + tables_.n_sh;
   if (stride != n_values) std::memset(out.data(), 0, out.size());
-  dc_values(tables_, codes_, dc_);
-  for (std::size_t first = 0; first < codes_.n; first += kShLanes) {
-    const std::size_t count = std::min<std::size_t>(kShLanes, codes_.n - first);
-    sh_block(tables_, matrix_, codes_, dc_, first, count, block_);
+  dc_values(tables_, colours_, dc_);
+  for (std::size_t first = 0; first < colours_.n; first += kShLanes) {
+    const std::size_t count = std::min<std::size_t>(kShLanes, colours_.n - first);
+    sh_block(tables_, matrix_, colours_, dc_, first, count, block_);
     for (std::size_t part = 0; part < count; part += kPart) {
       const ShStepSet& set = chunk_steps[(first + part) / chunk_rows];
       for (std::size_t k = 0; k < n_values; ++k) {
@@ -214,16 +263,16 @@ void ArchiveDecoder::sh_and_steps(int sh_degree, std::uint32_t chunk_rows, std::
                                   std::span<std::byte> out) {
   const std::size_t stride = sh_bytes(sh_degree), n_values = 3 + tables_.n_sh;
   if (stride != n_values) std::memset(out.data(), 0, out.size());
-  dc_values(tables_, codes_, dc_);
+  dc_values(tables_, colours_, dc_);
   const ArchiveKernels& kernels = archive_kernels();
   ByteWriter sets;
-  for (std::size_t chunk = 0; chunk < codes_.n; chunk += chunk_rows) {
-    const std::size_t end = std::min(codes_.n, chunk + chunk_rows);
+  for (std::size_t chunk = 0; chunk < colours_.n; chunk += chunk_rows) {
+    const std::size_t end = std::min(colours_.n, chunk + chunk_rows);
     std::array<float, kShMaxCodes> most{};
     values_.clear();
     for (std::size_t first = chunk; first < end; first += kShLanes) {
       const std::size_t count = std::min<std::size_t>(kShLanes, end - first);
-      sh_block(tables_, matrix_, codes_, dc_, first, count, block_);
+      sh_block(tables_, matrix_, colours_, dc_, first, count, block_);
       kernels.largest(block_.value[0], static_cast<int>(n_values), static_cast<int>(count), most.data());
       values_.insert(values_.end(), block_.value[0], block_.value[n_values]);
     }

@@ -1,8 +1,8 @@
 // archive_encode.cpp - encodes Gaussians as a file of Codec::archive, frames side by side on all threads.
 //
-// Order: Draco decides the order of each frame's means; everything else follows it.
-// Fit:   classes, steps, transforms from the whole scene.
-// Codes: each frame's attributes on the grids of their classes.
+// Order: the cells of means decide the order of each frame.
+// Fit:   steps and transforms from a sample of the scene.
+// Codes: each frame's attributes, in the order in which a reader learns what they mean.
 // Tables and streams: distributions of all frames together, then each frame's bytes.
 // Rows:  what a reader will decode; they give the step sets, the chunk table and the stated bounds.
 // Finally the file is decoded and compared with its source.
@@ -37,21 +37,17 @@ ArchiveOptions archive_high() {
 }
 
 ArchiveOptions archive_small() {
-  ArchiveOptions o;
-  o.mean_cells = 13;
-  o.sh_step = 0.24f;
-  o.dc_step = 0.30f;
-  o.rotation_step = 1.f / 28;
-  o.scale_step = 0.35f;
-  o.opacity_levels = 32;
-  return o;
+  return {.step = 2};
+}
+
+ArchiveOptions archive_tiny() {
+  return {.step = 4};
 }
 
 namespace {
 
 using namespace detail;
 
-constexpr float kClassOctaves = 2;  // finer classes cost more than their finer steps save: docs/records/EXPERIMENTS.md
 constexpr float kLargestSh = 0x1p30f;  // one beyond it would shift the centre of all
 
 // Consecutive Gaussians that are coded together; with levels, a page.
@@ -61,10 +57,12 @@ struct Frame {
   std::int16_t scale_exponent = 0;
   GridPoint corner{};                          // of a page
   Box extent;                                  // of a page
-  std::vector<std::byte> means, geometry, sh;  // streams
-  FrameCodes codes;
-  std::int32_t min_octaves = std::numeric_limits<std::int32_t>::max();
-  std::int32_t max_octaves = std::numeric_limits<std::int32_t>::min();
+  std::vector<std::byte> means, geometry, sh;  // streams; of a page `means` alone
+  std::vector<GridPoint> cells;                // of means, from the corner
+  std::array<std::uint8_t, 3> bits{};          // of their coordinates
+  ShapeCodes shapes;
+  ColourCodes colours;
+  float min_scale = std::numeric_limits<float>::max(), max_scale = 0;
 };
 
 // One thread's sums over chunks.
@@ -94,6 +92,84 @@ std::int64_t grid_cell(const ArchiveParameters& p, std::size_t axis, float mean)
 // A cell as stored in the file.
 std::uint32_t grid_coordinate(const ArchiveParameters& p, std::size_t axis, float mean) {
   return static_cast<std::uint32_t>(grid_cell(p, axis, mean) + (std::int64_t{1} << (p.mean_bits - 1)));
+}
+
+// Unit quaternions w x y z.
+using Quaternion = std::array<double, 4>;
+
+Quaternion product(const Quaternion& a, const Quaternion& b) {
+  return {a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3], a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+          a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1], a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]};
+}
+
+// A rotation of a cube onto itself, and the axes onto which it takes x, y and z.
+struct CubeRotation {
+  Quaternion rotation;
+  std::array<std::size_t, 3> axes;
+};
+
+// All 24: two quaternions of opposite sign stand for each.
+std::vector<CubeRotation> cube_rotations() {
+  std::vector<CubeRotation> out;
+  const double half = std::sqrt(0.5);
+  // All quaternions with components -1, 0, 1 in equal measure, of which the first that is not 0 is positive.
+  for (int code = 0; code < 81; ++code) {
+    std::array<int, 4> digits{code / 27 - 1, code / 9 % 3 - 1, code / 3 % 3 - 1, code % 3 - 1};
+    const auto n = 4 - std::ranges::count(digits, 0);
+    const auto first = std::ranges::find_if(digits, [](int d) { return d != 0; });
+    if (n == 0 || n == 3 || *first < 0) continue;
+    CubeRotation g{};
+    for (std::size_t k = 0; k < 4; ++k) g.rotation[k] = digits[k] * (n == 1 ? 1 : n == 2 ? half : 0.5);
+    const auto [w, x, y, z] = g.rotation;
+    const double columns[3][3] = {{1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)},
+                                  {2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)},
+                                  {2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)}};
+    for (std::size_t j = 0; j < 3; ++j) {
+      while (std::abs(columns[j][g.axes[j]]) < 0.5) ++g.axes[j];
+    }
+    out.push_back(g);
+  }
+  return out;
+}
+
+// Codes of a rotation whose turns around the Gaussian's own axes show by `shows`: coarse ones first, and each finer one
+// makes up for what they turned around its axis.
+void turn_codes(const Quaternion& q, const double shows[3], const double step[3], const bool coded[3],
+                std::int16_t codes[3]) {
+  const double w = q[0], x[3] = {q[1], q[2], q[3]};
+  // Turns of the Gaussian, by changes of x.
+  const double turns[3][3] = {{w + x[0] * x[0] / w, x[2] + x[0] * x[1] / w, -x[1] + x[0] * x[2] / w},
+                              {-x[2] + x[1] * x[0] / w, w + x[1] * x[1] / w, x[0] + x[1] * x[2] / w},
+                              {x[1] + x[2] * x[0] / w, -x[0] + x[2] * x[1] / w, w + x[2] * x[2] / w}};
+  std::size_t order[3] = {0, 1, 2};
+  std::stable_sort(order, order + 3, [&](std::size_t a, std::size_t b) { return step[a] > step[b]; });
+  double moved[3] = {};
+  for (int t = 0; t < 3; ++t) {
+    const std::size_t axis = order[t];
+    const double code = coded[axis] ? std::nearbyint((x[axis] + moved[axis]) / step[axis]) : 0;
+    codes[axis] = static_cast<std::int16_t>(std::clamp(code, -32767.0, 32767.0));
+    moved[axis] = codes[axis] * step[axis] - x[axis];
+    if (t == 2) break;
+    // Least squares over the axes that are left, one or two.
+    const std::size_t a = order[t + 1], b = order[2];
+    double aa = 0, ab = 0, bb = 0, ra = 0, rb = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+      double turned = 0;
+      for (int done = 0; done <= t; ++done) turned += turns[k][order[done]] * moved[order[done]];
+      aa += shows[k] * turns[k][a] * turns[k][a];
+      ab += shows[k] * turns[k][a] * turns[k][b];
+      bb += shows[k] * turns[k][b] * turns[k][b];
+      ra -= shows[k] * turns[k][a] * turned;
+      rb -= shows[k] * turns[k][b] * turned;
+    }
+    if (t == 1) {
+      moved[b] = rb / bb;
+    } else {
+      const double determinant = aa * bb - ab * ab;
+      moved[a] = (ra * bb - ab * rb) / determinant;
+      moved[b] = (aa * rb - ab * ra) / determinant;
+    }
+  }
 }
 
 class Encoder {
@@ -136,7 +212,6 @@ class Encoder {
       }
     }
     fit();
-    if (Status s = each_frame([this](Frame& f) { return order_frame(f); }); !s) return tl::unexpected(s.error());
     if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) {
       s.error().found = name_in_source(source_index, s.error().found);
       return tl::unexpected(s.error());
@@ -187,25 +262,13 @@ class Encoder {
   void fit() {
     ArchiveParameters& p = tables_.parameters;
     Box full = plan_.declarations.full;  // of all levels
-    std::vector<float> farther;
-    if (pages_ != nullptr) {
-      for (std::size_t i = 0; i < splats_.mean.size(); ++i) {
-        full.min[i % 3] = std::min(full.min[i % 3], splats_.mean[i]);
-        full.max[i % 3] = std::max(full.max[i % 3], splats_.mean[i]);
-      }
-      // A level has a quarter of the Gaussians with four times the area, and is drawn where that area looks a quarter
-      // as large; another half octave, since they only approximate the scene.
-      farther.resize(splats_.n);
-      for (const Frame& f : frames_) {
-        std::fill_n(farther.begin() + static_cast<std::ptrdiff_t>(f.first), f.count,
-                    2.5f * static_cast<float>(f.level));
-      }
+    for (std::size_t i = 0; i < splats_.mean.size(); ++i) {
+      full.min[i % 3] = std::min(full.min[i % 3], splats_.mean[i]);
+      full.max[i % 3] = std::max(full.max[i % 3], splats_.mean[i]);
     }
     fit_grid(plan_.declarations.robust, full, p);
-    const std::vector<float> seen = importance(splats_, p, farther, first_leaf_);
-    classes_ = fit_classes(seen, kClassOctaves);
-    fit_steps(plan_.options.archive, splats_, classes_, kClassOctaves, p);
-    fit_transforms(leaves(), std::span(seen).subspan(first_leaf_), tables_);
+    fit_steps(plan_.options.archive, leaves(), tables_);
+    fit_transforms(leaves(), sample_importance(leaves(), p), tables_);
     std::uint64_t largest = 0;
     for (std::size_t i = 0; i < splats_.mean.size(); ++i) {
       const std::int64_t cell = grid_cell(p, i % 3, splats_.mean[i]);
@@ -214,10 +277,10 @@ class Encoder {
     p.mean_bits = static_cast<std::uint32_t>(std::bit_width(largest)) + 1;
   }
 
-  // Draco's stream of the frame's means, and its order. Points in one cell keep the source's order.
-  Status order_frame(Frame& f) {
+  // The frame's cells of means, and its order. Points in one cell keep the source's order.
+  void order_frame(Frame& f) {
     const ArchiveParameters& p = tables_.parameters;
-    std::vector<GridPoint> points(f.count), decoded(f.count);
+    std::vector<GridPoint> points(f.count);
     for (std::size_t i = 0; i < f.count; ++i) {
       for (std::size_t k = 0; k < 3; ++k) {
         points[i][k] = grid_coordinate(p, k, splats_.mean[3 * (f.first + i) + k]);
@@ -228,32 +291,24 @@ class Encoder {
       for (const GridPoint& point : points) {
         for (std::size_t k = 0; k < 3; ++k) f.corner[k] = std::min(f.corner[k], point[k]);
       }
-      for (GridPoint& point : points) {
-        for (std::size_t k = 0; k < 3; ++k) point[k] -= f.corner[k];
+    }
+    for (GridPoint& point : points) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        point[k] -= f.corner[k];
+        f.bits[k] = std::max(f.bits[k], static_cast<std::uint8_t>(std::bit_width(point[k])));
       }
     }
-    auto stream = encode_points(points);
-    if (!stream) return tl::unexpected(stream.error());
-    f.means = std::move(*stream);
-    if (Status s = decode_points(f.means, 0, p.mean_bits, decoded); !s) {
-      return make_error(Errc::internal, Error::kNone, "Draco does not decode what it has encoded");
-    }
-    const auto sorted = [](const std::vector<GridPoint>& values) {
-      std::vector<std::uint32_t> index(values.size());
-      std::iota(index.begin(), index.end(), 0u);
-      std::ranges::sort(index, [&values](std::uint32_t a, std::uint32_t b) {
-        return values[a] != values[b] ? values[a] < values[b] : a < b;
-      });
-      return index;
-    };
-    const std::vector<std::uint32_t> from = sorted(points), to = sorted(decoded);
+    std::vector<std::uint32_t> order(f.count);
+    std::iota(order.begin(), order.end(), 0u);
+    std::ranges::stable_sort(order, [&](std::uint32_t a, std::uint32_t b) { return tree_less(points[a], points[b]); });
+    f.shapes.resize(f.count, static_cast<int>(f.level));
+    f.cells.resize(f.count);
     for (std::size_t i = 0; i < f.count; ++i) {
-      if (points[from[i]] != decoded[to[i]]) {
-        return make_error(Errc::internal, Error::kNone, "Draco decodes other points than it encoded");
-      }
-      order_[f.first + to[i]] = static_cast<std::uint32_t>(f.first + from[i]);
+      order_[f.first + i] = static_cast<std::uint32_t>(f.first + order[i]);
+      f.cells[i] = points[order[i]];
+      for (std::size_t k = 0; k < 3; ++k) f.shapes.points[i][k] = f.cells[i][k] + f.corner[k];
     }
-    return {};
+    f.shapes.find_distances(p);
   }
 
   // ---- codes -------------------------------------------------------------------------------------------------------
@@ -274,48 +329,108 @@ class Encoder {
   }
 
   Status quantise(Frame& f) {
-    FrameCodes& codes = f.codes;
-    codes.resize(f.count, tables_.n_sh);
+    order_frame(f);
+    quantise_shapes(f);
+    f.colours.resize(f.count, tables_.n_sh);
+    f.colours.classes = f.shapes.classes;
     std::int64_t dc_before[3][2] = {};
     for (std::size_t i = 0; i < f.count; ++i) {
       const std::uint32_t source = order_[f.first + i];
       const Splat s = splats_.splat(source);
-      const std::size_t index = codes.classes[i] = classes_.of[source];
-      const ArchiveClass& c = tables_.parameters.classes[index];
-      if (!quantise_geometry(s, c, i, f) || !quantise_dc(s, c, i, dc_before, codes) || !quantise_sh(s, c, i, codes)) {
-        return too_large(source);
-      }
+      const ArchiveClass& c = tables_.parameters.classes[f.colours.classes[i]];
+      if (!quantise_dc(s, c, i, dc_before, f.colours) || !quantise_sh(s, c, i, f.colours)) return too_large(source);
     }
     return {};
   }
 
-  bool quantise_geometry(const Splat& s, const ArchiveClass& c, std::size_t i, Frame& f) {
-    FrameCodes& codes = f.codes;
-    const double opacity = 1 / (1 + std::exp(-static_cast<double>(s.opacity_logit)));
-    codes.opacity[i] = static_cast<std::uint16_t>(std::nearbyint(opacity * tables_.parameters.opacity_levels));
-    double q[4], squared = 0;
-    for (int k = 0; k < 4; ++k) squared += static_cast<double>(s.rotation[k]) * static_cast<double>(s.rotation[k]);
-    std::size_t largest = 0;
-    for (std::size_t k = 0; k < 4; ++k) {
-      q[k] = static_cast<double>(s.rotation[k]) / std::sqrt(squared);
-      if (std::abs(q[k]) > std::abs(q[largest])) largest = k;
+  // Of the 24 pairs of a rotation and an order of axes that are the same Gaussian, the one that turns least.
+  void least_turn(const Splat& s, Quaternion& q, double log2_scale[3]) const {
+    double squared = 0;
+    for (const float x : s.rotation) squared += static_cast<double>(x) * static_cast<double>(x);
+    Quaternion given;
+    for (std::size_t k = 0; k < 4; ++k) given[k] = static_cast<double>(s.rotation[k]) / std::sqrt(squared);
+    const CubeRotation* best = nullptr;
+    double most = -1;
+    for (const CubeRotation& g : cube_rotations_) {
+      const auto& r = g.rotation;
+      const double w = std::abs(given[0] * r[0] - given[1] * r[1] - given[2] * r[2] - given[3] * r[3]);
+      if (w > most) most = w, best = &g;
     }
-    codes.largest[i] = static_cast<std::uint8_t>(largest);
-    const double step = static_cast<double>(c.rotation_step) * (q[largest] < 0 ? -1 : 1);
-    for (std::size_t k = 0, j = 0; k < 4; ++k) {
-      if (k != largest && !code_of(q[k] / step, codes.rotation[j++ * f.count + i])) return false;
+    q = product(given, best->rotation);
+    if (q[0] < 0) {
+      for (double& x : q) x = -x;
     }
     for (std::size_t k = 0; k < 3; ++k) {
-      const double octaves = static_cast<double>(s.log_scale[k]) / std::log(2.0) * 65536;
-      std::int16_t& code = codes.scale[k * f.count + i];
-      if (!code_of((octaves - c.scale_base) / c.scale_step, code)) return false;
-      f.min_octaves = std::min(f.min_octaves, scale_octaves(c, code));
-      f.max_octaves = std::max(f.max_octaves, scale_octaves(c, code));
+      log2_scale[k] = static_cast<double>(s.log_scale[best->axes[k]]) * std::numbers::log2e;
     }
-    return true;
   }
 
-  bool quantise_dc(const Splat& s, const ArchiveClass& c, std::size_t i, std::int64_t before[3][2], FrameCodes& codes) {
+  static std::int16_t limited_code(double value) {
+    return static_cast<std::int16_t>(std::clamp(std::nearbyint(value), -32767.0, 32767.0));
+  }
+
+  void quantise_shapes(Frame& f) {
+    const ArchiveParameters& p = tables_.parameters;
+    const ShapeParameters& shape = p.shape;
+    ShapeCodes& codes = f.shapes;
+    const std::size_t n = f.count;
+    std::vector<Quaternion> rotations(n);
+    std::vector<double> blurred(3 * n);
+    const double blur = codes.blur(shape), blurred_square = power_of_octaves(2 * codes.blur(shape));
+    for (std::size_t i = 0; i < n; ++i) {
+      const Splat s = splats_.splat(order_[f.first + i]);
+      const double root = std::sqrt(1 / (1 + std::exp(-static_cast<double>(s.opacity_logit))));
+      codes.opacity[i] = static_cast<std::uint16_t>(std::nearbyint(root * p.opacity_levels));
+      double scale[3];
+      least_turn(s, rotations[i], scale);
+      for (std::size_t k = 0; k < 3; ++k) {
+        const double square = std::exp2(2 * scale[k]) / codes.distance[i] + blurred_square;
+        double& h = blurred[k * n + i] = kOctave * std::log2(square) / 2;
+        codes.coarse[k * n + i] = limited_code((h - blur) / shape.coarse_step);
+      }
+    }
+    codes.find_fine_steps(tables_);
+    for (std::size_t i = 0; i < n; ++i) {
+      const std::int32_t step = step_of(codes.fine_step[i] + kLeastStep);
+      for (std::size_t k = 0; k < 3; ++k) {
+        const double rest = blurred[k * n + i] - blur - static_cast<double>(shape.coarse_step) * codes.coarse[k * n + i];
+        codes.fine[k * n + i] = step < shape.coarse_step ? limited_code(rest / step) : std::int16_t{0};
+      }
+    }
+    codes.find_turn_steps(tables_);
+    for (std::size_t i = 0; i < n; ++i) {
+      double shows[3], step[3];
+      bool coded[3];
+      std::int16_t turn[3];
+      for (std::size_t k = 0; k < 3; ++k) {
+        const std::int32_t index = codes.turn_step[k * n + i] + kLeastStep;
+        shows[k] = std::max(turn_sensitivity(codes.variance[(k + 1) % 3 * n + i], codes.variance[(k + 2) % 3 * n + i],
+                                             blurred_square),
+                            1e-9);
+        step[k] = step_of(index) / static_cast<double>(kOctave);
+        coded[k] = index < kMostTurn;
+      }
+      turn_codes(rotations[i], shows, step, coded, turn);
+      for (std::size_t k = 0; k < 3; ++k) codes.turn[k * n + i] = turn[k];
+    }
+    codes.find_refinement(p);
+    for (std::size_t i = 0; i < n; ++i) {
+      const std::uint32_t source = order_[f.first + i];
+      for (std::size_t k = 0; k < 3; ++k) {
+        const std::size_t at = k * n + i;
+        const double place = (static_cast<double>(splats_.mean[3 * source + k]) - p.centre[k]) / p.half_width[k];
+        const GridCell cell = grid_cell_of(codes.points[i][k], p.mean_bits, p.mean_cells);
+        const double from = grid_place(cell, p.mean_cells, 0), to = grid_place(cell, p.mean_cells, 1);
+        const int parts = 1 << codes.refinement_bits[at];
+        const double part = std::floor((place - from) / (to - from) * parts);
+        codes.refinement[at] = static_cast<std::uint16_t>(std::clamp(part, 0.0, parts - 1.0));
+        f.min_scale = std::min(f.min_scale, codes.scale(k, i));
+        f.max_scale = std::max(f.max_scale, codes.scale(k, i));
+      }
+    }
+  }
+
+  bool quantise_dc(const Splat& s, const ArchiveClass& c, std::size_t i, std::int64_t before[3][2], ColourCodes& codes) {
     for (std::size_t m = 0; m < 3; ++m) {
       double y = 0;
       for (std::size_t j = 0; j < 3; ++j) {
@@ -331,7 +446,7 @@ class Encoder {
     return true;
   }
 
-  bool quantise_sh(const Splat& s, const ArchiveClass& c, std::size_t i, FrameCodes& codes) {
+  bool quantise_sh(const Splat& s, const ArchiveClass& c, std::size_t i, ColourCodes& codes) {
     const std::size_t n = tables_.n_sh;
     float y[45] = {};
     for (std::size_t q = 0; q < n; ++q) {
@@ -358,9 +473,12 @@ class Encoder {
     const unsigned n_workers = worker_count(frames_.size(), n_threads());
     std::vector<RansCounter> counters(n_workers, RansCounter(tables_.contexts().count));
     std::vector<CodeSizes> sizes(n_workers);
+    std::vector<PointTree> trees(n_workers);
     static_cast<void>(run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) -> Status {
-      walk_geometry(frames_[i].codes, tables_, counters[worker]);
-      walk_sh(frames_[i].codes, tables_, sizes[worker], counters[worker]);
+      Frame& f = frames_[i];
+      trees[worker].walk(f.cells, f.bits, counters[worker]);
+      walk_shapes(f.shapes, tables_, counters[worker]);
+      walk_sh(f.colours, tables_, sizes[worker], counters[worker]);
       return {};
     }));
     std::vector<std::uint32_t>& counts = counters[0].counts();
@@ -370,10 +488,18 @@ class Encoder {
     fit_distributions(counts, tables_);
     static_cast<void>(run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) -> Status {
       RansWriter writer(tables_.frequencies, tables_.map);
-      walk_geometry(frames_[i].codes, tables_, writer);
-      frames_[i].geometry = writer.finish();
-      walk_sh(frames_[i].codes, tables_, sizes[worker], writer);
-      frames_[i].sh = writer.finish();
+      Frame& f = frames_[i];
+      for (const std::uint8_t bits : f.bits) f.means.push_back(std::byte{bits});
+      f.means.push_back(std::byte{0});
+      const auto append = [](std::vector<std::byte>& to, const std::vector<std::byte>& stream) {
+        to.insert(to.end(), stream.begin(), stream.end());
+      };
+      trees[worker].walk(f.cells, f.bits, writer);
+      if (pages_ == nullptr) append(f.means, writer.finish());
+      walk_shapes(f.shapes, tables_, writer);
+      if (pages_ == nullptr) f.geometry = writer.finish();
+      walk_sh(f.colours, tables_, sizes[worker], writer);
+      append(pages_ == nullptr ? f.sh : f.means, writer.finish());
       return {};
     }));
   }
@@ -381,22 +507,18 @@ class Encoder {
   // ---- rows --------------------------------------------------------------------------------------------------------
 
   void choose_exponents() {
-    const auto scale = [](std::int32_t octaves) {
-      const OctaveScale s = scale_of_octaves(octaves);
-      return static_cast<float>(std::ldexp(static_cast<double>(s.significand), s.exponent));
+    const auto exponent = [](float low, float high) {
+      return static_cast<std::int16_t>(choose_scale_exponent(low, high));
     };
-    const auto exponent = [&scale](std::int32_t low, std::int32_t high) {
-      return static_cast<std::int16_t>(choose_scale_exponent(scale(low), scale(high)));
-    };
-    std::int32_t low = std::numeric_limits<std::int32_t>::max(), high = std::numeric_limits<std::int32_t>::min();
+    float low = std::numeric_limits<float>::max(), high = 0;
     for (const Frame& f : frames_) {
       if (f.level != 0) continue;
-      low = std::min(low, f.min_octaves);
-      high = std::max(high, f.max_octaves);
+      low = std::min(low, f.min_scale);
+      high = std::max(high, f.max_scale);
     }
     plan_.header.scale_exponent = exponent(low, high);
     for (Frame& f : frames_) {
-      f.scale_exponent = f.level == 0 ? plan_.header.scale_exponent : exponent(f.min_octaves, f.max_octaves);
+      f.scale_exponent = f.level == 0 ? plan_.header.scale_exponent : exponent(f.min_scale, f.max_scale);
     }
   }
 
@@ -434,35 +556,19 @@ class Encoder {
     const ArchiveParameters& p = tables_.parameters;
     float largest_sh = 1;
     for (const float x : splats_.sh) largest_sh = std::max(largest_sh, std::abs(x));
-    const double rounding = static_cast<double>(largest_sh) * 0x1p-11;  // matrices have 14 bits
-    // Half a cell, plus rounding to FP32 far from the origin or very near to it. Twice that at most: the source's mean
-    // is an FP32 number, and none is nearer to the rounded value than the one it became.
-    const double half_cell = std::ldexp(0.501, -static_cast<int>(p.mean_cells));
-    double rounding_mean = 0;
-    for (std::size_t k = 0; k < 3; ++k) {
-      const double relative = 1 + std::abs(p.centre[k]) / p.half_width[k];
-      rounding_mean = std::max(rounding_mean, relative * 0x1p-23 + 0x1p-149 / p.half_width[k]);
-    }
-    bool explained = p.bound_mean <= half_cell + std::min(half_cell, rounding_mean) &&
-                     p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11;
+    const double rounding = static_cast<double>(largest_sh) * 0x1p-11, side = std::sqrt(0.75);  // matrices have 14 bits
+    bool explained = p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11;
     for (const ArchiveClass& c : p.classes) {
-      const double side = std::sqrt(0.75), reached = side * (1 + static_cast<double>(c.rotation_step));
-      // The smaller components of a unit quaternion have at most the length `side`, where its angle changes fastest.
-      const double turned = reached < 1 ? 2 * (std::asin(reached) - std::asin(side)) : std::numbers::pi;
       explained =
-          explained && c.bound_rotation <= turned + 0x1p-8 &&
-          c.bound_scale <= c.scale_step / 65536.0 * std::numbers::ln2 / 2 + 0x1p-10 &&
-          c.bound_dc <= c.dc_step / 65536.0 * side + rounding &&
+          explained && c.bound_dc <= c.dc_step / 65536.0 * side + rounding &&
           c.bound_sh <= static_cast<double>(c.sh_step) / 2 * std::sqrt(static_cast<double>(tables_.n_sh)) + rounding;
     }
     return explained;
   }
 
   Status reconstruct_frame(Frame& f, std::span<const std::int16_t> matrix, ErrorMaxima& errors, Totals& totals) {
-    std::vector<GridPoint> points(f.count);
-    if (Status s = decode_points(f.means, 0, tables_.parameters.mean_bits, points); !s) return s;
     std::vector<std::int32_t> dc;
-    dc_values(tables_, f.codes, dc);
+    dc_values(tables_, f.colours, dc);
     const auto block = std::make_unique<ShBlock>();
     std::vector<StoredSplat> stored(plan_.header.chunk_size);
     ExtentBox extent;
@@ -470,19 +576,19 @@ class Encoder {
       const std::uint64_t count = std::min<std::uint64_t>(plan_.header.chunk_size, f.count - at);
       for (std::size_t first = 0; first < count; first += kShLanes) {
         const std::size_t lanes = std::min<std::size_t>(kShLanes, count - first);
-        sh_block(tables_, matrix, f.codes, dc, at + first, lanes, *block);
+        sh_block(tables_, matrix, f.colours, dc, at + first, lanes, *block);
         for (std::size_t i = 0; i < lanes; ++i) {
           for (std::size_t k = 0; k < 3 + tables_.n_sh; ++k) stored[first + i].sh[k] = block->value[k][i];
         }
       }
       for (std::size_t i = 0; i < count; ++i) {
-        for (std::size_t k = 0; k < 3; ++k) {
-          stored[i].mean[k] = grid_mean(tables_.parameters, k, points[at + i][k] + f.corner[k]);
-          means_[3 * (f.first + at + i) + k] = stored[i].mean[k];
-        }
-        geometry_row(tables_.parameters, f.codes, at + i, f.scale_exponent, stored[i].geometry);
-        errors.add(f.codes.classes[at + i], splat_errors(tables_.parameters, f.scale_exponent, degree_,
-                                                         splats_.splat(order_[f.first + at + i]), stored[i]));
+        const auto mean = f.shapes.mean(tables_.parameters, at + i);
+        std::ranges::copy(mean, stored[i].mean);
+        std::ranges::copy(mean, &means_[3 * (f.first + at + i)]);
+        f.shapes.geometry_row(tables_, f.scale_exponent, at + i, stored[i].geometry);
+        errors.add(f.colours.classes[at + i],
+                   splat_errors(tables_.parameters, f.scale_exponent, f.shapes.level, degree_,
+                                splats_.splat(order_[f.first + at + i]), stored[i]));
         if (pages_ == nullptr) continue;
         extent.add(extent_of(reinterpret_cast<const std::byte*>(stored[i].mean),
                              reinterpret_cast<const std::byte*>(stored[i].geometry), f.scale_exponent));
@@ -553,13 +659,8 @@ class Encoder {
     describe_scene();
     LevelsFile file(bytes, plan_, *pages_, write_archive_tables(tables_));
     for (const Frame& f : frames_) {
-      ByteWriter head;
-      head.u32(static_cast<std::uint32_t>(f.means.size()));
-      head.u32(static_cast<std::uint32_t>(f.geometry.size()));
-      std::vector<std::byte> page = head.take();
-      for (const auto* stream : {&f.means, &f.geometry, &f.sh}) page.insert(page.end(), stream->begin(), stream->end());
       const auto n_sets = static_cast<std::uint32_t>(chunks_of(f.count, plan_.header.chunk_size));
-      if (Status s = file.add({page, xxh3(page), n_sets, f.scale_exponent, f.corner, f.extent}); !s)
+      if (Status s = file.add({f.means, xxh3(f.means), n_sets, f.scale_exponent, f.corner, f.extent}); !s)
         return tl::unexpected(s.error());
     }
     Declarations d = plan_.declarations;
@@ -577,7 +678,7 @@ class Encoder {
   std::uint64_t first_leaf_;
   int degree_;
   ArchiveTables tables_;
-  Classes classes_;
+  const std::vector<CubeRotation> cube_rotations_ = cube_rotations();
   std::vector<Frame> frames_;
   std::vector<std::uint32_t> order_;  // position in splats_ of each Gaussian of the file
   std::vector<float> means_;          // [n, 3] decoded, in file order
@@ -612,13 +713,5 @@ Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, con
 }
 
 }  // namespace detail
-
-std::array<float, 3> archive_mean(const ArchiveParameters& p, const float mean[3]) {
-  std::array<float, 3> decoded;
-  for (std::size_t k = 0; k < 3; ++k) {
-    decoded[k] = std::isfinite(mean[k]) ? grid_mean(p, k, grid_coordinate(p, k, mean[k])) : mean[k];
-  }
-  return decoded;
-}
 
 }  // namespace rgs

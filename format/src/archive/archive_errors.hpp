@@ -17,15 +17,14 @@ struct StoredSplat {
   float sh[48];
 };
 
+/// docs/format/ARCHIVE.md, "Bounds".
 struct SplatErrors {
-  double mean = 0;  ///< of |error| / max(half_width, |mean - centre|)
-  double opacity = 0;
-  double rotation = 0;  ///< radians
-  double scale = 0;     ///< of ln(scale)
+  double mean = 0, covariance = 0;  ///< both where the Gaussian, blurred, is a unit sphere
+  double opacity = 0;               ///< of its square root
   double dc = 0, sh = 0;
 };
-/// `sh_slack` [48] is subtracted from each coefficient's error.
-SplatErrors splat_errors(const ArchiveParameters& p, int scale_exponent, int sh_degree, const Splat& source,
+/// `level`: of the page. `sh_slack` [48] is subtracted from each coefficient's error.
+SplatErrors splat_errors(const ArchiveParameters& p, int scale_exponent, int level, int sh_degree, const Splat& source,
                          const StoredSplat& stored, const float* sh_slack = nullptr);
 
 /// Largest errors of a scene, by class where bounds are.
@@ -38,7 +37,6 @@ class ErrorMaxima {
   void state(ArchiveParameters& p) const;
 
  private:
-  double mean_ = 0, opacity_ = 0;
   std::vector<SplatErrors> by_class_;
 };
 

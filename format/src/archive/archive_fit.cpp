@@ -8,12 +8,13 @@
 #include <limits>
 #include <numeric>
 
+#include "archive/shape_formulas.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs::detail {
 namespace {
 
-constexpr double kMaxOctaves = 8;              // of importance on either side of the median
+constexpr int kClasses = 17;                       // of an octave of importance each
 constexpr std::size_t kSample = 1u << 17;      // Gaussians that transforms are fitted to
 constexpr std::size_t kMinForTransform = 512;  // fewer do not determine 45 directions
 
@@ -235,84 +236,98 @@ void fit_grid(const Box& robust, const Box& full, ArchiveParameters& p) {
   }
 }
 
-std::vector<float> importance(const SplatView& splats, const ArchiveParameters& p, std::span<const float> farther,
-                              std::uint64_t first_median) {
-  std::vector<double> squared(splats.n);
-  for (std::size_t i = 0; i < splats.n; ++i) {
+namespace {
+
+// Where all steps are those below.
+constexpr double kImportance = -22;
+// Found by equal slopes of error and bytes (docs/records/EXPERIMENTS.md): logarithms to base 2 but for the last three.
+constexpr double kBlur = -10.25, kCoarse = 0.8, kFine = -3.13, kTurn = -3.92, kMean = -3.49, kSlope = 0.8;
+constexpr double kOpacityLevels = 50, kDc = 0.12, kSh = 0.087, kShSlope = 0.65;
+
+std::int32_t fixed(double octaves) {
+  return static_cast<std::int32_t>(std::lround(octaves * kOctave));
+}
+
+double opacity_of(const SplatView& splats, std::size_t i) {
+  return 1 / (1 + std::exp(-static_cast<double>(splats.opacity_logit[i])));
+}
+
+double squared_distance(const SplatView& splats, const ArchiveParameters& p, std::size_t i) {
+  double squared = 0;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const double d = static_cast<double>(splats.mean[3 * i + k]) - p.centre[k];
+    squared += d * d;
+  }
+  return squared;
+}
+
+std::size_t stride_of(const SplatView& splats) {
+  return static_cast<std::size_t>((splats.n + kSample - 1) / kSample);
+}
+
+// log2 of importance.
+std::vector<double> importance(const SplatView& splats, const ArchiveParameters& p) {
+  std::vector<double> out;
+  for (std::size_t i = 0; i < splats.n; i += stride_of(splats)) {
+    const double distance = std::max(squared_distance(splats, p, i), p.shape.nearest);
+    double h[3];
     for (std::size_t k = 0; k < 3; ++k) {
-      const double d = static_cast<double>(splats.mean[3 * i + k]) - p.centre[k];
-      squared[i] += d * d;
+      const double square = std::exp(2 * static_cast<double>(splats.log_scale[3 * i + k])) / distance;
+      h[k] = std::log2(square + std::exp2(2 * kBlur)) / 2;
     }
+    const double area = h[0] + h[1] + h[2] - std::min({h[0], h[1], h[2]});
+    out.push_back(2 * std::log2(std::max(opacity_of(splats, i), 1e-4)) + area);
   }
-  const auto middle_of = [first_median](const std::vector<double>& all) {
-    return median({all.begin() + static_cast<std::ptrdiff_t>(first_median), all.end()});
-  };
-  const double near = std::max(middle_of(squared), 1e-60);
-  std::vector<double> values(splats.n);
-  for (std::size_t i = 0; i < splats.n; ++i) {
-    const float* s = &splats.log_scale[3 * i];
-    const double area = static_cast<double>(s[0] + s[1] + s[2] - std::min({s[0], s[1], s[2]})) / std::log(2.0);
-    const double opacity = std::max(1.0 / (1.0 + std::exp(-static_cast<double>(splats.opacity_logit[i]))), 1e-30);
-    values[i] = 2 * std::log2(opacity) + area - std::log2(std::max(squared[i], near));
-    if (!farther.empty()) values[i] -= static_cast<double>(farther[i]);
-  }
-  const double middle = middle_of(values);
-  std::vector<float> result(splats.n);
-  for (std::size_t i = 0; i < splats.n; ++i) {
-    result[i] = static_cast<float>(std::clamp(values[i] - middle, -kMaxOctaves, kMaxOctaves));
-  }
-  return result;
+  return out;
 }
 
-Classes fit_classes(std::span<const float> importance, float octaves) {
-  Classes classes;
-  classes.middle = static_cast<int>(std::lround(kMaxOctaves / static_cast<double>(octaves)));
-  classes.count = 2 * classes.middle + 1;
-  classes.of.reserve(importance.size());
-  for (const float value : importance) {
-    classes.of.push_back(static_cast<std::uint8_t>(std::lround(value / octaves) + classes.middle));
-  }
-  return classes;
-}
+}  // namespace
 
-void fit_steps(const ArchiveOptions& o, const SplatView& splats, const Classes& classes, float octaves,
-               ArchiveParameters& p) {
-  p.sh_step = o.sh_step;
-  p.dc_step = o.dc_step;
-  p.rotation_step = o.rotation_step;
-  p.scale_step = o.scale_step;
-  p.slope = o.slope;
-  p.class_octaves = octaves;
-  p.opacity_levels = static_cast<std::uint32_t>(o.opacity_levels);
-  p.mean_cells = static_cast<std::uint32_t>(o.mean_cells);
-  const auto n_classes = static_cast<std::size_t>(classes.count);
-  std::vector<double> sums(n_classes), counts(n_classes);
-  for (std::size_t i = 0; i < splats.n; ++i) {
-    for (std::size_t k = 0; k < 3; ++k) sums[classes.of[i]] += static_cast<double>(splats.log_scale[3 * i + k]);
-    counts[classes.of[i]] += 3;
+void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& t) {
+  ArchiveParameters& p = t.parameters;
+  const double step = static_cast<double>(o.step), coarser = std::log2(step);
+  p.step = o.step;
+  // A cell holds few Gaussians; what is finer depends on each of them.
+  p.mean_cells = static_cast<std::uint32_t>(
+      std::clamp(std::lround(std::log2(static_cast<double>(splats.n)) / 2 + 1.2 - coarser / 2), 4L, 18L));
+  std::vector<double> distances;
+  for (std::size_t i = 0; i < splats.n; i += stride_of(splats)) distances.push_back(squared_distance(splats, p, i));
+  ShapeParameters& s = p.shape;
+  s.nearest = std::max(median(std::move(distances)), 1e-60);
+  s.blur = fixed(kBlur);
+  s.coarse_step = fixed(kCoarse);
+  const double middle = std::round(std::clamp(median(importance(splats, p)), -60.0, 60.0));
+  s.middle = fixed(middle);
+  s.slope = fixed(kSlope);
+  const double finer = kSlope / 2 * (middle - kImportance);
+  s.fine_step = fixed(kFine + coarser - finer);
+  s.turn_step = fixed(kTurn + coarser - finer);
+  s.mean_step = fixed(kMean + coarser - finer);
+  p.opacity_levels = static_cast<std::uint32_t>(std::clamp(std::lround(kOpacityLevels / step), 4L, 1000L));
+  t.opacity.clear();
+  for (std::uint32_t level = 0; level <= p.opacity_levels; ++level) {
+    const double root = std::max(static_cast<double>(level), 0.35) / p.opacity_levels;
+    t.opacity.push_back(half_from_float(static_cast<float>(root * root)));
   }
-  p.classes.resize(n_classes);
-  for (std::size_t c = 0; c < n_classes; ++c) {
-    const double factor = std::exp2(-0.5 * static_cast<double>(o.slope) * static_cast<double>(octaves) *
-                                    (static_cast<double>(c) - classes.middle));
-    const auto fixed = [factor](double step) {
-      return static_cast<std::uint32_t>(std::max(1.0, std::nearbyint(step * factor * 65536)));
-    };
-    ArchiveClass& out = p.classes[c];
-    out.rotation_step = std::min(static_cast<float>(static_cast<double>(o.rotation_step) * factor), 2.f);
-    out.scale_step = fixed(static_cast<double>(o.scale_step) / std::log(2.0));
-    out.scale_base =
-        static_cast<std::int32_t>(std::nearbyint(sums[c] / std::max(counts[c], 1.0) / std::log(2.0) * 65536));
-    out.dc_step = fixed(static_cast<double>(o.dc_step));
-    out.sh_step = static_cast<float>(static_cast<double>(o.sh_step) * factor);
+  p.classes.resize(kClasses);
+  for (int c = 0; c < kClasses; ++c) {
+    const double factor = step * std::exp2(-kShSlope / 2 * (middle + (c - kClasses / 2) - kImportance));
+    ArchiveClass& out = p.classes[static_cast<std::size_t>(c)];
+    out.dc_step = static_cast<std::uint32_t>(std::clamp(std::nearbyint(kDc * factor * 65536), 1.0, 0x1p26));
+    out.sh_step = static_cast<float>(std::clamp(kSh * factor, 0x1p-40, 0x1p40));
   }
 }
 
-void fit_transforms(const SplatView& splats, std::span<const float> importance, ArchiveTables& t) {
-  const std::size_t stride = (splats.n + kSample - 1) / kSample;
+Sample sample_importance(const SplatView& splats, const ArchiveParameters& p) {
+  Sample out{stride_of(splats), importance(splats, p)};
+  for (double& x : out.importance) x = std::clamp(x - p.shape.middle / static_cast<double>(kOctave), -8.0, 8.0);
+  return out;
+}
+
+void fit_transforms(const SplatView& splats, const Sample& sample, ArchiveTables& t) {
+  const std::size_t stride = sample.stride;
   std::vector<double> weights;
-  for (std::size_t i = 0; i < splats.n; i += stride)
-    weights.push_back(std::exp2(static_cast<double>(importance[i]) / 2));
+  for (const double importance : sample.importance) weights.push_back(std::exp2(importance / 2));
   const Transform dc = fit_transform(splats, weights, stride, 0, 3);
   std::ranges::copy(dc.centre, t.dc_centre.begin());
   std::ranges::copy(dc.matrix, t.dc_matrix.begin());

@@ -20,6 +20,12 @@ inline double power_of_two(std::int32_t k) {
   return std::bit_cast<double>(static_cast<std::uint64_t>(std::int64_t{1023} + k) << 52);
 }
 
+inline float limited_mean(double x) {
+  constexpr double kMax = std::numeric_limits<float>::max();
+  const double low = x < -kMax ? -kMax : x;
+  return static_cast<float>(low > kMax ? kMax : low) + 0.f;
+}
+
 /// Mean on one axis from its coordinate below 2^mean_bits. mean_bits <= min(mean_cells + 9, 28), so no octave exceeds
 /// 2^255.
 inline float grid_mean(std::uint32_t coordinate, std::uint32_t mean_bits, std::uint32_t mean_cells, double centre,
@@ -30,10 +36,7 @@ inline float grid_mean(std::uint32_t coordinate, std::uint32_t mean_bits, std::u
   const double fraction =
       (static_cast<double>(n & (cells - 1)) + 0.5) * power_of_two(-static_cast<std::int32_t>(mean_cells));
   const double t = octave > 0 ? (1 + fraction) * power_of_two(octave - 1) : fraction;
-  const double x = centre + half_width * (q >= 0 ? t : -t);
-  constexpr double kMax = std::numeric_limits<float>::max();
-  const double low = x < -kMax ? -kMax : x;
-  return static_cast<float>(low > kMax ? kMax : low) + 0.f;
+  return limited_mean(centre + half_width * (q >= 0 ? t : -t));
 }
 
 /// Unit quaternion w x y z, w not negative, from the three stored components; component `largest` is the fourth.

@@ -12,9 +12,12 @@
 namespace rgs::detail {
 namespace {
 
+constexpr std::uint16_t kHalfOne = 0x3C00;  // FP16
+
 // Decoded bytes of the frame of tables.
-std::size_t content_bytes(std::size_t n_classes, std::size_t n_sh, std::size_t n_distributions) {
-  return 4 * (3 + n_sh) + 2 * (9 + 6 + n_sh * n_sh) + ArchiveContexts(n_classes, n_sh).count +
+std::size_t content_bytes(const ArchiveTables& t, std::size_t n_distributions) {
+  const std::size_t n_opacities = t.parameters.codec == Codec::archive ? t.parameters.opacity_levels + 1 : 0;
+  return 4 * (3 + t.n_sh) + 2 * (9 + 6 + t.n_sh * t.n_sh) + 2 * n_opacities + t.contexts().count +
          2 * kRansTokens * n_distributions;
 }
 
@@ -57,18 +60,33 @@ class Fields {
   Status status_;
 };
 
-ArchiveClass parse_class(Fields& in) {
+ArchiveClass parse_class(Fields& in, Codec codec) {
   ArchiveClass c;
+  const auto colours = [&] {
+    c.dc_step = in.integer(1, 1u << 26, "a DC step in ARCH is not between 1 and 2^26");
+    c.sh_step = in.number(0x1p-40f, 0x1p40f, "an SH step in ARCH is not between 2^-40 and 2^40");
+  };
+  if (codec == Codec::archive) {
+    colours();
+    for (float* bound : {&c.bound_mean, &c.bound_covariance, &c.bound_dc, &c.bound_sh}) *bound = in.bound();
+    return c;
+  }
   c.rotation_step = in.number(0x1p-20f, 2.f, "a rotation step in ARCH is not between 2^-20 and 2");
   c.scale_step = in.integer(1, 1u << 22, "a scale step in ARCH is not between 1 and 2^22");
   c.scale_base = in.signed_integer(1 << 23, "the base of scales in ARCH is beyond 2^23");
-  c.dc_step = in.integer(1, 1u << 26, "a DC step in ARCH is not between 1 and 2^26");
-  c.sh_step = in.number(0x1p-40f, 0x1p40f, "an SH step in ARCH is not between 2^-40 and 2^40");
-  c.bound_rotation = in.bound();
-  c.bound_scale = in.bound();
-  c.bound_dc = in.bound();
-  c.bound_sh = in.bound();
+  colours();
+  for (float* bound : {&c.bound_rotation, &c.bound_scale, &c.bound_dc, &c.bound_sh}) *bound = in.bound();
   return c;
+}
+
+void parse_shape(Fields& in, ShapeParameters& s) {
+  constexpr std::int32_t kMost = 1 << 22;
+  s.nearest = in.wide_number(0x1p-1000, 0x1p300, "the least distance in ARCH is not between 2^-1000 and 2^300");
+  s.blur = in.signed_integer(kMost, "the blur in ARCH is beyond 2^22");
+  s.coarse_step = static_cast<std::int32_t>(in.integer(1, 1u << 20, "a scale step in ARCH is not between 1 and 2^20"));
+  for (std::int32_t* step : {&s.fine_step, &s.turn_step, &s.mean_step, &s.middle}) {
+    *step = in.signed_integer(kMost << 2, "a step or the middle importance in ARCH is beyond 2^24");
+  }
 }
 
 Status parse_content(std::span<const std::byte> content, std::uint64_t offset, std::size_t n_distributions,
@@ -88,6 +106,14 @@ Status parse_content(std::span<const std::byte> content, std::uint64_t offset, s
   std::ranges::generate(t.dc_weights, integer);
   t.sh_matrix.resize(t.n_sh * t.n_sh);
   std::ranges::generate(t.sh_matrix, integer);
+  if (t.parameters.codec == Codec::archive) {
+    t.opacity.resize(t.parameters.opacity_levels + 1);
+    std::ranges::generate(t.opacity, [&] { return in.u16(); });
+    const auto is_opacity = [](std::uint16_t half) { return half > 0 && half <= kHalfOne; };
+    if (!std::ranges::all_of(t.opacity, is_opacity)) {
+      return make_error(Errc::bad_value, offset, "an opacity in ARCH is not above 0 and at most 1");
+    }
+  }
   t.map.resize(t.contexts().count);
   std::ranges::generate(t.map, [&] { return in.u8(); });
   t.frequencies.resize(n_distributions * kRansTokens);
@@ -104,7 +130,8 @@ Status parse_content(std::span<const std::byte> content, std::uint64_t offset, s
 
 }  // namespace
 
-Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std::uint64_t offset, int sh_degree) {
+Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std::uint64_t offset, Codec codec,
+                                           int sh_degree) {
   const auto too_short = [&] { return make_error(Errc::size_mismatch, offset, "section ARCH ends before its tables"); };
   if (bytes.size() < kArchiveFixedBytes) return too_short();
   ByteReader reader(bytes, offset);
@@ -112,33 +139,46 @@ Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std
   ArchiveTables t;
   t.n_sh = archive_sh_count(sh_degree);
   ArchiveParameters& p = t.parameters;
+  p.codec = codec;
+  const bool shaped = codec == Codec::archive;
   p.mean_cells = in.integer(4, 20, "mean_cells is not between 4 and 20");
   p.mean_bits = in.integer(1, std::min(p.mean_cells + 9, 28u), "mean_bits is not between 1 and mean_cells + 9");
   const std::uint32_t n_classes = in.integer(1, kMaxArchiveClasses, "the number of classes is not between 1 and 32");
   p.opacity_levels = in.integer(1, 4096, "opacity_levels is not between 1 and 4096");
   const std::uint32_t n_distributions = in.integer(1, 255, "the number of distributions is not between 1 and 255");
-  in.reserved(4);
+  if (shaped) {
+    p.shape.slope = static_cast<std::int32_t>(in.integer(0, 1u << 16, "the slope is not between 0 and 2^16"));
+  } else {
+    in.reserved(4);
+  }
   for (double& value : p.centre) value = in.wide_number(-0x1p128, 0x1p128, "the grid's centre is beyond 2^128");
   for (double& value : p.half_width) {
     value = in.wide_number(0x1p-1074, 0x1p128, "the grid's half width is not above 0 and at most 2^128");
   }
   constexpr const char* kKnob = "a knob in ARCH is negative or not finite";
-  for (float* knob : {&p.sh_step, &p.dc_step, &p.rotation_step, &p.scale_step, &p.slope, &p.class_octaves}) {
-    *knob = in.number(0, 3.4028235e38f, kKnob);
+  if (shaped) {
+    parse_shape(in, p.shape);
+    p.step = in.number(0, 3.4028235e38f, kKnob);
+    p.bound_opacity = in.bound();
+    in.reserved(16);
+  } else {
+    for (float* knob : {&p.sh_step, &p.dc_step, &p.rotation_step, &p.scale_step, &p.slope, &p.class_octaves}) {
+      *knob = in.number(0, 3.4028235e38f, kKnob);
+    }
+    p.bound_mean = in.bound();
+    p.bound_opacity = in.bound();
+    in.reserved(24);
   }
-  p.bound_mean = in.bound();
-  p.bound_opacity = in.bound();
-  in.reserved(24);
   if (!in.status()) return tl::unexpected(in.status().error());
-  const std::size_t fixed = kArchiveFixedBytes + kArchiveClassBytes * std::size_t{n_classes};
+  const std::size_t fixed = kArchiveFixedBytes + archive_class_bytes(codec) * std::size_t{n_classes};
   if (bytes.size() < fixed) return too_short();
   p.classes.resize(n_classes);
-  std::ranges::generate(p.classes, [&] { return parse_class(in); });
+  std::ranges::generate(p.classes, [&] { return parse_class(in, codec); });
   if (!in.status()) return tl::unexpected(in.status().error());
 
   const std::uint64_t at = offset + fixed;
   const auto frame = bytes.subspan(fixed);
-  std::vector<std::byte> content(content_bytes(p.classes.size(), t.n_sh, n_distributions));
+  std::vector<std::byte> content(content_bytes(t, n_distributions));
   if (const Status s = Inflater().inflate(frame, at, content); !s) return tl::unexpected(s.error());
   if (const Status s = parse_content(content, at, n_distributions, t); !s) return tl::unexpected(s.error());
   return t;
@@ -146,7 +186,8 @@ Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std
 
 std::uint64_t memory_bytes(const ArchiveTables& t) {
   const auto held = [](const auto& vector) { return vector.capacity() * sizeof(vector.front()); };
-  return sizeof t + held(t.parameters.classes) + held(t.sh_centre) + held(t.sh_matrix) + held(t.map) +
+  return sizeof t + held(t.parameters.classes) + held(t.sh_centre) + held(t.sh_matrix) + held(t.opacity) +
+         held(t.map) +
          held(t.frequencies) + t.rans.memory_bytes();
 }
 

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <zstd.h>
 
-#include <cstring>
+#include <bit>
 #include <new>
 
 #include "archive/archive_tables.hpp"
@@ -11,12 +11,6 @@
 namespace rgs::detail {
 namespace {
 
-std::uint64_t bits_of_double(double value) {
-  std::uint64_t bits;
-  std::memcpy(&bits, &value, sizeof bits);
-  return bits;
-}
-
 std::vector<std::byte> write_content(const ArchiveTables& t) {
   ByteWriter out;
   for (const float value : t.dc_centre) out.f32(value);
@@ -24,6 +18,7 @@ std::vector<std::byte> write_content(const ArchiveTables& t) {
   for (const std::int16_t value : t.dc_matrix) out.i16(value);
   for (const std::int16_t value : t.dc_weights) out.i16(value);
   for (const std::int16_t value : t.sh_matrix) out.i16(value);
+  for (const std::uint16_t value : t.opacity) out.u16(value);
   for (const std::uint8_t value : t.map) out.u8(value);
   for (const std::uint16_t value : t.frequencies) out.u16(value);
   return out.take();
@@ -33,25 +28,27 @@ std::vector<std::byte> write_content(const ArchiveTables& t) {
 
 std::vector<std::byte> write_archive_tables(const ArchiveTables& t) {
   const ArchiveParameters& p = t.parameters;
+  const ShapeParameters& shape = p.shape;
   ByteWriter out;
-  for (const std::uint32_t value : {p.mean_cells, p.mean_bits, static_cast<std::uint32_t>(p.classes.size()),
-                                    p.opacity_levels, static_cast<std::uint32_t>(t.n_distributions()), 0u}) {
-    out.u32(value);
+  const auto integer = [&out](auto value) { out.u32(static_cast<std::uint32_t>(value)); };
+  for (const std::uint32_t value : {p.mean_cells, p.mean_bits}) integer(value);
+  integer(p.classes.size());
+  integer(p.opacity_levels);
+  integer(t.n_distributions());
+  integer(shape.slope);
+  for (const double value : p.centre) out.u64(std::bit_cast<std::uint64_t>(value));
+  for (const double value : p.half_width) out.u64(std::bit_cast<std::uint64_t>(value));
+  out.u64(std::bit_cast<std::uint64_t>(shape.nearest));
+  for (const std::int32_t value :
+       {shape.blur, shape.coarse_step, shape.fine_step, shape.turn_step, shape.mean_step, shape.middle}) {
+    integer(value);
   }
-  for (const double value : p.centre) out.u64(bits_of_double(value));
-  for (const double value : p.half_width) out.u64(bits_of_double(value));
-  for (const float value :
-       {p.sh_step, p.dc_step, p.rotation_step, p.scale_step, p.slope, p.class_octaves, p.bound_mean, p.bound_opacity}) {
-    out.f32(value);
-  }
+  out.f32(p.step);
+  out.f32(p.bound_opacity);
   out.pad_to(kArchiveFixedBytes);
   for (const ArchiveClass& c : p.classes) {
-    out.f32(c.rotation_step);
-    out.u32(c.scale_step);
-    out.u32(static_cast<std::uint32_t>(c.scale_base));
     out.u32(c.dc_step);
-    out.f32(c.sh_step);
-    for (const float bound : {c.bound_rotation, c.bound_scale, c.bound_dc, c.bound_sh}) out.f32(bound);
+    for (const float value : {c.sh_step, c.bound_mean, c.bound_covariance, c.bound_dc, c.bound_sh}) out.f32(value);
   }
   std::vector<std::byte> bytes = out.take();
   const std::vector<std::byte> content = write_content(t);

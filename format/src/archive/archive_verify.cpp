@@ -3,6 +3,7 @@
 #include "archive/archive_encode.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
 #include <cstring>
@@ -19,24 +20,48 @@
 namespace rgs::detail {
 namespace {
 
-// Angle between two rotations, accurate for small ones: 2 asin of half the chord, for the nearer of q and -q.
-double rotation_angle(const double a[4], const double b[4]) {
-  double dot = 0, minus = 0, plus = 0;
-  for (int i = 0; i < 4; ++i) {
-    dot += a[i] * b[i];
-    minus += (a[i] - b[i]) * (a[i] - b[i]);
-    plus += (a[i] + b[i]) * (a[i] + b[i]);
+using Matrix = std::array<std::array<double, 3>, 3>;  // symmetric, or lower triangular
+
+// R diag(s^2) R^T; `q` need not be normalised.
+Matrix covariance(const double q[4], const double scale[3]) {
+  double squared = 0;
+  for (int k = 0; k < 4; ++k) squared += q[k] * q[k];
+  const double u = 2 / squared, w = q[0], x = q[1], y = q[2], z = q[3];
+  const double r[3][3] = {{1 - u * (y * y + z * z), u * (x * y - w * z), u * (x * z + w * y)},
+                          {u * (x * y + w * z), 1 - u * (x * x + z * z), u * (y * z - w * x)},
+                          {u * (x * z - w * y), u * (y * z + w * x), 1 - u * (x * x + y * y)}};
+  Matrix out{};
+  for (std::size_t i = 0; i < 3; ++i) {
+    for (std::size_t j = 0; j < 3; ++j) {
+      for (std::size_t k = 0; k < 3; ++k) out[i][j] += r[i][k] * scale[k] * scale[k] * r[j][k];
+    }
   }
-  return 4 * std::asin(std::min(1.0, std::sqrt(dot < 0 ? plus : minus) / 2));
+  return out;
 }
 
-template <class T>
-void unit(const T in[4], double out[4]) {
-  double length = 0;
-  for (int i = 0; i < 4; ++i) length += static_cast<double>(in[i]) * static_cast<double>(in[i]);
-  length = std::sqrt(length);
-  for (int i = 0; i < 4; ++i) out[i] = static_cast<double>(in[i]) / length;
+// L of m = L L^T, m positive definite.
+Matrix cholesky(const Matrix& m) {
+  Matrix l{};
+  for (std::size_t i = 0; i < 3; ++i) {
+    for (std::size_t j = 0; j <= i; ++j) {
+      double rest = m[i][j];
+      for (std::size_t k = 0; k < j; ++k) rest -= l[i][k] * l[j][k];
+      l[i][j] = i == j ? std::sqrt(std::max(rest, 0x1p-1000)) : rest / l[j][j];
+    }
+  }
+  return l;
 }
+
+// x := L^-1 x.
+void solve(const Matrix& l, double x[3]) {
+  for (std::size_t i = 0; i < 3; ++i) {
+    for (std::size_t k = 0; k < i; ++k) x[i] -= l[i][k] * x[k];
+    x[i] /= l[i][i];
+  }
+}
+
+constexpr std::array kErrors = {&SplatErrors::mean, &SplatErrors::covariance, &SplatErrors::opacity, &SplatErrors::dc,
+                                &SplatErrors::sh};
 
 float rounded_up(double value) {
   const auto nearest = static_cast<float>(value);
@@ -46,71 +71,76 @@ float rounded_up(double value) {
 
 }  // namespace
 
-SplatErrors splat_errors(const ArchiveParameters& p, int scale_exponent, int sh_degree, const Splat& source,
+SplatErrors splat_errors(const ArchiveParameters& p, int scale_exponent, int level, int sh_degree, const Splat& source,
                          const StoredSplat& stored, const float* sh_slack) {
   SplatErrors e;
-  for (std::size_t k = 0; k < 3; ++k) {
-    const double x = static_cast<double>(stored.mean[k]);
-    const double reach = std::max(p.half_width[k], std::abs(x - p.centre[k]));
-    e.mean = std::max(e.mean, std::abs(x - static_cast<double>(source.mean[k])) / reach);
+  double q[4], of_source[4], scale[3], scale_of_source[3], error[3], distance = 0;
+  for (int k = 0; k < 4; ++k) {
+    q[k] = static_cast<double>(float_from_half(stored.geometry[k]));
+    of_source[k] = static_cast<double>(source.rotation[k]);
   }
+  for (std::size_t k = 0; k < 3; ++k) {
+    scale[k] = static_cast<double>(dequantize_scale(stored.geometry[4 + k], scale_exponent));
+    scale_of_source[k] = std::exp(static_cast<double>(source.log_scale[k]));
+    const double x = static_cast<double>(stored.mean[k]), d = x - p.centre[k];
+    error[k] = x - static_cast<double>(source.mean[k]);
+    distance += d * d;
+  }
+  const Matrix decoded = covariance(q, scale), original = covariance(of_source, scale_of_source);
+  const double blur = std::exp2(2.0 * p.shape.blur / kOctave + 2 * level) * std::max(distance, p.shape.nearest);
+  Matrix blurred = decoded, difference;
+  for (std::size_t i = 0; i < 3; ++i) {
+    blurred[i][i] += blur;
+    for (std::size_t j = 0; j < 3; ++j) difference[i][j] = decoded[i][j] - original[i][j];
+  }
+  const Matrix l = cholesky(blurred);
+  solve(l, error);
+  e.mean = std::sqrt(error[0] * error[0] + error[1] * error[1] + error[2] * error[2]);
+  for (auto& row : difference) solve(l, row.data());  // L^-1 D^T
+  for (std::size_t j = 0; j < 3; ++j) {
+    double column[3] = {difference[0][j], difference[1][j], difference[2][j]};
+    solve(l, column);
+    e.covariance += column[0] * column[0] + column[1] * column[1] + column[2] * column[2];
+  }
+  e.covariance = std::sqrt(e.covariance);
   const double opacity = 1 / (1 + std::exp(-static_cast<double>(source.opacity_logit)));
-  e.opacity = std::abs(static_cast<double>(float_from_half(stored.geometry[7])) - opacity);
-  float components[4];
-  for (int k = 0; k < 4; ++k) components[k] = float_from_half(stored.geometry[k]);
-  double a[4], b[4];
-  unit(source.rotation, a);
-  unit(components, b);
-  e.rotation = rotation_angle(a, b);
-  for (std::size_t k = 0; k < 3; ++k) {
-    const std::uint16_t code = stored.geometry[4 + k];
-    if (code < 0x0400) continue;  // subnormal: the layout's own limit
-    const double scale = static_cast<double>(dequantize_scale(code, scale_exponent));
-    e.scale = std::max(e.scale, std::abs(std::log(scale) - static_cast<double>(source.log_scale[k])));
-  }
+  e.opacity = std::abs(std::sqrt(static_cast<double>(float_from_half(stored.geometry[7]))) - std::sqrt(opacity));
   for (int k = 0; k < 3 * sh_coefficients(sh_degree); ++k) {
     const double slack = sh_slack == nullptr ? 0 : static_cast<double>(sh_slack[k]);
-    const double error = std::abs(static_cast<double>(stored.sh[k]) - static_cast<double>(source.sh[k])) - slack;
+    const double of_sh = std::abs(static_cast<double>(stored.sh[k]) - static_cast<double>(source.sh[k])) - slack;
     double& largest = k < 3 ? e.dc : e.sh;
-    largest = std::max(largest, error);
+    largest = std::max(largest, of_sh);
   }
   return e;
 }
 
 void ErrorMaxima::add(std::size_t class_index, const SplatErrors& e) {
   SplatErrors& c = by_class_[class_index];
-  mean_ = std::max(mean_, e.mean);
-  opacity_ = std::max(opacity_, e.opacity);
-  c.rotation = std::max(c.rotation, e.rotation);
-  c.scale = std::max(c.scale, e.scale);
-  c.dc = std::max(c.dc, e.dc);
-  c.sh = std::max(c.sh, e.sh);
+  for (double SplatErrors::*error : kErrors) c.*error = std::max(c.*error, e.*error);
 }
 
 void ErrorMaxima::merge(const ErrorMaxima& other) {
-  for (std::size_t c = 0; c < by_class_.size(); ++c) {
-    add(c, other.by_class_[c]);
-  }
-  mean_ = std::max(mean_, other.mean_);
-  opacity_ = std::max(opacity_, other.opacity_);
+  for (std::size_t c = 0; c < by_class_.size(); ++c) add(c, other.by_class_[c]);
 }
 
 void ErrorMaxima::state(ArchiveParameters& p) const {
-  p.bound_mean = rounded_up(mean_);
-  p.bound_opacity = rounded_up(opacity_);
+  double opacity = 0;
   for (std::size_t c = 0; c < by_class_.size(); ++c) {
-    p.classes[c].bound_rotation = rounded_up(by_class_[c].rotation);
-    p.classes[c].bound_scale = rounded_up(by_class_[c].scale);
-    p.classes[c].bound_dc = rounded_up(by_class_[c].dc);
-    p.classes[c].bound_sh = rounded_up(by_class_[c].sh);
+    const SplatErrors& e = by_class_[c];
+    opacity = std::max(opacity, e.opacity);
+    p.classes[c].bound_mean = rounded_up(e.mean);
+    p.classes[c].bound_covariance = rounded_up(e.covariance);
+    p.classes[c].bound_dc = rounded_up(e.dc);
+    p.classes[c].bound_sh = rounded_up(e.sh);
   }
+  p.bound_opacity = rounded_up(opacity);
 }
 
 bool within_bounds(const ArchiveParameters& p, std::size_t class_index, const SplatErrors& e) {
   const ArchiveClass& c = p.classes[class_index];
   const auto holds = [](double error, float bound) { return error <= static_cast<double>(bound); };
-  return holds(e.mean, p.bound_mean) && holds(e.opacity, p.bound_opacity) && holds(e.rotation, c.bound_rotation) &&
-         holds(e.scale, c.bound_scale) && holds(e.dc, c.bound_dc) && holds(e.sh, c.bound_sh);
+  return holds(e.mean, c.bound_mean) && holds(e.covariance, c.bound_covariance) && holds(e.opacity, p.bound_opacity) &&
+         holds(e.dc, c.bound_dc) && holds(e.sh, c.bound_sh);
 }
 
 namespace {
@@ -140,11 +170,14 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
                     std::uint64_t index, ArchiveDecoder& decoder) {
   const FileView& view = data.file();
   const Header& h = view.header();
-  const FrameTable& frames = view.frames(SectionType::geometry);
-  const CodedFrame& frame = frames.frames[index];
-  const std::uint64_t first = index * frames.rows, end = std::min(h.n_gaussians, first + frames.rows);
-  const auto stored_bytes = view.bytes().subspan(frame.offset, frame.stored_bytes);
-  if (Status s = decoder.geometry_codes(stored_bytes, frame.offset, end - first); !s) return s;
+  const std::uint64_t rows = view.frames(SectionType::geometry).rows;
+  const std::uint64_t first = index * rows, end = std::min(h.n_gaussians, first + rows);
+  const auto stream = [&](SectionType type) -> FrameStreams::Stream {
+    const CodedFrame& frame = view.frames(type).frames[index];
+    return {view.bytes().subspan(frame.offset, frame.stored_bytes), frame.offset};
+  };
+  const FrameStreams streams{stream(SectionType::means), stream(SectionType::geometry), stream(SectionType::sh)};
+  if (Status s = decoder.codes(streams, end - first); !s) return s;
   float step[48] = {}, slack[48] = {};
   std::uint64_t loaded = ~std::uint64_t{0};  // chunk of the current steps
   for (std::uint64_t i = first; i < end; ++i) {
@@ -159,8 +192,8 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
     }
     const StoredSplat stored = stored_splat(data.means(), data.geometry(), data.sh(), i, h.sh_degree, step);
     const Splat source = splats.splat(order[i]);
-    const auto errors = splat_errors(*view.archive(), h.scale_exponent, h.sh_degree, source, stored, slack);
-    if (!within_bounds(*view.archive(), decoder.codes().classes[i - first], errors)) {
+    const auto errors = splat_errors(*view.archive(), h.scale_exponent, 0, h.sh_degree, source, stored, slack);
+    if (!within_bounds(*view.archive(), decoder.classes()[i - first], errors)) {
       return outside(i);
     }
   }
@@ -176,9 +209,8 @@ Status verify_page(const PagedFile& file, const SplatView& splats, std::span<con
   const auto rows = pages.decode(page, stored_bytes, memory);
   if (!rows) return tl::unexpected(rows.error());
   if (Status s = check_page_values(file, page, *rows); !s) return s;
-  ByteReader in(stored_bytes);
-  const std::uint32_t mean_bytes = in.u32(), geometry_bytes = in.u32();
-  if (Status s = decoder.geometry_codes(stored_bytes.subspan(8 + mean_bytes, geometry_bytes), 0, rows->n); !s) return s;
+  const auto level = static_cast<int>(file.pages()[page].level);
+  if (Status s = decoder.codes({{stored_bytes, 0}, {}, {}}, rows->n, level, file.stored(page).corner); !s) return s;
   float step[48] = {}, slack[48] = {};
   for (std::uint32_t i = 0; i < rows->n; ++i) {
     if (i % h.chunk_size == 0) {
@@ -191,8 +223,8 @@ Status verify_page(const PagedFile& file, const SplatView& splats, std::span<con
     const StoredSplat stored = stored_splat(rows->means, rows->geometry, rows->sh, i, h.sh_degree, step);
     const std::uint64_t index = file.pages()[page].first + i;
     const auto errors =
-        splat_errors(*head.archive(), rows->scale_exponent, h.sh_degree, splats.splat(order[index]), stored, slack);
-    if (!within_bounds(*head.archive(), decoder.codes().classes[i], errors)) return outside(index);
+        splat_errors(*head.archive(), rows->scale_exponent, level, h.sh_degree, splats.splat(order[index]), stored, slack);
+    if (!within_bounds(*head.archive(), decoder.classes()[i], errors)) return outside(index);
   }
   return {};
 }

@@ -57,11 +57,12 @@ std::vector<std::byte> RansWriter::finish() {
   };
   for (auto number = numbers_.rbegin(); number != numbers_.rend(); ++number) {
     std::uint32_t& state = x[number->state];
-    const RansToken t = rans_token(number->z);
+    const RansToken t = number->width != 0 ? RansToken{0, number->width, number->z} : rans_token(number->z);
     if (t.n_bits != 0) {
       make_room(state, std::uint64_t{1} << (32 - t.n_bits));
       state = state << t.n_bits | t.bits;
     }
+    if (number->width != 0) continue;
     const std::size_t entry = number->distribution * std::size_t{kRansTokens} + t.token;
     const std::uint32_t frequency = frequencies_[entry];
     assert(frequency != 0);

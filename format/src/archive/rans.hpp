@@ -84,6 +84,17 @@ class RansReader {
     states_ = x;
   }
 
+  /// Reads values[i] of widths[i] bits each, at most 12.
+  void bits(std::size_t n, std::uint16_t* values, const std::uint8_t* widths) {
+    for (std::size_t i = 0; i < n; ++i) {
+      std::uint32_t& x = states_[i % kRansStates];
+      values[i] = static_cast<std::uint16_t>(x & ((1u << widths[i]) - 1));
+      x >>= widths[i];
+      refill<false>(x);
+    }
+  }
+  static constexpr bool kReads = true;
+
   bool ok() const { return !bad_; }
   /// All words were read and the states are the encoder's initial ones.
   bool finished() const;
@@ -148,6 +159,8 @@ class RansCounter {
   void plane(std::size_t n, T* values, std::uint32_t, Context context) {
     for (std::size_t i = 0; i < n; ++i) ++counts_[context(i) * kRansTokens + rans_token(rans_number(values[i])).token];
   }
+  void bits(std::size_t, const std::uint16_t*, const std::uint8_t*) {}
+  static constexpr bool kReads = false;
   std::vector<std::uint32_t>& counts() { return counts_; }
 
  private:
@@ -162,16 +175,22 @@ class RansWriter {
   void plane(std::size_t n, T* values, std::uint32_t, Context context) {
     for (std::size_t i = 0; i < n; ++i) {
       numbers_.push_back({static_cast<std::uint16_t>(rans_number(values[i])), map_[context(i)],
-                          static_cast<std::uint8_t>(i % kRansStates)});
+                          static_cast<std::uint8_t>(i % kRansStates), 0});
     }
   }
+  void bits(std::size_t n, const std::uint16_t* values, const std::uint8_t* widths) {
+    for (std::size_t i = 0; i < n; ++i) {
+      if (widths[i] != 0) numbers_.push_back({values[i], 0, static_cast<std::uint8_t>(i % kRansStates), widths[i]});
+    }
+  }
+  static constexpr bool kReads = false;
   /// Returns the stream and empties the writer.
   std::vector<std::byte> finish();
 
  private:
   struct Number {
     std::uint16_t z;
-    std::uint8_t distribution, state;
+    std::uint8_t distribution, state, width;  // width: of raw bits, which have no distribution
   };
   std::span<const std::uint16_t> frequencies_;
   std::span<const std::uint8_t> map_;

@@ -7,7 +7,6 @@
 #include <cmath>
 #include <utility>
 
-#include "archive/point_codec.hpp"
 #include "file/layout_io.hpp"
 #include "file/repeated_index.hpp"
 #include "packed/packed.hpp"
@@ -24,19 +23,7 @@ Status check_options(const EncodeOptions& o) {
   }
   if (o.level < 1 || o.level > kMaxLevel) return bad("the level must be 1 to 19");
   if (o.profile == Profile::archive) {
-    if (!detail::can_encode_points()) {
-      return make_error(Errc::unavailable, Error::kNone,
-                        "this build reads archive files but cannot write them: build it with RGS_ENABLE_DRACO=ON");
-    }
-    const ArchiveOptions& a = o.archive;
-    if (a.mean_cells < 4 || a.mean_cells > 20) return bad("archive: mean cells must be 2^4 to 2^20");
-    if (!(a.sh_step >= 0x1p-20f && a.sh_step <= 0x1p20f)) return bad("archive: the SH step must be 2^-20 to 2^20");
-    if (!(a.dc_step >= 0x1p-10f && a.dc_step <= 0x1p6f)) return bad("archive: the DC step must be 2^-10 to 64");
-    if (!(a.rotation_step >= 0x1p-10f && a.rotation_step <= 0.5f))
-      return bad("archive: the rotation step must be 2^-10 to 0.5");
-    if (!(a.scale_step >= 0x1p-10f && a.scale_step <= 2.f)) return bad("archive: the scale step must be 2^-10 to 2");
-    if (a.opacity_levels < 1 || a.opacity_levels > 4096) return bad("archive: opacity levels must be 1 to 4096");
-    if (!(a.slope >= 0 && a.slope <= 1)) return bad("archive: the slope must be 0 to 1");
+    if (!(o.archive.step >= 0x1p-4f && o.archive.step <= 0x1p6f)) return bad("archive: the step must be 1/16 to 64");
     if (o.order == Order::input) {
       return bad("archive orders Gaussians itself: store their positions (keep_permutation) to find them again");
     }
@@ -193,8 +180,8 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   if (n == 0 && options.profile == Profile::archive) plan.options.profile = Profile::packed;
   const Profile profile = plan.options.profile;
   Header& h = plan.header;
-  h.version_minor = profile == Profile::direct ? 0 : profile == Profile::packed ? 1 : 2;
-  if (options.origin != kNoOrigin) h.version_minor = 3;
+  h.version_minor = profile == Profile::direct ? 0 : profile == Profile::packed ? 1 : 5;
+  if (options.origin != kNoOrigin) h.version_minor = std::max<std::uint16_t>(h.version_minor, 3);
   h.n_gaussians = n;
   h.chunk_size = options.chunk_size;
   h.n_chunks = n / h.chunk_size + (n % h.chunk_size != 0 ? 1 : 0);

@@ -74,19 +74,16 @@ Status decode_archive_frame(const FileView& view, std::span<const CodedPart> par
   const auto rows = [&](const CodedPart& part) {
     return std::span(part.rows + (first - part.first) * part.row_bytes, count * part.row_bytes);
   };
-  const CodedFrame& mean_frame = means.table->frames[index];
-  const auto mean_bytes = detail::frame_bytes(view, mean_frame);
-  if (!mean_bytes) return tl::unexpected(mean_bytes.error());
-  if (Status s = decoder.means(*mean_bytes, mean_frame.offset, count, rows(means)); !s) return s;
-  const CodedFrame& geometry_frame = geometry.table->frames[index];
-  const auto geometry_bytes = detail::frame_bytes(view, geometry_frame);
-  if (!geometry_bytes) return tl::unexpected(geometry_bytes.error());
-  if (Status s = decoder.geometry_codes(*geometry_bytes, geometry_frame.offset, count); !s) return s;
-  decoder.geometry(view.header().scale_exponent, rows(geometry));
-  const CodedFrame& sh_frame = sh.table->frames[index];
-  const auto sh_bytes = detail::frame_bytes(view, sh_frame);
-  if (!sh_bytes) return tl::unexpected(sh_bytes.error());
-  if (Status s = decoder.sh_codes(*sh_bytes, sh_frame.offset); !s) return s;
+  detail::FrameStreams streams;
+  for (const auto& [part, stream] :
+       {std::pair(&means, &streams.means), {&geometry, &streams.geometry}, {&sh, &streams.sh}}) {
+    const CodedFrame& frame = part->table->frames[index];
+    const auto bytes = detail::frame_bytes(view, frame);
+    if (!bytes) return tl::unexpected(bytes.error());
+    *stream = {*bytes, frame.offset};
+  }
+  if (Status s = decoder.codes(streams, count); !s) return s;
+  decoder.rows(view.header().scale_exponent, rows(means), rows(geometry));
   const std::uint32_t chunk_rows = view.header().chunk_size;
   std::vector<ShStepSet> steps;
   if (Status s = detail::frame_steps(view, first / chunk_rows, (count + chunk_rows - 1) / chunk_rows, steps); !s)

@@ -40,7 +40,8 @@ bool known_codec(const SectionEntry& s, std::uint16_t minor) {
   switch (static_cast<Codec>(s.codec)) {
     case Codec::none: return true;
     case Codec::planes: return minor >= 1 && (coded_type(type) || type == SectionType::pages);
-    case Codec::archive: return minor >= 2 && (archive_type(type) || type == SectionType::pages);
+    case Codec::archive_draco: return minor >= 2 && (archive_type(type) || type == SectionType::pages);
+    case Codec::archive: return minor >= 5 && (archive_type(type) || type == SectionType::pages);
   }
   return false;
 }
@@ -153,27 +154,32 @@ std::uint64_t levels_entry(std::span<const SectionEntry> sections) {
   return detail::section_entry_offset(static_cast<std::size_t>(entry - sections.begin()));
 }
 
-// Codec::archive is on MEAN, GEOM and SHI8 together or on PAGE, with ARCH; or on none.
-Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor) {
-  constexpr auto kArchive = static_cast<std::uint32_t>(Codec::archive);
-  // Ignores the codec of unknown types.
-  const bool archive = std::ranges::any_of(sections, [minor](const SectionEntry& s) {
+// The archive codec of a file's sections; none if there is none. Ignores the codec of unknown types.
+Codec archive_codec(std::span<const SectionEntry> sections, std::uint16_t minor) {
+  for (const SectionEntry& s : sections) {
     const auto type = static_cast<SectionType>(s.type);
-    return s.codec == kArchive && (archive_type(type) || (type == SectionType::pages && minor >= 4));
-  });
+    const bool may = archive_type(type) || (type == SectionType::pages && minor >= 4);
+    if (may && is_archive(static_cast<Codec>(s.codec))) return static_cast<Codec>(s.codec);
+  }
+  return Codec::none;
+}
+
+// Archive codecs are on MEAN, GEOM and SHI8 together or on PAGE, with ARCH; or on none.
+Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor) {
+  const auto codec = static_cast<std::uint32_t>(archive_codec(sections, minor));
   bool tables = false;
   for (std::size_t i = 0; i < sections.size(); ++i) {
     const std::uint64_t at = detail::section_entry_offset(i);
     const auto type = static_cast<SectionType>(sections[i].type);
-    if (archive && archive_type(type) && sections[i].codec != kArchive) {
-      return make_error(Errc::unsupported_codec, at + 8, "MEAN, GEOM and SHI8 do not have the same codec", kArchive,
+    if (codec != 0 && archive_type(type) && sections[i].codec != codec) {
+      return make_error(Errc::unsupported_codec, at + 8, "MEAN, GEOM and SHI8 do not have the same codec", codec,
                         sections[i].codec);
     }
     if (type != SectionType::archive || minor < 2) continue;
     tables = true;
-    if (!archive) return make_error(Errc::bad_section, at, "section ARCH belongs to no section of its codec");
+    if (codec == 0) return make_error(Errc::bad_section, at, "section ARCH belongs to no section of its codec");
   }
-  if (archive && !tables) return missing(SectionType::archive);
+  if (codec != 0 && !tables) return missing(SectionType::archive);
   return {};
 }
 

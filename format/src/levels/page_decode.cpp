@@ -22,7 +22,7 @@ using namespace detail;
 
 struct PageDecoder::State {
   explicit State(const PagedFile& paged) : file(paged) {
-    if (file.codec() == Codec::archive) archive.emplace(*archive_tables(file.head()));
+    if (is_archive(file.codec())) archive.emplace(*archive_tables(file.head()));
   }
 
   const PagedFile& file;
@@ -67,25 +67,25 @@ Status PageDecoder::State::packed(std::uint32_t page, std::span<const std::byte>
   return {};
 }
 
-// Sizes of the first two of three streams, then the streams: MEAN, GEOM, SHI8.
+// Codec::archive: one stream. Codec::archive_draco: sizes of the first two of three streams, then the streams.
 Status PageDecoder::State::lossy(std::uint32_t page, std::span<const std::byte> bytes, const PageLayout& l,
                                  std::span<std::byte> out) {
   const Header& h = file.head().header();
   const StoredPage& stored = file.stored(page);
   const std::uint32_t n = file.pages()[page].count;
-  ByteReader in(bytes);
-  const std::uint32_t mean_bytes = in.u32(), geometry_bytes = in.u32();
-  const auto mean_stream = in.bytes(mean_bytes), geometry_stream = in.bytes(geometry_bytes);
-  if (!in.ok()) return make_error(Errc::corrupt_data, stored.offset, "a page ends inside its streams");
-  const auto sh_stream = in.bytes(in.remaining());
-  ArchiveDecoder& decoder = *archive;
-  if (Status s = decoder.means(mean_stream, stored.offset, n, out.subspan(l.means, n * kMeanBytes), stored.corner); !s)
-    return s;
-  if (Status s = decoder.geometry_codes(geometry_stream, stored.offset, n); !s) return s;
-  decoder.geometry(stored.scale_exponent, out.subspan(l.geometry, n * kGeometryBytes));
-  if (Status s = decoder.sh_codes(sh_stream, stored.offset); !s) return s;
-  decoder.sh_and_steps(h.sh_degree, h.chunk_size, out.subspan(l.steps, l.means - l.steps),
-                       out.subspan(l.sh, n * sh_bytes(h.sh_degree)));
+  FrameStreams streams{{bytes, stored.offset}, {{}, stored.offset}, {{}, stored.offset}};
+  if (file.codec() == Codec::archive_draco) {
+    ByteReader in(bytes);
+    const std::uint32_t mean_bytes = in.u32(), geometry_bytes = in.u32();
+    streams.means.bytes = in.bytes(mean_bytes), streams.geometry.bytes = in.bytes(geometry_bytes);
+    if (!in.ok()) return make_error(Errc::corrupt_data, stored.offset, "a page ends inside its streams");
+    streams.sh.bytes = in.bytes(in.remaining());
+  }
+  if (Status s = archive->codes(streams, n, static_cast<int>(file.pages()[page].level), stored.corner); !s) return s;
+  archive->rows(stored.scale_exponent, out.subspan(l.means, n * kMeanBytes),
+                out.subspan(l.geometry, n * kGeometryBytes));
+  archive->sh_and_steps(h.sh_degree, h.chunk_size, out.subspan(l.steps, l.means - l.steps),
+                        out.subspan(l.sh, n * sh_bytes(h.sh_degree)));
   return {};
 }
 

@@ -46,7 +46,7 @@ Status parse_record(ByteReader& in, const PageContext& context, std::uint32_t pa
   const auto bad = [at](std::uint64_t field, const char* what, std::uint64_t found) {
     return make_error(Errc::bad_value, at + field, what, Error::kNone, found);
   };
-  const bool archive = context.pages.codec == static_cast<std::uint32_t>(Codec::archive);
+  const bool archive = is_archive(static_cast<Codec>(context.pages.codec));
   stored.offset = in.u64();
   stored.xxh3 = in.u64();
   stored.stored_bytes = in.u32();

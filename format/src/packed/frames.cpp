@@ -142,7 +142,9 @@ Status FileView::open_archive(std::span<const std::byte> bytes) {
   if (const std::uint64_t hash = xxh3(bytes); hash != entry->xxh3) {
     return make_error(Errc::checksum_mismatch, entry->offset, "a section's checksum does not match", entry->xxh3, hash);
   }
-  auto parsed = detail::parse_archive_tables(bytes, entry->offset, header_.sh_degree);
+  const SectionEntry* coded = find(SectionType::geometry);
+  if (coded == nullptr) coded = find(SectionType::pages);
+  auto parsed = detail::parse_archive_tables(bytes, entry->offset, static_cast<Codec>(coded->codec), header_.sh_degree);
   if (!parsed) return tl::unexpected(parsed.error());
   archive_ = std::make_shared<const detail::ArchiveTables>(std::move(*parsed));
   return {};
