@@ -206,6 +206,7 @@ struct ShStepSet {
 struct ArchiveClass {
   std::uint32_t dc_step = 1;     ///< of SH degree 0, 1/65536
   float sh_step = 0;             ///< of the other degrees
+  std::uint32_t sh_units = 1;    ///< Codec::archive: the same in units of the file
   float bound_dc = 0;            ///< of each coefficient of degree 0; half the chunk's SH step comes on top
   float bound_sh = 0;            ///< of the other coefficients, likewise
   float bound_mean = 0;          ///< Codec::archive: of the distance, in blurred standard deviations

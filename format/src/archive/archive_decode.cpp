@@ -56,16 +56,36 @@ std::int64_t expected_dc(const std::int16_t weights[2], std::int64_t before, std
   return floor_divide(2 * guess + step, 2 * step);
 }
 
+void smooth_sh(const ArchiveTables& t, ColourCodes& f) {
+  std::int32_t state[kShMaxCodes] = {}, steps[kShLanes];
+  for (std::size_t first = 0; first < f.n; first += kShLanes) {
+    const std::size_t count = std::min<std::size_t>(kShLanes, f.n - first);
+    for (std::size_t i = 0; i < count; ++i) {
+      steps[i] = static_cast<std::int32_t>(t.parameters.classes[f.classes[first + i]].sh_units);
+    }
+    archive_kernels().smooth(f.sh.data() + first, f.n, static_cast<int>(t.n_sh), steps, static_cast<int>(count),
+                             t.sh_smoothing.recent, t.sh_smoothing.kept, state);
+  }
+}
+
 void dc_values(const ArchiveTables& t, const ColourCodes& f, std::vector<std::int32_t>& values) {
   values.resize(3 * f.n);
   std::int64_t before[3] = {}, before_that[3] = {};
+  const bool shaped = t.parameters.codec == Codec::archive;
   for (std::size_t i = 0; i < f.n; ++i) {
     const std::int64_t step = t.parameters.classes[f.classes[i]].dc_step;
     for (std::size_t m = 0; m < 3; ++m) {  // the three divisions overlap
-      const std::int64_t code = f.dc[m * f.n + i] + expected_dc(&t.dc_weights[2 * m], before[m], before_that[m], step);
-      before_that[m] = before[m];
-      before[m] = std::clamp(code * step, -kMaxDc, kMaxDc);
-      values[m * f.n + i] = static_cast<std::int32_t>(before[m]);
+      std::int64_t value = 0;
+      if (shaped) {
+        value = std::clamp(f.dc[m * f.n + i] * step + ((before[m] + 128) >> 8), -kMaxDc, kMaxDc);
+        before[m] = next_dc_state(value, before[m], t.dc_smoothing);
+      } else {
+        const std::int64_t expected = expected_dc(&t.dc_weights[2 * m], before[m], before_that[m], step);
+        value = std::clamp((f.dc[m * f.n + i] + expected) * step, -kMaxDc, kMaxDc);
+        before_that[m] = before[m];
+        before[m] = value;
+      }
+      values[m * f.n + i] = static_cast<std::int32_t>(value);
     }
   }
 }
@@ -90,8 +110,10 @@ void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, cons
     kernels.pair(even, 2 * p + 1 < t.n_sh ? even + f.n : nullptr, n_lanes, block.pairs + 2 * kShLanes * p);
   }
   codec_kernels().mix(block.pairs, matrix.data(), static_cast<int>(n_pairs), static_cast<int>(t.n_sh), block.sums[0]);
-  for (std::size_t i = 0; i < count; ++i)
-    block.factor[i] = t.parameters.classes[f.classes[first + i]].sh_step * 0x1p-14f;
+  const bool shaped = t.parameters.codec == Codec::archive;
+  for (std::size_t i = 0; i < count; ++i) {
+    block.factor[i] = (shaped ? t.sh_unit : t.parameters.classes[f.classes[first + i]].sh_step) * 0x1p-14f;
+  }
   kernels.sh(block.sums[0], block.factor, t.sh_centre.data(), static_cast<int>(t.n_sh), block.value[3]);
 }
 
@@ -155,6 +177,7 @@ Status ArchiveDecoder::shape_codes(const FrameStreams& streams, std::size_t n, i
   };
   const auto walk_colours = [&](RansReader& reader) -> Status {
     walk_sh(colours_, tables_, sizes_, reader);
+    smooth_sh(tables_, colours_);
     return {};
   };
   if (streams.geometry.bytes.empty() && streams.sh.bytes.empty()) {

@@ -333,12 +333,14 @@ class Encoder {
     quantise_shapes(f);
     f.colours.resize(f.count, tables_.n_sh);
     f.colours.classes = f.shapes.classes;
-    std::int64_t dc_before[3][2] = {};
+    ColourState state;
     for (std::size_t i = 0; i < f.count; ++i) {
       const std::uint32_t source = order_[f.first + i];
       const Splat s = splats_.splat(source);
       const ArchiveClass& c = tables_.parameters.classes[f.colours.classes[i]];
-      if (!quantise_dc(s, c, i, dc_before, f.colours) || !quantise_sh(s, c, i, f.colours)) return too_large(source);
+      const float share = pass_on(state, f.shapes, tables_, i);
+      if (!quantise_dc(s, c, i, state, f.colours) || !quantise_sh(s, c, i, share, state, f.colours))
+        return too_large(source);
     }
     return {};
   }
@@ -430,38 +432,66 @@ class Encoder {
     }
   }
 
-  bool quantise_dc(const Splat& s, const ArchiveClass& c, std::size_t i, std::int64_t before[3][2], ColourCodes& codes) {
+  // What goes from a Gaussian to the next while a frame's SH becomes codes.
+  struct ColourState {
+    std::int64_t dc[3] = {};
+    std::int32_t sh[kShMaxCodes] = {};
+    float error[kShMaxCodes] = {};  // of SH above degree 0: what rounding has left, in units
+    float seen = 0;                 // opacity times area
+  };
+
+  // Rounding errors of neighbours cancel where they are seen together: a part of each goes into the next. More would cost
+  // more bytes than it saves (docs/records/EXPERIMENTS.md).
+  static constexpr float kPassedOn = 0.3f;
+
+  // The share of the last Gaussian's errors that the next makes up for.
+  static float pass_on(ColourState& state, const ShapeCodes& shapes, const ArchiveTables& t, std::size_t i) {
+    const std::int32_t opacity = octaves_of(static_cast<double>(float_from_half(t.opacity[shapes.opacity[i]])));
+    const auto seen = static_cast<float>(power_of_octaves(shapes.importance[i] - opacity));
+    const float share = kPassedOn * std::min(1.f, state.seen / seen);
+    state.seen = seen;
+    return share;
+  }
+
+  bool quantise_dc(const Splat& s, const ArchiveClass& c, std::size_t i, ColourState& state, ColourCodes& codes) {
     for (std::size_t m = 0; m < 3; ++m) {
       double y = 0;
       for (std::size_t j = 0; j < 3; ++j) {
         y += tables_.dc_matrix[3 * j + m] * static_cast<double>(s.sh[j] - tables_.dc_centre[j]);
       }
-      const double level = std::nearbyint(y * (65536 >> kMatrixBits) / c.dc_step);
-      if (!(std::abs(level) * c.dc_step < 0x1p30)) return false;
-      const std::int64_t expected = expected_dc(&tables_.dc_weights[2 * m], before[m][0], before[m][1], c.dc_step);
-      if (!code_of(level - static_cast<double>(expected), codes.dc[m * codes.n + i])) return false;
-      before[m][1] = before[m][0];
-      before[m][0] = static_cast<std::int64_t>(level) * c.dc_step;
+      y *= 65536 >> kMatrixBits;
+      if (!(std::abs(y) < 0x1p29)) return false;
+      const std::int64_t expected = (state.dc[m] + 128) >> 8;
+      std::int16_t& code = codes.dc[m * codes.n + i];
+      if (!code_of((y - static_cast<double>(expected)) / c.dc_step, code)) return false;
+      state.dc[m] = next_dc_state(std::int64_t{code} * c.dc_step + expected, state.dc[m], tables_.dc_smoothing);
     }
     return true;
   }
 
-  bool quantise_sh(const Splat& s, const ArchiveClass& c, std::size_t i, ColourCodes& codes) {
+  bool quantise_sh(const Splat& s, const ArchiveClass& c, std::size_t i, float share, ColourState& state,
+                   ColourCodes& codes) {
     const std::size_t n = tables_.n_sh;
-    float y[45] = {};
+    float y[kShMaxCodes] = {};
     for (std::size_t q = 0; q < n; ++q) {
       const float x = s.sh[3 + q] - tables_.sh_centre[q];
       const std::int16_t* row = &tables_.sh_matrix[q * n];
       for (std::size_t k = 0; k < n; ++k) y[k] += x * static_cast<float>(row[k]);
     }
-    const float per_step = 0x1p-14f / c.sh_step;
+    const float per_unit = 0x1p-14f / tables_.sh_unit;
+    const auto step = static_cast<std::int32_t>(c.sh_units);
     double size = 0;
     for (std::size_t k = 0; k < n; ++k) {
+      const float wanted = y[k] * per_unit + share * state.error[k];
+      if (!(std::abs(wanted) <= 32000)) return false;
       // No dead zone: it costs more than it saves compared with a larger step (docs/records/EXPERIMENTS.md).
-      const float level = std::floor(std::abs(y[k]) * per_step + 0.5f);
-      if (!(level <= 32767)) return false;
-      codes.sh[k * codes.n + i] = static_cast<std::int16_t>(y[k] < 0 ? -level : level);
-      size += static_cast<double>(level) * static_cast<double>(level);
+      const auto expected = static_cast<float>((state.sh[k] + 128) >> 8);
+      const auto code = static_cast<std::int16_t>(std::nearbyint((wanted - expected) / static_cast<float>(step)));
+      const std::int32_t value = smoothed_value(code, step, state.sh[k]);
+      state.error[k] = wanted - static_cast<float>(value);
+      state.sh[k] = smoothed_state(value, state.sh[k], tables_.sh_smoothing.recent, tables_.sh_smoothing.kept);
+      codes.sh[k * codes.n + i] = code;
+      size += static_cast<double>(value) * static_cast<double>(value);
     }
     // Rows of the matrix are nearly unit vectors, so no sum of the inverse exceeds 32 bits.
     return size < 0x1p32;
@@ -569,6 +599,7 @@ class Encoder {
   Status reconstruct_frame(Frame& f, std::span<const std::int16_t> matrix, ErrorMaxima& errors, Totals& totals) {
     std::vector<std::int32_t> dc;
     dc_values(tables_, f.colours, dc);
+    smooth_sh(tables_, f.colours);
     const auto block = std::make_unique<ShBlock>();
     std::vector<StoredSplat> stored(plan_.header.chunk_size);
     ExtentBox extent;

@@ -99,33 +99,6 @@ Transform fit_transform(const SplatView& splats, std::span<const double> weights
   return t;
 }
 
-// Least-squares prediction of each transformed DC value from the two before it, in the source's order, which Draco's
-// resembles.
-std::array<std::int16_t, 6> fit_dc_weights(const SplatView& splats, const ArchiveTables& t) {
-  const std::size_t width = static_cast<std::size_t>(3 * sh_coefficients(splats.sh_degree));
-  std::array<std::int16_t, 6> weights{};
-  for (std::size_t m = 0; m < 3; ++m) {
-    double before = 0, before_that = 0, same = 0, lag1 = 0, lag2 = 0;
-    for (std::size_t i = 0; i < std::min<std::size_t>(splats.n, kSample); ++i) {
-      double y = 0;
-      for (std::size_t j = 0; j < 3; ++j) {
-        y += t.dc_matrix[3 * j + m] * static_cast<double>(splats.sh[i * width + j] - t.dc_centre[j]);
-      }
-      same += y * y;
-      lag1 += y * before;
-      lag2 += y * before_that;
-      before_that = before;
-      before = y;
-    }
-    const double determinant = same * same - lag1 * lag1;
-    if (!(determinant > 1e-6 * same * same)) continue;
-    const double a = lag1 * (same - lag2) / determinant, b = (same * lag2 - lag1 * lag1) / determinant;
-    weights[2 * m] = static_cast<std::int16_t>(std::nearbyint(256 * std::clamp(a, -1.0, 1.0)));
-    weights[2 * m + 1] = static_cast<std::int16_t>(std::nearbyint(256 * std::clamp(b, -1.0, 1.0)));
-  }
-  return weights;
-}
-
 using Counts = std::array<std::uint64_t, kRansTokens>;
 
 // Frequencies with sum kRansTotal, nonzero where a count is.
@@ -261,6 +234,14 @@ double squared_distance(const SplatView& splats, const ArchiveParameters& p, std
   return squared;
 }
 
+float largest_sh(const SplatView& splats, std::size_t n_sh) {
+  float largest = 0;
+  for (std::size_t i = 0; i < splats.sh.size(); ++i) {
+    if (i % (3 + n_sh) >= 3) largest = std::max(largest, std::abs(splats.sh[i]));
+  }
+  return largest;
+}
+
 std::size_t stride_of(const SplatView& splats) {
   return static_cast<std::size_t>((splats.n + kSample - 1) / kSample);
 }
@@ -314,8 +295,16 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& 
     const double factor = step * std::exp2(-kShSlope / 2 * (middle + (c - kClasses / 2) - kImportance));
     ArchiveClass& out = p.classes[static_cast<std::size_t>(c)];
     out.dc_step = static_cast<std::uint32_t>(std::clamp(std::nearbyint(kDc * factor * 65536), 1.0, 0x1p26));
-    out.sh_step = static_cast<float>(std::clamp(kSh * factor, 0x1p-40, 0x1p40));
+    out.sh_step = static_cast<float>(kSh * factor);
   }
+  // Small enough for the finest steps, if that leaves room for the largest values.
+  t.sh_unit = std::clamp(largest_sh(splats, t.n_sh) / 8000, p.classes.back().sh_step / 8, p.classes[kClasses / 2].sh_step / 4);
+  for (ArchiveClass& c : p.classes) {
+    c.sh_units = static_cast<std::uint32_t>(std::clamp(std::nearbyint(c.sh_step / t.sh_unit), 1.f, 32768.f));
+    c.sh_step = static_cast<float>(c.sh_units) * t.sh_unit;
+  }
+  t.dc_smoothing = {77, 174};
+  t.sh_smoothing = {62, 168};
 }
 
 Sample sample_importance(const SplatView& splats, const ArchiveParameters& p) {
@@ -331,7 +320,6 @@ void fit_transforms(const SplatView& splats, const Sample& sample, ArchiveTables
   const Transform dc = fit_transform(splats, weights, stride, 0, 3);
   std::ranges::copy(dc.centre, t.dc_centre.begin());
   std::ranges::copy(dc.matrix, t.dc_matrix.begin());
-  t.dc_weights = fit_dc_weights(splats, t);
   if (t.n_sh == 0) return;
   Transform sh = fit_transform(splats, weights, stride, 3, t.n_sh);
   t.sh_centre = std::move(sh.centre);

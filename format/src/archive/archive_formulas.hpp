@@ -58,6 +58,15 @@ inline void unit_quaternion(double r0, double r1, double r2, std::int32_t larges
   out[2] = static_cast<float>(sign * q2), out[3] = static_cast<float>(sign * q3);
 }
 
+/// A value above degree 0 from its code; and what predicts the next: 256 times an exponential average.
+inline std::int32_t smoothed_value(std::int16_t code, std::int32_t step, std::int32_t state) {
+  const std::int32_t value = code * step + ((state + 128) >> 8);
+  return value < -32768 ? -32768 : value > 32767 ? 32767 : value;
+}
+inline std::int32_t smoothed_state(std::int32_t value, std::int32_t state, std::int32_t recent, std::int32_t kept) {
+  return recent * value + ((kept * state) >> 8);
+}
+
 inline constexpr double kMostOctaves = 0x1p23;
 
 /// log2 of a scale in 1/65536, limited. Exact: |code * step| is below 2^38.

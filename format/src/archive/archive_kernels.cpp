@@ -77,6 +77,29 @@ void dc(const std::int16_t* matrix, const std::int32_t* values, std::size_t stri
   }
 }
 
+void smooth(std::int16_t* planes, std::size_t stride, int n_planes, const std::int32_t* steps, int count,
+            std::int32_t recent, std::int32_t kept, std::int32_t* state) {
+  constexpr int kWidth = kShMaxCodes;
+  alignas(64) std::int16_t rows[kShLanes][kWidth];
+  alignas(64) std::int32_t s[kWidth];
+  std::copy_n(state, kWidth, s);
+  for (int k = 0; k < n_planes; ++k) {
+    for (int i = 0; i < count; ++i) rows[i][k] = planes[static_cast<std::size_t>(k) * stride + static_cast<std::size_t>(i)];
+  }
+  for (int i = 0; i < count; ++i) {
+    const std::int32_t step = steps[i];
+    for (int k = 0; k < kWidth; ++k) {
+      const std::int32_t value = smoothed_value(rows[i][k], step, s[k]);
+      rows[i][k] = static_cast<std::int16_t>(value);
+      s[k] = smoothed_state(value, s[k], recent, kept);
+    }
+  }
+  for (int k = 0; k < n_planes; ++k) {
+    for (int i = 0; i < count; ++i) planes[static_cast<std::size_t>(k) * stride + static_cast<std::size_t>(i)] = rows[i][k];
+  }
+  std::copy_n(s, kWidth, state);
+}
+
 void sh(const std::int32_t* sums, const float* factor, const float* centre, int n, float* __restrict value) {
   for (int q = 0; q < n; ++q, sums += kShLanes, value += kShLanes) {
     const float c = centre[q];
@@ -107,7 +130,7 @@ void quantize(const float* value, const float* step, int n, std::int8_t* __restr
 }  // namespace
 
 const ArchiveKernels& archive_loops() {
-  static constexpr ArchiveKernels kKernels = {note, means, geometry, pair, dc, sh, largest, quantize};
+  static constexpr ArchiveKernels kKernels = {note, means, geometry, pair, dc, smooth, sh, largest, quantize};
   return kKernels;
 }
 

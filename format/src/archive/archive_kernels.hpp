@@ -37,6 +37,10 @@ struct ArchiveKernels {
   /// DC: value [64] from the sum of matrix[m] * dc[m * stride + i] over 3 m.
   void (*dc)(const std::int16_t* matrix, const std::int32_t* dc, std::size_t stride, float centre, int count,
              float* value);
+  /// Codes of SH above degree 0, planes [n_planes][stride], become values: each its code times its row's step plus what
+  /// the rows before predict. state [48] goes on from call to call; at most 64 rows.
+  void (*smooth)(std::int16_t* planes, std::size_t stride, int n_planes, const std::int32_t* steps, int count,
+                 std::int32_t recent, std::int32_t kept, std::int32_t* state);
   /// value [n][64] = sums [n][64] * factor [64] + centre [n].
   void (*sh)(const std::int32_t* sums, const float* factor, const float* centre, int n, float* value);
   /// most [n]: at least the largest magnitude of the first `count` of value [n][64].

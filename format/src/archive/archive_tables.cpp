@@ -17,7 +17,8 @@ constexpr std::uint16_t kHalfOne = 0x3C00;  // FP16
 // Decoded bytes of the frame of tables.
 std::size_t content_bytes(const ArchiveTables& t, std::size_t n_distributions) {
   const std::size_t n_opacities = t.parameters.codec == Codec::archive ? t.parameters.opacity_levels + 1 : 0;
-  return 4 * (3 + t.n_sh) + 2 * (9 + 6 + t.n_sh * t.n_sh) + 2 * n_opacities + t.contexts().count +
+  const std::size_t prediction = t.parameters.codec == Codec::archive ? 4 + 4 : 2 * 6;
+  return 4 * (3 + t.n_sh) + 2 * (9 + t.n_sh * t.n_sh) + prediction + 2 * n_opacities + t.contexts().count +
          2 * kRansTokens * n_distributions;
 }
 
@@ -64,10 +65,10 @@ ArchiveClass parse_class(Fields& in, Codec codec) {
   ArchiveClass c;
   const auto colours = [&] {
     c.dc_step = in.integer(1, 1u << 26, "a DC step in ARCH is not between 1 and 2^26");
-    c.sh_step = in.number(0x1p-40f, 0x1p40f, "an SH step in ARCH is not between 2^-40 and 2^40");
   };
   if (codec == Codec::archive) {
     colours();
+    c.sh_units = in.integer(1, 1u << 15, "an SH step in ARCH is not between 1 and 2^15");
     for (float* bound : {&c.bound_mean, &c.bound_covariance, &c.bound_dc, &c.bound_sh}) *bound = in.bound();
     return c;
   }
@@ -75,6 +76,7 @@ ArchiveClass parse_class(Fields& in, Codec codec) {
   c.scale_step = in.integer(1, 1u << 22, "a scale step in ARCH is not between 1 and 2^22");
   c.scale_base = in.signed_integer(1 << 23, "the base of scales in ARCH is beyond 2^23");
   colours();
+  c.sh_step = in.number(0x1p-40f, 0x1p40f, "an SH step in ARCH is not between 2^-40 and 2^40");
   for (float* bound : {&c.bound_rotation, &c.bound_scale, &c.bound_dc, &c.bound_sh}) *bound = in.bound();
   return c;
 }
@@ -103,10 +105,20 @@ Status parse_content(std::span<const std::byte> content, std::uint64_t offset, s
   std::ranges::generate(t.sh_centre, centre);
   const auto integer = [&] { return in.i16(); };
   std::ranges::generate(t.dc_matrix, integer);
-  std::ranges::generate(t.dc_weights, integer);
+  const bool shaped = t.parameters.codec == Codec::archive;
+  bool predicts = true;
+  if (shaped) {
+    t.sh_unit = in.f32();
+    for (ArchiveTables::Smoothing* s : {&t.dc_smoothing, &t.sh_smoothing}) {
+      s->recent = in.u8(), s->kept = in.u8();
+      predicts = predicts && s->recent + s->kept < 256;
+    }
+  } else {
+    std::ranges::generate(t.dc_weights, integer);
+  }
   t.sh_matrix.resize(t.n_sh * t.n_sh);
   std::ranges::generate(t.sh_matrix, integer);
-  if (t.parameters.codec == Codec::archive) {
+  if (shaped) {
     t.opacity.resize(t.parameters.opacity_levels + 1);
     std::ranges::generate(t.opacity, [&] { return in.u16(); });
     const auto is_opacity = [](std::uint16_t half) { return half > 0 && half <= kHalfOne; };
@@ -119,6 +131,9 @@ Status parse_content(std::span<const std::byte> content, std::uint64_t offset, s
   t.frequencies.resize(n_distributions * kRansTokens);
   std::ranges::generate(t.frequencies, [&] { return in.u16(); });
   if (!legal) return make_error(Errc::bad_value, offset, "a centre of SH in ARCH is not finite or too large");
+  if (!(t.sh_unit >= 0x1p-60f && t.sh_unit <= 0x1p40f) || !predicts) {
+    return make_error(Errc::bad_value, offset, "the unit of SH in ARCH, or what predicts it, is out of range");
+  }
   if (std::ranges::any_of(t.map, [&](std::uint8_t d) { return d >= n_distributions; })) {
     return make_error(Errc::bad_value, offset, "a context in ARCH has a distribution that does not exist");
   }
@@ -181,6 +196,9 @@ Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std
   std::vector<std::byte> content(content_bytes(t, n_distributions));
   if (const Status s = Inflater().inflate(frame, at, content); !s) return tl::unexpected(s.error());
   if (const Status s = parse_content(content, at, n_distributions, t); !s) return tl::unexpected(s.error());
+  if (shaped) {
+    for (ArchiveClass& c : p.classes) c.sh_step = static_cast<float>(c.sh_units) * t.sh_unit;
+  }
   return t;
 }
 

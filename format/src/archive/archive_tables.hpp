@@ -54,7 +54,13 @@ struct ArchiveTables {
   std::array<float, 3> dc_centre{};
   std::vector<float> sh_centre;              ///< [n_sh]
   std::array<std::int16_t, 9> dc_matrix{};   ///< [3, 3]
-  std::array<std::int16_t, 6> dc_weights{};  ///< [3, 2], multiplied by 2^8
+  std::array<std::int16_t, 6> dc_weights{};  ///< [3, 2], multiplied by 2^8; Codec::archive_draco
+  float sh_unit = 1;                         ///< of values above degree 0; this and the next two: Codec::archive
+  /// Of the prediction from the Gaussians before, multiplied by 2^8: the share of the last one, and of all before it.
+  struct Smoothing {
+    std::uint8_t recent = 0, kept = 0;
+  };
+  Smoothing dc_smoothing, sh_smoothing;
   std::vector<std::int16_t> sh_matrix;       ///< [n_sh, n_sh]
   std::vector<std::uint16_t> opacity;        ///< [opacity_levels + 1] FP16; Codec::archive
   std::vector<std::uint8_t> map;             ///< [contexts().count]

@@ -16,7 +16,8 @@ std::vector<std::byte> write_content(const ArchiveTables& t) {
   for (const float value : t.dc_centre) out.f32(value);
   for (const float value : t.sh_centre) out.f32(value);
   for (const std::int16_t value : t.dc_matrix) out.i16(value);
-  for (const std::int16_t value : t.dc_weights) out.i16(value);
+  out.f32(t.sh_unit);
+  for (const auto& s : {t.dc_smoothing, t.sh_smoothing}) out.u8(s.recent), out.u8(s.kept);
   for (const std::int16_t value : t.sh_matrix) out.i16(value);
   for (const std::uint16_t value : t.opacity) out.u16(value);
   for (const std::uint8_t value : t.map) out.u8(value);
@@ -48,7 +49,8 @@ std::vector<std::byte> write_archive_tables(const ArchiveTables& t) {
   out.pad_to(kArchiveFixedBytes);
   for (const ArchiveClass& c : p.classes) {
     out.u32(c.dc_step);
-    for (const float value : {c.sh_step, c.bound_mean, c.bound_covariance, c.bound_dc, c.bound_sh}) out.f32(value);
+    out.u32(c.sh_units);
+    for (const float value : {c.bound_mean, c.bound_covariance, c.bound_dc, c.bound_sh}) out.f32(value);
   }
   std::vector<std::byte> bytes = out.take();
   const std::vector<std::byte> content = write_content(t);
