@@ -1,7 +1,7 @@
 #!/usr/bin/python3
-# rgs_archive.py - frames of codec 2 to rows, for rgs_reader.py; written from docs/format/ARCHIVE.md alone; needs numpy.
+# rgs_archive.py - frames of codecs 2 and 3 to rows, for rgs_reader.py; written from docs/format/ARCHIVE.md alone; needs numpy.
 # SPDX-License-Identifier: Apache-2.0
-"""Draco's kd-tree in a few lines, the entropy coder, and the way from codes to rows of MEAN, GEOM and SHI8.
+"""The entropy coder, the way from codes to rows of MEAN, GEOM and SHI8, and for codec 2 Draco's kd-tree in a few lines.
 
 Readable, not fast: some thousand Gaussians per second. Any defect of a frame raises Damaged, a ValueError.
 """
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 TOKENS, SLOTS = 76, 4096
+MEAN_CONTEXTS, GEOM_CONTEXTS = 28, 1 + 16 + 256 + 4096 + 96 + 96  # of codec 3, those of MEAN first
 SIZES = (3, 7, 12, 22, 37, 60, 98)
 EXP2 = (0.001893754059, 0.008949590422, 0.05586033708, 0.2401418182, 0.6931544897, 0.9999998984)
 
@@ -37,35 +38,310 @@ class Tables:
     dc_matrix: NDArray[np.int64]         # [3, 3]
     dc_weights: NDArray[np.int64]        # [3, 2]
     sh_matrix: NDArray[np.int64]         # [Q, Q]
+    opacity: NDArray[np.float16]         # [L + 1], in codec 2 [0]
     map: NDArray[np.uint8]               # [X]
     frequencies: NDArray[np.int64]       # [T, 76]
 
 
-def n_contexts(classes: int, q: int) -> int:
-    return 1 + classes * (1 + 1 + 12 + 8 + 128 + 256 + 24 + 8 * q)
+def sh_contexts(classes: int, q: int) -> int:
+    """The last of all contexts."""
+    return 24 * classes + 8 * q * classes
 
 
-def tables_bytes(classes: int, q: int, distributions: int) -> int:
-    return 12 + 4 * q + 18 + 12 + 2 * q * q + n_contexts(classes, q) + 2 * TOKENS * distributions
+def tables_layout(arch: dict[str, Any], q: int) -> list[tuple[np.dtype[Any], tuple[int, ...]]]:
+    codec, classes = arch["codec"], arch["n_classes"]
+    contexts = MEAN_CONTEXTS + GEOM_CONTEXTS if codec == 3 else 1 + classes * (1 + 1 + 12 + 8 + 128 + 256)
+    return [(np.dtype(dtype), shape) for dtype, *shape in (
+        ("<f4", 3), ("<f4", q), ("<i2", 3, 3), ("<i2", 3, 2), ("<i2", q, q),
+        ("<f2", arch["opacity_levels"] + 1 if codec == 3 else 0), ("u1", contexts + sh_contexts(classes, q)),
+        ("<u2", arch["n_distributions"], TOKENS))]
 
 
-def read_tables(content: bytes, classes: int, q: int, distributions: int) -> Tables:
+def tables_bytes(arch: dict[str, Any], q: int) -> int:
+    return sum(dtype.itemsize * int(np.prod(shape)) for dtype, shape in tables_layout(arch, q))
+
+
+def read_tables(content: bytes, arch: dict[str, Any], q: int) -> Tables:
     """`content` has tables_bytes()."""
     parts, at = [], 0
-    for dtype, *shape in (("<f4", 3), ("<f4", q), ("<i2", 3, 3), ("<i2", 3, 2), ("<i2", q, q),
-                          ("u1", n_contexts(classes, q)), ("<u2", distributions, TOKENS)):
-        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    for dtype, shape in tables_layout(arch, q):
+        size = int(np.prod(shape)) * dtype.itemsize
         parts.append(np.frombuffer(content[at:at + size], dtype).reshape(shape))
         at += size
     t = Tables(*(part.astype(np.int64) if part.dtype.kind == "i" or part.dtype == np.uint16 else part for part in parts))
     for values in (t.dc_centre, t.sh_centre):
         need((np.abs(values) <= 2.0**40).all(), "centres: finite, magnitudes up to 2^40")
-    need((t.map < distributions).all(), "a context's distribution")
+    need(((t.opacity > 0) & (t.opacity <= 1)).all(), "an opacity: above 0, at most 1")
+    need((t.map < arch["n_distributions"]).all(), "a context's distribution")
     need((t.frequencies.sum(1) == SLOTS).all(), "frequencies of a distribution")
     return t
 
 
-# ---- Draco ----------------------------------------------------------------------------------------------------------
+# ---- streams --------------------------------------------------------------------------------------------------------
+
+class Stream:
+    """Planes of a frame, of one number for each row or cell of a list."""
+
+    def __init__(self, frame: bytes, tables: Tables) -> None:
+        need(len(frame) >= 32 and len(frame) % 2 == 0, "a stream: eight states, then words")
+        self.states = list(struct.unpack("<8I", frame[:32]))
+        self.words = np.frombuffer(frame[32:], "<u2").tolist()
+        self.at = 0
+        self.map = tables.map.tolist()
+        self.frequency = tables.frequencies.tolist()
+        self.before = (np.cumsum(tables.frequencies, 1) - tables.frequencies).tolist()
+        self.token_of = [np.repeat(np.arange(TOKENS), row).tolist() for row in tables.frequencies]
+
+    def refill(self, x: int) -> int:
+        if x >= 1 << 16:
+            return x
+        need(self.at < len(self.words), "a stream ends early")
+        self.at += 1
+        return x << 16 | self.words[self.at - 1]
+
+    def number(self, row: int, context: int) -> int:
+        d, x = self.map[context], self.states[row % 8]
+        quotient, slot = divmod(x, SLOTS)
+        z = self.token_of[d][slot]
+        x = self.refill(self.frequency[d][z] * quotient + slot - self.before[d][z])
+        if z >= 32:
+            r = (z - 32) // 4 + 3
+            z, x = ((4 + z % 4) << r) + x % (1 << r), self.refill(x >> r)
+        self.states[row % 8] = x
+        return z
+
+    def plane(self, contexts: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.array([self.number(i, c) for i, c in enumerate(contexts.tolist())], np.int64)
+
+    def signed(self, contexts: NDArray[np.int64]) -> NDArray[np.int64]:
+        z = self.plane(contexts)
+        return np.where(z % 2 == 0, z // 2, -(z + 1) // 2)
+
+    def bits(self, widths: NDArray[np.int64]) -> NDArray[np.int64]:
+        numbers = []
+        for i, w in enumerate(widths.tolist()):
+            x = self.states[i % 8]
+            numbers.append(x % (1 << w))
+            self.states[i % 8] = self.refill(x >> w)
+        return np.array(numbers, np.int64)
+
+    def finish(self) -> None:
+        need(self.at == len(self.words) and all(x == 1 << 16 for x in self.states), "the end of a stream")
+
+
+# ---- formulas -------------------------------------------------------------------------------------------------------
+
+def log(x: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Octaves."""
+    return (x.view(np.int64) >> 36) - 1023 * 65536
+
+
+def mantissa(e: NDArray[np.int64]) -> NDArray[np.float32]:
+    """exp(e) is this times 2^(e div 65536)."""
+    y, p = e % 65536 / 65536, np.zeros(e.shape)
+    for factor in EXP2:
+        p = p * y + factor
+    return p.astype(np.float32)
+
+
+def exp(e: NDArray[np.int64]) -> NDArray[np.float64]:
+    return np.ldexp(mantissa(e).astype(np.float64), e // 65536)
+
+
+def step_index(e: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    return ((e + 16384) // 32768).clip(-24, most)
+
+
+def step(j: NDArray[np.int64]) -> NDArray[np.int64]:
+    h, w = np.where(j % 2 == 0, 65536, 92682), j // 2
+    return h << w.clip(0, None) >> (-w).clip(0, None)
+
+
+def sum_of_squares(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
+    return x * x + y * y + z * z
+
+
+def unit_quaternion(r: NDArray[np.float64]) -> NDArray[np.float64]:
+    """[4, rows] from [3, rows]: the component left out first."""
+    squared = sum_of_squares(*r)
+    w = np.sqrt(np.where(squared < 1, 1 - squared, 0))
+    return np.stack([w, *r]) / np.sqrt(squared + w * w)
+
+
+def place(u: NDArray[np.int64], f: Any, arch: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """t(f) and g of coordinates."""
+    m, q = arch["mean_cells"], u - (1 << arch["mean_bits"] - 1)
+    g, rest = np.divmod(np.where(q >= 0, q, -1 - q), 1 << m)
+    cell = (rest + f) / 2.0**m
+    t = np.where(g == 0, cell, np.ldexp(1 + cell, g.clip(1, None) - 1))
+    return np.where(q >= 0, t, -t), g
+
+
+def mean_rows(t: NDArray[np.float64], arch: dict[str, Any]) -> bytes:
+    """t [rows, 3]"""
+    largest = float(np.finfo(np.float32).max)
+    mean = (np.array(arch["centre"]) + np.array(arch["half_width"]) * t).clip(-largest, largest).astype(np.float32)
+    return (mean + np.float32(0)).astype("<f4").tobytes()     # -0 + 0 is +0
+
+
+# ---- MEAN and GEOM --------------------------------------------------------------------------------------------------
+
+def open_points(frame: bytes, rows: int, arch: dict[str, Any],
+                corner: tuple[int, ...] = (0, 0, 0)) -> tuple[Stream, NDArray[np.int64]]:
+    """The stream of a frame of MEAN or of a page, behind its coordinates; and these, [rows, 3]."""
+    need(len(frame) >= 4, "a frame begins with four bytes")
+    bits = list(frame[:3])
+    need(max(bits) <= arch["mean_bits"], "coordinates of too many bits")
+    need(frame[3] == 0, "the byte behind the bits is 0")
+    stream = Stream(frame[4:], arch["tables"])
+    u = np.zeros((rows, 3), np.int64)
+    left = np.zeros((rows, 3), np.int64)             # bits of each row's coordinates that are not known yet
+    points, first, lowest = np.array([rows]), np.array([0]), np.zeros((1, 3), np.int64)      # the list of cells
+    axes_left = np.array(bits)
+    for bit, k in ((bit, k) for bit in reversed(range(max(bits))) for k in range(3) if bits[k] > bit):
+        single = points == 1
+        u[first[single]], left[first[single]] = lowest[single], axes_left
+        points, first, lowest = points[~single], first[~single], lowest[~single]
+        bit_length = np.frexp(points)[1]
+        low = points // 2 + stream.signed(np.where(points < 16, points, 11 + bit_length))
+        need(((low >= 0) & (low <= points)).all(), "a half has more points than its cell")
+        upper = lowest + (np.arange(3) == k) * (1 << bit)
+        points, first, lowest = (np.stack(halves, 1).reshape(-1, *halves[0].shape[1:]) for halves in (
+            (low, points - low), (first, first + low), (lowest, upper)))
+        points, first, lowest = points[points > 0], first[points > 0], lowest[points > 0]
+        axes_left[k] = bit
+    for n, row, at in zip(points, first, lowest):
+        u[row:row + n] = at
+    for k in range(3):
+        while True:
+            width = left[:, k].clip(None, 12)
+            left[:, k] -= width
+            u[:, k] += stream.bits(width) << left[:, k]
+            if not left[:, k].any():
+                break
+    u += np.array(corner, np.int64)
+    need((u < 1 << arch["mean_bits"]).all(), "a coordinate beyond the grid")
+    return stream, u
+
+
+def decode_shapes(stream: Stream, u: NDArray[np.int64], arch: dict[str, Any], exponent: int,
+                  level: int = 0) -> tuple[bytes, bytes, NDArray[np.int64]]:
+    """Rows of MEAN and GEOM, and the class of each; within, arrays are [3, rows] of the three axes."""
+    levels, half_width = arch["opacity_levels"], np.array(arch["half_width"])[:, None]
+    context, each = MEAN_CONTEXTS, np.arange(3)
+    o = stream.plane(np.full(len(u), context))
+    need((o <= levels).all(), "an opacity")
+    opacity = arch["tables"].opacity[o]
+    near, coarse = 16 * o // (levels + 1), []
+    context += 1
+    for size in (16, 256, 4096):
+        coarse.append(stream.signed(context + near))
+        near = 16 * near + coarse[-1].clip(0, 15)
+        context += size
+
+    b = arch["blur"] + 65536 * level
+    wide = b + np.array(coarse) * arch["coarse_step"]
+
+    def importance(h: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Above the middle."""
+        w = 2 * log(opacity.astype(np.float64)) + h.sum(0) - h.min(0) - 163840 * level
+        return w - arch["middle"]
+
+    def finer(h: NDArray[np.int64]) -> NDArray[np.int64]:
+        return arch["slope"] * importance(h) // 2**17
+
+    fine = step_index(arch["fine_step"] - finer(wide.clip(-2**23, 2**23)), 7)
+    e = np.stack([stream.signed(context + 32 * k + 24 + fine) for k in each])
+    context += 96
+    h = (wide + e * step(fine)).clip(-2**23, 2**23)
+    f, count = finer(h), arch["n_classes"]
+    classes = ((importance(h) + 32768) // 65536 + count // 2).clip(0, count - 1)
+    d = exp(np.array([2 * b]))
+    variance = np.maximum(exp(2 * h) - d, d / 64)
+
+    i, j = (each + 1) % 3, (each + 2) % 3
+    apart = variance[i] - variance[j]
+    apart = apart * apart / ((variance[i] + d) * (variance[j] + d))
+    turn = step_index(arch["turn_step"] - f - log(apart) // 2, 2)
+    v = np.stack([stream.signed(context + 32 * k + 24 + turn[k]) for k in each])
+    unit = unit_quaternion(v * (step(turn) * 2.0**-16))
+
+    t, g = place(u.T, 0.5, arch)
+    distance = np.maximum(arch["nearest"], sum_of_squares(*(half_width * t)))
+    w, x, y, z = unit
+    matrix = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                       [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                       [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+    p = [matrix[:, k] * matrix[:, k] / (variance[k] + d) for k in each]
+    cell = log(half_width) + 65536 * ((g - 1).clip(0, None) - arch["mean_cells"])
+    mean_step = arch["mean_step"] - f + log(distance) // 2 - log(p[0] + p[1] + p[2]) // 2
+    n = ((cell - mean_step + 32768) // 65536).clip(0, 12)
+    part = np.stack([stream.bits(n[k]) for k in each])
+    means = mean_rows(place(u.T, (part + 0.5) * 2.0**-n, arch)[0].T, arch)
+
+    out = np.empty((len(u), 8), np.float16)
+    with np.errstate(over="ignore", under="ignore"):
+        out[:, :4] = unit.T.astype(np.float32)
+        scale = np.sqrt(variance * distance) * 2.0**exponent
+        out[:, 4:7] = np.minimum(scale.T.astype(np.float32).astype(np.float16), 65504)
+    out[:, 7] = opacity
+    return means, out.astype("<f2").tobytes(), classes
+
+
+# ---- SHI8 -----------------------------------------------------------------------------------------------------------
+
+def step_for(largest: float) -> np.float32:
+    """The step of a page's chunk for values of at most this magnitude."""
+    largest = np.float32(largest)
+    if not largest >= np.float32(127 * 2.0**-107):
+        return np.float32(0)
+    bits = (int((largest / np.float32(127)).view(np.uint32)) + 127) // 128 * 128
+    if np.uint32(bits).view(np.float32) * np.float32(127) < largest:
+        bits += 128
+    return np.uint32(bits).view(np.float32)
+
+
+def sh_values(stream: Stream, arch: dict[str, Any], classes: NDArray[np.int64], q: int) -> NDArray[np.float32]:
+    """[rows, 3 + q] before they become codes."""
+    tables, count, rows = arch["tables"], arch["n_classes"], len(classes)
+    context = len(tables.map) - sh_contexts(count, q)
+    codes, h = np.zeros((3 + q, rows), np.int64), np.zeros(rows, np.int64)
+    for plane in range(3 + q):
+        h *= plane != 3
+        size = np.searchsorted(SIZES, h, side="right")
+        codes[plane] = stream.signed(context + (plane * count + classes) * 8 + size)
+        h = (13 * h + 128 * np.abs(codes[plane]).clip(None, 255)) // 16
+
+    of = {name: np.array([c[name] for c in arch["classes"]])[classes] for name in ("dc_step", "sh_step")}
+    value = np.empty((rows, 3 + q), np.float32)
+    before = [(0, 0)] * 3
+    for i in range(rows):
+        step = int(of["dc_step"][i])
+        v = []
+        for m in range(3):
+            near, far = tables.dc_weights[m].tolist()
+            guess = (near * before[m][0] + far * before[m][1]) // 256
+            v.append(min(max((int(codes[m, i]) + (2 * guess + step) // (2 * step)) * step, -2**30), 2**30))
+            before[m] = v[m], before[m][0]
+        value[i, :3] = tables.dc_matrix @ np.array(v) * 2.0**-30 + tables.dc_centre.astype(np.float64)
+    sums = (tables.sh_matrix @ codes[3:]).astype(np.uint32).view(np.int32).astype(np.float32).T
+    factor = of["sh_step"].astype(np.float32) * np.float32(2.0**-14)
+    value[:, 3:] = sums * factor[:, None] + tables.sh_centre
+    return value
+
+
+def sh_codes(value: NDArray[np.float32], steps: NDArray[np.float32], row_bytes: int) -> bytes:
+    """Rows of SHI8; `steps` [rows, K, 3]"""
+    rows, width = value.shape
+    flat = steps.reshape(rows, width)
+    with np.errstate(over="ignore"):
+        ratio = np.divide(value, flat, out=np.zeros_like(value), where=flat != 0)
+    out = np.zeros((rows, row_bytes), np.int8)
+    out[:, :width] = np.rint(ratio.clip(-127, 127))
+    return out.tobytes()
+
+
+# ---- codec 2: Draco --------------------------------------------------------------------------------------------------
 
 DRACO_HEAD = b"DRACO\x02\x03\x00\x01\x00\x00"
 DRACO_ATTRIBUTE = bytes.fromhex("01 01 00 06 03 00 00 06")
@@ -175,97 +451,40 @@ def decode_points(frame: bytes, rows: int, mean_bits: int) -> NDArray[np.int64]:
 
 
 def decode_means(frame: bytes, rows: int, arch: dict[str, Any], corner: tuple[int, ...] = (0, 0, 0)) -> bytes:
-    m, bits = arch["mean_cells"], arch["mean_bits"]
-    u = decode_points(frame, rows, bits) + np.array(corner, np.int64)
-    need((u < 1 << bits).all(), "a coordinate beyond the grid")
-    q = u - (1 << bits - 1)
-    n = np.where(q >= 0, q, -1 - q)
-    k, rest = np.divmod(n, 1 << m)
-    cell = (rest + 0.5) / 2.0**m
-    t = np.where(k == 0, cell, np.ldexp(1 + cell, np.maximum(k, 1) - 1))
-    offset = np.array(arch["half_width"]) * np.where(q >= 0, t, -t)
-    largest = np.finfo(np.float32).max
-    mean = (np.array(arch["centre"]) + offset).clip(-float(largest), float(largest)).astype(np.float32)
-    return (mean + np.float32(0)).astype("<f4").tobytes()     # -0 + 0 is +0
+    u = decode_points(frame, rows, arch["mean_bits"]) + np.array(corner, np.int64)
+    need((u < 1 << arch["mean_bits"]).all(), "a coordinate beyond the grid")
+    return mean_rows(place(u, 0.5, arch)[0], arch)
 
 
-# ---- streams --------------------------------------------------------------------------------------------------------
-
-class Stream:
-    """Planes of a frame of GEOM or SHI8."""
-
-    def __init__(self, frame: bytes, tables: Tables) -> None:
-        need(len(frame) >= 32 and len(frame) % 2 == 0, "a stream: eight states, then words")
-        self.states = list(struct.unpack("<8I", frame[:32]))
-        self.words = np.frombuffer(frame[32:], "<u2").tolist()
-        self.at = 0
-        self.map = tables.map.tolist()
-        self.frequency = tables.frequencies.tolist()
-        self.before = (np.cumsum(tables.frequencies, 1) - tables.frequencies).tolist()
-        self.token_of = [np.repeat(np.arange(TOKENS), row).tolist() for row in tables.frequencies]
-
-    def refill(self, x: int) -> int:
-        if x >= 1 << 16:
-            return x
-        need(self.at < len(self.words), "a stream ends early")
-        self.at += 1
-        return x << 16 | self.words[self.at - 1]
-
-    def number(self, row: int, context: int) -> int:
-        d, x = self.map[context], self.states[row % 8]
-        quotient, slot = divmod(x, SLOTS)
-        z = self.token_of[d][slot]
-        x = self.refill(self.frequency[d][z] * quotient + slot - self.before[d][z])
-        if z >= 32:
-            r = (z - 32) // 4 + 3
-            z, x = ((4 + z % 4) << r) + x % (1 << r), self.refill(x >> r)
-        self.states[row % 8] = x
-        return z
-
-    def signed(self, row: int, context: int) -> int:
-        z = self.number(row, context)
-        return z // 2 if z % 2 == 0 else -(z + 1) // 2
-
-    def finish(self) -> None:
-        need(self.at == len(self.words) and all(x == 1 << 16 for x in self.states), "the end of a stream")
-
-
-def bucket(n: int) -> int:
-    return min(max(n // 4 + 8, 0), 15)
-
-
-def decode_geometry(frame: bytes, rows: int, arch: dict[str, Any], exponent: int) -> tuple[bytes, list[int]]:
+def decode_geometry(frame: bytes, rows: int, arch: dict[str, Any], exponent: int) -> tuple[bytes, NDArray[np.int64]]:
     """Rows of GEOM, and the class of each."""
     stream, count, levels = Stream(frame, arch["tables"]), arch["n_classes"], arch["opacity_levels"]
-    classes: list[int] = []
+    before, numbers = 0, []
     for i in range(rows):
-        classes.append(stream.number(i, classes[-1] if i else 0))
-        need(classes[-1] < count, "a class")
-    base = count
-    opacity = [stream.number(i, base + c) for i, c in enumerate(classes)]
-    need(max(opacity) <= levels, "an opacity")
-    base += count
-    largest = [stream.number(i, base) for i in range(rows)]
-    need(max(largest) < 4, "the largest component")
-    base += 1
-    rotation = [[stream.signed(i, base + (j * count + c) * 4 + largest[i]) for i, c in enumerate(classes)]
-                for j in range(3)]
-    base += 12 * count
-    seen = [8 * c + 8 * o // (levels + 1) for c, o in zip(classes, opacity)]
-    scale = [[stream.signed(i, base + seen[i]) for i in range(rows)]]
-    base += 8 * count
-    scale.append([stream.signed(i, base + seen[i] * 16 + bucket(scale[0][i])) for i in range(rows)])
-    base += 128 * count
-    scale.append([stream.signed(i, base + (16 * c + bucket(scale[0][i])) * 16 + bucket(scale[1][i]))
-                  for i, c in enumerate(classes)])
+        before = stream.number(i, before)
+        need(before < count, "a class")
+        numbers.append(before)
+    c, context = np.array(numbers), count
+    o = stream.plane(context + c)
+    need((o <= levels).all(), "an opacity")
+    context += count
+    largest = stream.plane(np.full(rows, context))
+    need((largest < 4).all(), "the largest component")
+    context += 1
+    rotation = [stream.signed(context + (j * count + c) * 4 + largest) for j in range(3)]
+    context += 12 * count
+    seen = 8 * c + 8 * o // (levels + 1)
+    scale = [stream.signed(context + seen)]
+    context += 8 * count
+    bucket = (scale[0] // 4 + 8).clip(0, 15)
+    scale.append(stream.signed(context + seen * 16 + bucket))
+    context += 128 * count
+    scale.append(stream.signed(context + (16 * c + bucket) * 16 + (scale[1] // 4 + 8).clip(0, 15)))
     stream.finish()
 
-    of = {name: np.array([c[name] for c in arch["classes"]])[classes] for name in
+    of = {name: np.array([row[name] for row in arch["classes"]])[c] for name in
           ("rotation_step", "scale_step", "scale_base")}
-    r = np.array(rotation, np.float64) * of["rotation_step"]
-    squared = (r[0] * r[0] + r[1] * r[1]) + r[2] * r[2]
-    w = np.sqrt(np.where(squared < 1, 1 - squared, 0))
-    unit = np.stack([w, *r]) / np.sqrt(squared + w * w)
+    unit = unit_quaternion(np.array(rotation, np.float64) * of["rotation_step"])
     out = np.empty((rows, 8), np.float16)
     for i, b in enumerate(largest):
         order = [1, 2, 3]
@@ -275,76 +494,8 @@ def decode_geometry(frame: bytes, rows: int, arch: dict[str, Any], exponent: int
     out[:, 0] = np.abs(out[:, 0])
 
     e = (of["scale_base"] + np.array(scale) * of["scale_step"]).clip(-2**23, 2**23)
-    y, p = e % 65536 / 65536, np.zeros(e.shape)
-    for factor in EXP2:
-        p = p * y + factor
     with np.errstate(over="ignore", under="ignore"):
-        stored = np.ldexp(p.astype(np.float32), (e // 65536 + exponent).astype(np.int32)).astype(np.float16)
+        stored = np.ldexp(mantissa(e), (e // 65536 + exponent).astype(np.int32)).astype(np.float16)
         out[:, 4:7] = np.minimum(stored, np.float16(65504)).T
-    o = np.array(opacity, np.float32)
-    out[:, 7] = np.where(o == 0, np.float32(0.25), o) / np.float32(levels)
-    return out.astype("<f2").tobytes(), classes
-
-
-def decode_sh(frame: bytes, rows: int, arch: dict[str, Any], classes: list[int],
-              steps: NDArray[np.float32], row_bytes: int) -> bytes:
-    """`steps` [rows, K, 3], of each row's chunk."""
-    return sh_codes(sh_values(frame, rows, arch, classes, 3 * (steps.shape[1] - 1)), steps, row_bytes)
-
-
-def step_for(largest: float) -> np.float32:
-    """The step of a page's chunk for values of at most this magnitude."""
-    largest = np.float32(largest)
-    if not largest >= np.float32(127 * 2.0**-107):
-        return np.float32(0)
-    bits = (int((largest / np.float32(127)).view(np.uint32)) + 127) // 128 * 128
-    if np.uint32(bits).view(np.float32) * np.float32(127) < largest:
-        bits += 128
-    return np.uint32(bits).view(np.float32)
-
-
-def sh_values(frame: bytes, rows: int, arch: dict[str, Any], classes: list[int], q: int) -> NDArray[np.float32]:
-    """[rows, 3 + q] before they become codes."""
-    tables, count = arch["tables"], arch["n_classes"]
-    stream = Stream(frame, tables)
-    context = n_contexts(count, q) - 8 * q * count - 24 * count
-    codes = np.zeros((3 + q, rows), np.int64)
-    h = [0] * rows
-    for plane in range(3 + q):
-        if plane == 3:
-            context, h = context + 24 * count, [0] * rows
-        j = plane if plane < 3 else plane - 3
-        for i, c in enumerate(classes):
-            size = sum(limit <= h[i] for limit in SIZES)
-            code = stream.signed(i, context + (j * count + c) * 8 + size)
-            h[i] = (13 * h[i] + 128 * min(abs(code), 255)) // 16
-            codes[plane, i] = code
-    stream.finish()
-
-    of = {name: np.array([c[name] for c in arch["classes"]])[classes] for name in ("dc_step", "sh_step")}
-    value = np.empty((rows, 3 + q), np.float32)
-    before = [(0, 0)] * 3
-    for i in range(rows):
-        step = int(of["dc_step"][i])
-        v = []
-        for m in range(3):
-            near, far = tables.dc_weights[m].tolist()
-            guess = (near * before[m][0] + far * before[m][1]) // 256
-            v.append(min(max((int(codes[m, i]) + (2 * guess + step) // (2 * step)) * step, -2**30), 2**30))
-            before[m] = v[m], before[m][0]
-        value[i, :3] = tables.dc_matrix @ np.array(v) * 2.0**-30 + tables.dc_centre.astype(np.float64)
-    sums = (tables.sh_matrix @ codes[3:]).astype(np.uint32).view(np.int32).astype(np.float32).T
-    factor = of["sh_step"].astype(np.float32) * np.float32(2.0**-14)
-    value[:, 3:] = sums * factor[:, None] + tables.sh_centre
-    return value
-
-
-def sh_codes(value: NDArray[np.float32], steps: NDArray[np.float32], row_bytes: int) -> bytes:
-    """Rows of SHI8; `steps` [rows, K, 3]"""
-    rows, width = value.shape
-    flat = steps.reshape(rows, width)
-    with np.errstate(over="ignore"):
-        ratio = np.divide(value, flat, out=np.zeros_like(value), where=flat != 0)
-    out = np.zeros((rows, row_bytes), np.int8)
-    out[:, :width] = np.rint(ratio.clip(-127, 127))
-    return out.tobytes()
+    out[:, 7] = np.where(o == 0, 0.25, o).astype(np.float32) / np.float32(levels)
+    return out.astype("<f2").tobytes(), c

@@ -32,7 +32,7 @@ SH_BYTES = (4, 12, 28, 48)                                        # bytes per Ga
 DEGREE = np.array([0] + [1] * 3 + [2] * 5 + [3] * 7)              # degree of SH coefficient k
 KNOWN = ("DECL", "SHSC", "CHNK", "MEAN", "GEOM", "SHI8", "PERM", "PROV")
 REQUIRED = KNOWN[:6]
-ARCHIVED = ("MEAN", "GEOM", "SHI8")                               # sections that have codec 2 if any has
+ARCHIVED = ("MEAN", "GEOM", "SHI8")                               # sections that have codec 2, or 3, if any has
 LEVELS = ("LODS", "PAGE")                                         # in a file with levels of detail
 IN_PAGES = REQUIRED[1:]                                           # absent from such a file
 ROOT = 2**32 - 1
@@ -60,13 +60,23 @@ DECL = np.dtype([
     ("robust_fraction", "<f4"), ("n_source", "<u8"), ("n_dropped", "<u8"), ("n_repaired", "<u8"),
     ("n_scale_subnormal", "<u8"), ("n_scale_zero", "<u8"), ("n_opacity_zero", "<u8"), ("n_opacity_one", "<u8"),
     ("origin", "<f8", 3), ("reserved_tail", "u1", 80)])
-ARCH = np.dtype([
-    ("mean_cells", "<u4"), ("mean_bits", "<u4"), ("n_classes", "<u4"), ("opacity_levels", "<u4"),
-    ("n_distributions", "<u4"), ("reserved", "<u4"), ("centre", "<f8", 3), ("half_width", "<f8", 3),
-    ("knobs", "<f4", 6), ("bound_mean", "<f4"), ("bound_opacity", "<f4"), ("reserved_tail", "u1", 24)])
-ARCH_CLASS = np.dtype([
-    ("rotation_step", "<f4"), ("scale_step", "<u4"), ("scale_base", "<i4"), ("dc_step", "<u4"), ("sh_step", "<f4"),
-    ("bound_rotation", "<f4"), ("bound_scale", "<f4"), ("bound_dc", "<f4"), ("bound_sh", "<f4")])
+ARCH_HEAD = [("mean_cells", "<u4"), ("mean_bits", "<u4"), ("n_classes", "<u4"), ("opacity_levels", "<u4"),
+             ("n_distributions", "<u4")]
+ARCH = {                                                          # by codec
+    2: np.dtype([
+        *ARCH_HEAD, ("reserved", "<u4"), ("centre", "<f8", 3), ("half_width", "<f8", 3), ("knobs", "<f4", 6),
+        ("bound_mean", "<f4"), ("bound_opacity", "<f4"), ("reserved_tail", "u1", 24)]),
+    3: np.dtype([
+        *ARCH_HEAD, ("slope", "<u4"), ("centre", "<f8", 3), ("half_width", "<f8", 3), ("nearest", "<f8"), ("blur", "<i4"),
+        ("coarse_step", "<u4"), ("fine_step", "<i4"), ("turn_step", "<i4"), ("mean_step", "<i4"), ("middle", "<i4"),
+        ("step", "<f4"), ("bound_opacity", "<f4"), ("reserved_tail", "u1", 16)])}
+ARCH_CLASS = {
+    2: np.dtype([
+        ("rotation_step", "<f4"), ("scale_step", "<u4"), ("scale_base", "<i4"), ("dc_step", "<u4"), ("sh_step", "<f4"),
+        ("bound_rotation", "<f4"), ("bound_scale", "<f4"), ("bound_dc", "<f4"), ("bound_sh", "<f4")]),
+    3: np.dtype([
+        ("dc_step", "<u4"), ("sh_step", "<f4"), ("bound_mean", "<f4"), ("bound_covariance", "<f4"), ("bound_dc", "<f4"),
+        ("bound_sh", "<f4")])}
 LODS = np.dtype([
     ("n_pages", "<u4"), ("n_levels", "<u4"), ("page_chunks", "<u4"), ("reserved", "<u4"), ("n_stored", "<u8"),
     ("quality_db", "<f4"), ("reserved_tail", "u1", 36)])
@@ -80,7 +90,7 @@ ENUMERATORS = {"colour_space": (0, 1, 2), "sh_basis": (1,), "kernel": (1,), "aa_
 NOT_NEGATIVE = ("z_near", "z_far", "metres_per_unit", "cutoff_sigma", "alpha_threshold", "alpha_max", "low_pass_px2",
                 "transmittance_min")
 assert (HEADER.itemsize, ENTRY.itemsize, CHUNK.itemsize, DECL.itemsize) == (HEADER_BYTES, ENTRY_BYTES, 48, 256)
-assert (ARCH.itemsize, ARCH_CLASS.itemsize) == (128, 36)
+assert [ARCH[2].itemsize, ARCH[3].itemsize, ARCH_CLASS[2].itemsize, ARCH_CLASS[3].itemsize] == [128, 128, 36, 24]
 assert (LODS.itemsize, PAGE.itemsize) == (64, 112)
 
 Record = dict[str, Any]
@@ -149,7 +159,8 @@ def known(h: Record) -> tuple[str, ...]:
 
 def codec_exists(h: Record, s: Record) -> bool:
     versions = {0: s["type"] in known(h), 1: h["version_minor"] >= 1 and s["type"] in (*CODED, "PAGE"),
-                2: h["version_minor"] >= 2 and s["type"] in (*ARCHIVED, "PAGE")}
+                2: h["version_minor"] >= 2 and s["type"] in (*ARCHIVED, "PAGE"),
+                3: h["version_minor"] >= 5 and s["type"] in (*ARCHIVED, "PAGE")}
     return versions.get(s["codec"], False)
 
 
@@ -222,7 +233,7 @@ def read_table(data: memoryview, h: Record) -> list[Record]:
         s["type"] = bytes(s["type"]).decode("latin-1")        # known types are ASCII, others are arbitrary
         if s["type"] in known(h):
             require(s["type"] not in seen, "duplicate_section", s["at"], s["type"] + " is there twice")
-            require(codec_exists(h, s), "unsupported_codec", s["at"] + at["codec"], "codec 0, for some types 1 or 2")
+            require(codec_exists(h, s), "unsupported_codec", s["at"] + at["codec"], "codec 0, for some types 1, 2 or 3")
             require(s["codec"] or s["decoded_bytes"] == s["stored_bytes"], "size_mismatch",
                     s["at"] + at["decoded_bytes"], "codec 0 stores as many bytes as it decodes to")
         else:
@@ -237,13 +248,13 @@ def read_table(data: memoryview, h: Record) -> list[Record]:
         require(before or s["type"] not in ("DECL", "LODS", "ARCH"), "bad_section", s["at"], "it comes before PAGE")
         before &= s["type"] != "PAGE"
     require(levels or len(data) == h["file_bytes"], "truncated", len(data), "shorter than file_bytes says")
-    archived = [s for s in entries if s["type"] in (*ARCHIVED, *LEVELS) and s["codec"] == 2]
+    archived = [s for s in entries if s["type"] in (*ARCHIVED, *LEVELS) and s["codec"] >= 2]
     for s in entries:
         if archived and s["type"] in ARCHIVED:
-            require(s["codec"] == 2, "unsupported_codec", s["at"] + at["codec"], "codec 2 in all three or in none")
+            require(s["codec"] == archived[0]["codec"], "unsupported_codec", s["at"] + at["codec"], "the same in all three")
         if not archived and s["type"] == "ARCH" and h["version_minor"] >= 2:
-            raise RgsError("bad_section", s["at"], "ARCH is for codec 2")
-    require(not archived or "ARCH" in seen, "missing_section", HEADER_BYTES, "codec 2 needs ARCH")
+            raise RgsError("bad_section", s["at"], "ARCH is for codecs 2 and 3")
+    require(not archived or "ARCH" in seen, "missing_section", HEADER_BYTES, "codecs 2 and 3 need ARCH")
 
     end = head + HASH_BYTES
     for s in entries:
@@ -331,7 +342,8 @@ def read_frame_table(data: memoryview, h: Record, s: Record, row_bytes: int) -> 
     multiple = h["chunk_size"] if s["type"] in ("MEAN", "GEOM", "SHI8") else 1
     require(end - base >= 8, "size_mismatch", base, "a frame table has at least 8 bytes")
     rows, count = (int.from_bytes(data[base + k:base + k + 4], "little") for k in (0, 4))
-    require(1 <= rows <= 2**16 and rows % multiple == 0, "bad_value", base, "frame_rows: whole chunks, 1 to 2^16")
+    most = 2**15 if s["codec"] == 3 else 2**16
+    require(1 <= rows <= most and rows % multiple == 0, "bad_value", base, "frame_rows: whole chunks, 1 to 2^16 or 2^15")
     require(count == -(-(s["decoded_bytes"] // row_bytes) // rows), "bad_value", base + 4, "ceil(rows / frame_rows)")
     table = base + 8 + 16 * count
     require(end - base >= 16 + 16 * count, "size_mismatch", base, "the frame table leaves the section")
@@ -347,12 +359,13 @@ def read_frame_table(data: memoryview, h: Record, s: Record, row_bytes: int) -> 
     require(at == end, "size_mismatch", at, "the last frame ends the section")
 
 
-def read_arch(data: memoryview, h: Record, s: Record) -> Record:
-    """ARCH with its classes (a list of records) and tables."""
+def read_arch(data: memoryview, h: Record, s: Record, codec: int) -> Record:
+    """ARCH of a codec, with its classes (a list of records) and tables."""
     base, end = s["offset"], s["offset"] + s["stored_bytes"]
-    require(end - base >= ARCH.itemsize, "size_mismatch", base, "ARCH has at least 128 bytes")
+    head, one_class = ARCH[codec], ARCH_CLASS[codec]
+    require(end - base >= head.itemsize, "size_mismatch", base, "ARCH has at least 128 bytes")
     require_hash(data, s)
-    arch = record(data, ARCH, base)
+    arch = record(data, head, base) | {"codec": codec}
 
     def rules(dtype: np.dtype[np.void], row: Record, at: int, legal: dict[str, Any]) -> None:
         for name in dtype.names:
@@ -369,22 +382,24 @@ def read_arch(data: memoryview, h: Record, s: Record) -> Record:
     def within(low: float, high: float) -> Any:
         return lambda x: (x >= low) & (x <= high)
 
-    rules(ARCH, arch, base, {
+    rules(head, arch, base, {
         "mean_cells": within(4, 20), "mean_bits": within(1, min(arch["mean_cells"] + 9, 28)), "n_classes": within(1, 32),
         "opacity_levels": within(1, 4096), "n_distributions": within(1, 255), "centre": within(-2.0**128, 2.0**128),
-        "half_width": within(np.nextafter(0, 1), 2.0**128)})
-    tables = base + ARCH.itemsize + ARCH_CLASS.itemsize * arch["n_classes"]
+        "half_width": within(np.nextafter(0, 1), 2.0**128), "slope": within(0, 2**16),
+        "nearest": within(2.0**-1000, 2.0**300), "blur": within(-2**22, 2**22), "coarse_step": within(1, 2**20),
+        **{name: within(-2**24, 2**24) for name in ("fine_step", "turn_step", "mean_step", "middle")}})
+    tables = base + head.itemsize + one_class.itemsize * arch["n_classes"]
     require(tables <= end, "size_mismatch", base, "ARCH ends inside its classes")
     arch["classes"] = []
-    for at in range(base + ARCH.itemsize, tables, ARCH_CLASS.itemsize):
-        arch["classes"].append(record(data, ARCH_CLASS, at))
-        rules(ARCH_CLASS, arch["classes"][-1], at, {
+    for at in range(base + head.itemsize, tables, one_class.itemsize):
+        arch["classes"].append(record(data, one_class, at))
+        rules(one_class, arch["classes"][-1], at, {
             "rotation_step": within(2.0**-20, 2), "scale_step": within(1, 2**22), "scale_base": within(-2**23, 2**23),
             "dc_step": within(1, 2**26), "sh_step": within(2.0**-40, 2.0**40)})
-    shape = arch["n_classes"], 3 * (h["sh_degree"] + 1) ** 2 - 3, arch["n_distributions"]
-    content = unzip(data[tables:end], tables, rgs_archive.tables_bytes(*shape))
+    q = 3 * (h["sh_degree"] + 1) ** 2 - 3
+    content = unzip(data[tables:end], tables, rgs_archive.tables_bytes(arch, q))
     try:
-        arch["tables"] = rgs_archive.read_tables(content, *shape)
+        arch["tables"] = rgs_archive.read_tables(content, arch, q)
     except rgs_archive.Damaged as error:
         raise RgsError("bad_value", tables, str(error)) from error
     return arch
@@ -493,27 +508,37 @@ def decode_section(data: memoryview, h: Record, s: Record, steps: NDArray[np.flo
 
 def decode_archive(data: memoryview, h: Record, sections: dict[str, Record], arch: Record,
                    steps: NDArray[np.float32]) -> dict[str, bytes]:
-    """Rows of MEAN, GEOM and SHI8 of codec 2. steps [n_chunks, 4, 3]"""
-    n, size, rows_each = h["n_gaussians"], h["chunk_size"], sections["MEAN"]["frame_rows"]
+    """Rows of MEAN, GEOM and SHI8 of codec 2 or 3. steps [n_chunks, 4, 3]"""
+    n, size, rows_each, k = h["n_gaussians"], h["chunk_size"], sections["MEAN"]["frame_rows"], (h["sh_degree"] + 1) ** 2
     parts: dict[str, list[bytes]] = {kind: [] for kind in ARCHIVED}
     for f in range(len(sections["MEAN"]["frames"])):
         first = f * rows_each
         rows = min(rows_each, n - first)
         offset = 0
+
+        def code(kind: str) -> bytes:
+            nonlocal offset
+            offset = sections[kind]["frames"][f][0]
+            return bytes(frame_bytes(data, sections[kind]["frames"][f]))
+
         try:
-            for kind in ARCHIVED:
-                frame = sections[kind]["frames"][f]
-                offset, code = frame[0], bytes(frame_bytes(data, frame))
-                if kind == "MEAN":
-                    part = rgs_archive.decode_means(code, rows, arch)
-                elif kind == "GEOM":
-                    part, classes = rgs_archive.decode_geometry(code, rows, arch, h["scale_exponent"])
-                else:
-                    each = steps[np.arange(first, first + rows) // size][:, DEGREE[:(h["sh_degree"] + 1) ** 2]]
-                    part = rgs_archive.decode_sh(code, rows, arch, classes, each, h["sh_bytes"])
-                parts[kind].append(part)
+            if arch["codec"] == 2:
+                means = rgs_archive.decode_means(code("MEAN"), rows, arch)
+                geometry, classes = rgs_archive.decode_geometry(code("GEOM"), rows, arch, h["scale_exponent"])
+            else:
+                stream, u = rgs_archive.open_points(code("MEAN"), rows, arch)
+                stream.finish()
+                stream = rgs_archive.Stream(code("GEOM"), arch["tables"])
+                means, geometry, classes = rgs_archive.decode_shapes(stream, u, arch, h["scale_exponent"])
+                stream.finish()
+            stream = rgs_archive.Stream(code("SHI8"), arch["tables"])
+            values = rgs_archive.sh_values(stream, arch, classes, 3 * k - 3)
+            stream.finish()
         except rgs_archive.Damaged as error:
             raise RgsError("corrupt_data", offset, str(error)) from error
+        each = steps[np.arange(first, first + rows) // size][:, DEGREE[:k]]
+        for kind, part in zip(ARCHIVED, (means, geometry, rgs_archive.sh_codes(values, each, h["sh_bytes"]))):
+            parts[kind].append(part)
     return {kind: b"".join(part) for kind, part in parts.items()}
 
 
@@ -556,13 +581,14 @@ def read_levels(data: memoryview, h: Record, sections: dict[str, Record], max_ga
     rule(1 <= l["page_chunks"] <= 1024 and l["page_chunks"] * h["chunk_size"] <= 2**16, "page_chunks", "chunks a page")
     rule(l["n_stored"] <= max_gaussians, "n_stored", "more Gaussians than the caller allows", "limit_exceeded")
     rule(0 <= l["quality_db"] < np.inf, "quality_db", "finite, not negative")
-    archive = pages["codec"] == 2
+    archive = pages["codec"] >= 2
     records = []
     for at in range(base + LODS.itemsize, base + size, PAGE.itemsize):
         p = record(data, PAGE, at) | {"at": at}
         require_reserved(data, at + 104, at + 112, "reserved bytes of a page's record")
         chunks = -(-p["n"] // h["chunk_size"])
-        for name, ok in (("n", p["n"] <= l["page_chunks"] * h["chunk_size"]),
+        most = min(l["page_chunks"] * h["chunk_size"], 2**15 if pages["codec"] == 3 else 2**16)
+        for name, ok in (("n", p["n"] <= most),
                          ("n_step_sets", p["n_step_sets"] == chunks or p["n_step_sets"] == 1 and not archive),
                          ("scale_exponent", -110 <= p["scale_exponent"] <= 110 and (
                              p["level"] > 0 or p["scale_exponent"] == h["scale_exponent"]))):
@@ -653,14 +679,20 @@ def decode_page(data: memoryview, h: Record, p: Record, codec: int, arch: Record
         by_chunk = check_steps(h, steps, p["offset"], 0)[np.zeros(-(-n // size), int) if sets == 1 else slice(None)]
         return {"SHSC": steps, "MEAN": decode_words(parts[1], n), "GEOM": decode_geometry(parts[2], n),
                 "SHI8": decode_sh(parts[3], n, h, by_chunk)}
+    k = (h["sh_degree"] + 1) ** 2
     try:
-        rgs_archive.need(len(code) >= 8, "a page begins with two sizes")
-        m, g = struct.unpack("<II", code[:8])
-        rgs_archive.need(m + g <= len(code) - 8, "a page ends inside its streams")
-        means = rgs_archive.decode_means(bytes(code[8:8 + m]), n, arch, p["corner"])
-        geometry, classes = rgs_archive.decode_geometry(bytes(code[8 + m:8 + m + g]), n, arch, p["scale_exponent"])
-        k = (h["sh_degree"] + 1) ** 2
-        values = rgs_archive.sh_values(bytes(code[8 + m + g:]), n, arch, classes, 3 * k - 3)
+        if codec == 2:
+            rgs_archive.need(len(code) >= 8, "a page begins with two sizes")
+            m, g = struct.unpack("<II", code[:8])
+            rgs_archive.need(m + g <= len(code) - 8, "a page ends inside its streams")
+            means = rgs_archive.decode_means(bytes(code[8:8 + m]), n, arch, p["corner"])
+            geometry, classes = rgs_archive.decode_geometry(bytes(code[8 + m:8 + m + g]), n, arch, p["scale_exponent"])
+            stream = rgs_archive.Stream(bytes(code[8 + m + g:]), arch["tables"])
+        else:
+            stream, u = rgs_archive.open_points(bytes(code), n, arch, p["corner"])
+            means, geometry, classes = rgs_archive.decode_shapes(stream, u, arch, p["scale_exponent"], p["level"])
+        values = rgs_archive.sh_values(stream, arch, classes, 3 * k - 3)
+        stream.finish()
     except rgs_archive.Damaged as error:
         raise RgsError("corrupt_data", p["offset"], str(error)) from error
     steps = np.zeros((sets, 4, 3), np.float32)
@@ -770,7 +802,7 @@ def read_with_levels(data: memoryview, h: Record, entries: list[Record], max_gau
     arch = None
     if "ARCH" in sections:
         require(is_there(data, sections["ARCH"]), "truncated", len(data), "the file ends before its first page")
-        arch = read_arch(data, h, sections["ARCH"])
+        arch = read_arch(data, h, sections["ARCH"], sections["PAGE"]["codec"])
     levels = read_levels(data, h, sections, max_gaussians, max_expansion)
     for s in entries:
         if s["type"] != "PAGE" and is_there(data, s):
@@ -845,10 +877,10 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
         read_frame_table(data, h, s, row_bytes[s["type"]])
         budget -= s["decoded_bytes"]
         require(budget >= 0, "limit_exceeded", s["at"] + ENTRY.fields["decoded_bytes"][1], "too much for so small a file")
-    archived = [s for s in coded if s["codec"] == 2]
+    archived = [s for s in coded if s["codec"] >= 2]
     for s in (sections[kind] for kind in ARCHIVED if archived):
         require(s["frame_rows"] == sections["MEAN"]["frame_rows"], "bad_value", s["offset"], "the same rows in each frame")
-    arch = read_arch(data, h, sections["ARCH"]) if archived else None
+    arch = read_arch(data, h, sections["ARCH"], archived[0]["codec"]) if archived else None
 
     def array(kind: str, dtype: Any, *shape: int, **more: Any) -> NDArray[Any]:
         return np.frombuffer(decode_section(data, h, sections[kind], **more), dtype).reshape(shape)
@@ -868,8 +900,8 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     sets = np.minimum(chunks["scale_set"], max(h["n_scale_sets"], 1) - 1)      # validity is checked below
     if arch:
         decoded = decode_archive(data, h, sections, arch, steps[sets])
-        means, geom, rows = (np.frombuffer(decoded[kind], dtype).reshape(n, -1) for kind, dtype in
-                             (("MEAN", "<f4"), ("GEOM", "<f2"), ("SHI8", "i1")))
+        means, geom, rows = (np.frombuffer(decoded[kind], dtype).reshape(n, columns) for kind, dtype, columns in
+                             (("MEAN", "<f4", 3), ("GEOM", "<f2", 8), ("SHI8", "i1", h["sh_bytes"])))
     else:
         means = array("MEAN", "<f4", n, 3)
         geom = array("GEOM", "<f2", n, 8)
