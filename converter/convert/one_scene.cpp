@@ -187,15 +187,18 @@ void OutputOptions::add_to(CLI::App& app) {
          "--profile",
          [&e](const std::string& name) {
            e.profile = name == "direct" ? Profile::direct : name == "packed" ? Profile::packed : Profile::archive;
-           e.archive = name == "archive:tiny" ? archive_tiny() : name == "archive:small" ? archive_small() : archive_high();
+           e.archive = name == "archive:tiny"    ? archive_tiny()
+                       : name == "archive:small" ? archive_small()
+                                                 : archive_high();
          },
          "packed (the default), or direct: as the GPU reads it; same Gaussians. archive:high or archive:small: lossy "
          "within stated bounds, a fifth of packed's size or less (docs/user/PROFILES.md)")
       ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small", "archive:tiny"}))
       ->option_text("packed|direct|archive:high|archive:small|archive:tiny")
       ->trigger_on_parse();  // before the steps below, which override a preset's wherever they are given
-  app.add_option("--archive-step", e.archive.step,
-                 "archive: size of all steps, 1/16 to 64: twice as large, errors are twice as large [1; small 2; tiny 4]");
+  app.add_option(
+      "--archive-step", e.archive.step,
+      "archive: size of all steps, 1/16 to 64: twice as large, errors are twice as large [1; small 2; tiny 4]");
   app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: higher is slower to write and a little smaller")
       ->check(CLI::Range(1, kMaxLevel));
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");

@@ -492,7 +492,8 @@ Name name_of(Order order) {
 }
 
 std::string archive_name(const ArchiveParameters& p) {
-  for (const auto& [options, name] : {std::pair(archive_high(), "archive:high"), {archive_small(), "archive:small"},
+  for (const auto& [options, name] : {std::pair(archive_high(), "archive:high"),
+                                      {archive_small(), "archive:small"},
                                       {archive_tiny(), "archive:tiny"}}) {
     if (p.codec == Codec::archive && p.step == options.step) return name;
   }

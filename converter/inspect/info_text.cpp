@@ -250,7 +250,8 @@ class TextReport : private TextLines {
                                p.slope / 2, p.class_octaves));
       classes_of_draco(p);
     } else {
-      row("steps", fmt::format("{:.4g}; fall with importance, classes of an octave from the least seen to the most", p.step));
+      row("steps",
+          fmt::format("{:.4g}; fall with importance, classes of an octave from the least seen to the most", p.step));
       line("  {:<8}{:>12}{:>12}{:^22}{:^22}", "class", "means", "covariance", "SH degree 0", "SH above");
       line("  {0:<8}{1:>12}{1:>12}{2:>10}{1:>12}{2:>10}{1:>12}", "", "bound", "step");
       for (std::size_t i = 0; i < p.classes.size(); ++i) {

@@ -70,8 +70,8 @@ enum class SectionType : std::uint32_t {
 };
 
 enum class Codec : std::uint32_t {
-  none = 0,    ///< stored bytes are the decoded bytes
-  planes = 1,  ///< a frame table and frames: byte planes of transformed rows, Zstandard; for coded_type()
+  none = 0,           ///< stored bytes are the decoded bytes
+  planes = 1,         ///< a frame table and frames: byte planes of transformed rows, Zstandard; for coded_type()
   archive_draco = 2,  ///< a frame table and frames: lossy codes, docs/format/ARCHIVE.md; MEAN, GEOM and SHI8 together
   archive = 3         ///< the same in fewer bytes, from version 1.5 on
 };
@@ -103,8 +103,8 @@ struct FrameTable {
   std::uint32_t rows = 0;
   std::vector<CodedFrame> frames;  ///< empty in a section stored as is
 };
-inline constexpr std::uint32_t kMaxFrameRows = 1u << 16;
-inline constexpr std::uint64_t kFrameTableBytes = 8;  ///< without its entries and hash
+inline constexpr std::uint32_t kMaxFrameRows = 1u << 16, kMaxArchiveRows = 1u << 15;  ///< the latter: Codec::archive
+inline constexpr std::uint64_t kFrameTableBytes = 8;                                  ///< without its entries and hash
 inline constexpr std::uint64_t kFrameEntryBytes = 16;
 
 inline constexpr std::uint32_t kSectionMustUnderstand = 1;  ///< bit of SectionEntry::flags; the others are reserved
@@ -226,7 +226,7 @@ struct ShapeParameters {
   std::int32_t coarse_step = 1;  ///< of blurred scales
   std::int32_t fine_step = 0, turn_step = 0, mean_step = 0;  ///< logarithms of steps at the middle importance
   std::int32_t middle = 0;                                   ///< importance of the middle class
-  std::int32_t slope = 0;        ///< steps are proportional to importance^(-slope / 2), 1/65536
+  std::int32_t slope = 0;  ///< steps are proportional to importance^(-slope / 2), 1/65536
 };
 
 /// Contents of section ARCH.

@@ -126,7 +126,8 @@ Status read_stream(const ArchiveTables& t, const FrameStreams::Stream& stream, c
   RansReader reader(t.rans, t.map);
   if (!reader.begin(stream.bytes)) return make_error(Errc::corrupt_data, stream.offset, "a stream is incomplete");
   if (Status s = walk(reader); !s) return s;
-  if (!reader.ok() || !reader.finished()) return make_error(Errc::corrupt_data, stream.offset, "a stream does not decode");
+  if (!reader.ok() || !reader.finished())
+    return make_error(Errc::corrupt_data, stream.offset, "a stream does not decode");
   return {};
 }
 

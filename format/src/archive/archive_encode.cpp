@@ -395,7 +395,8 @@ class Encoder {
     for (std::size_t i = 0; i < n; ++i) {
       const std::int32_t step = step_of(codes.fine_step[i] + kLeastStep);
       for (std::size_t k = 0; k < 3; ++k) {
-        const double rest = blurred[k * n + i] - blur - static_cast<double>(shape.coarse_step) * codes.coarse[k * n + i];
+        const double rest =
+            blurred[k * n + i] - blur - static_cast<double>(shape.coarse_step) * codes.coarse[k * n + i];
         codes.fine[k * n + i] = step < shape.coarse_step ? limited_code(rest / step) : std::int16_t{0};
       }
     }
@@ -406,9 +407,9 @@ class Encoder {
       std::int16_t turn[3];
       for (std::size_t k = 0; k < 3; ++k) {
         const std::int32_t index = codes.turn_step[k * n + i] + kLeastStep;
-        shows[k] = std::max(turn_sensitivity(codes.variance[(k + 1) % 3 * n + i], codes.variance[(k + 2) % 3 * n + i],
-                                             blurred_square),
-                            1e-9);
+        shows[k] = std::max(
+            turn_sensitivity(codes.variance[(k + 1) % 3 * n + i], codes.variance[(k + 2) % 3 * n + i], blurred_square),
+            1e-9);
         step[k] = step_of(index) / static_cast<double>(kOctave);
         coded[k] = index < kMostTurn;
       }

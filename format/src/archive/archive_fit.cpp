@@ -14,7 +14,7 @@
 namespace rgs::detail {
 namespace {
 
-constexpr int kClasses = 17;                       // of an octave of importance each
+constexpr int kClasses = 17;                   // of an octave of importance each
 constexpr std::size_t kSample = 1u << 17;      // Gaussians that transforms are fitted to
 constexpr std::size_t kMinForTransform = 512;  // fewer do not determine 45 directions
 
@@ -298,7 +298,8 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& 
     out.sh_step = static_cast<float>(kSh * factor);
   }
   // Small enough for the finest steps, if that leaves room for the largest values.
-  t.sh_unit = std::clamp(largest_sh(splats, t.n_sh) / 8000, p.classes.back().sh_step / 8, p.classes[kClasses / 2].sh_step / 4);
+  t.sh_unit =
+      std::clamp(largest_sh(splats, t.n_sh) / 8000, p.classes.back().sh_step / 8, p.classes[kClasses / 2].sh_step / 4);
   for (ArchiveClass& c : p.classes) {
     c.sh_units = static_cast<std::uint32_t>(std::clamp(std::nearbyint(c.sh_step / t.sh_unit), 1.f, 32768.f));
     c.sh_step = static_cast<float>(c.sh_units) * t.sh_unit;

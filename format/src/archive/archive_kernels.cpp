@@ -84,7 +84,8 @@ void smooth(std::int16_t* planes, std::size_t stride, int n_planes, const std::i
   alignas(64) std::int32_t s[kWidth];
   std::copy_n(state, kWidth, s);
   for (int k = 0; k < n_planes; ++k) {
-    for (int i = 0; i < count; ++i) rows[i][k] = planes[static_cast<std::size_t>(k) * stride + static_cast<std::size_t>(i)];
+    for (int i = 0; i < count; ++i)
+      rows[i][k] = planes[static_cast<std::size_t>(k) * stride + static_cast<std::size_t>(i)];
   }
   for (int i = 0; i < count; ++i) {
     const std::int32_t step = steps[i];
@@ -95,7 +96,8 @@ void smooth(std::int16_t* planes, std::size_t stride, int n_planes, const std::i
     }
   }
   for (int k = 0; k < n_planes; ++k) {
-    for (int i = 0; i < count; ++i) planes[static_cast<std::size_t>(k) * stride + static_cast<std::size_t>(i)] = rows[i][k];
+    for (int i = 0; i < count; ++i)
+      planes[static_cast<std::size_t>(k) * stride + static_cast<std::size_t>(i)] = rows[i][k];
   }
   std::copy_n(s, kWidth, state);
 }

@@ -63,9 +63,7 @@ class Fields {
 
 ArchiveClass parse_class(Fields& in, Codec codec) {
   ArchiveClass c;
-  const auto colours = [&] {
-    c.dc_step = in.integer(1, 1u << 26, "a DC step in ARCH is not between 1 and 2^26");
-  };
+  const auto colours = [&] { c.dc_step = in.integer(1, 1u << 26, "a DC step in ARCH is not between 1 and 2^26"); };
   if (codec == Codec::archive) {
     colours();
     c.sh_units = in.integer(1, 1u << 15, "an SH step in ARCH is not between 1 and 2^15");
@@ -204,8 +202,7 @@ Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std
 
 std::uint64_t memory_bytes(const ArchiveTables& t) {
   const auto held = [](const auto& vector) { return vector.capacity() * sizeof(vector.front()); };
-  return sizeof t + held(t.parameters.classes) + held(t.sh_centre) + held(t.sh_matrix) + held(t.opacity) +
-         held(t.map) +
+  return sizeof t + held(t.parameters.classes) + held(t.sh_centre) + held(t.sh_matrix) + held(t.opacity) + held(t.map) +
          held(t.frequencies) + t.rans.memory_bytes();
 }
 

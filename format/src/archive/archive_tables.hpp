@@ -37,7 +37,7 @@ struct ArchiveContexts {
   }
   static constexpr std::size_t kTreeContexts = 28, kStepContexts = 32;
   std::size_t opacity = 0, dc = 0, sh = 0, count = 0;
-  std::size_t coarse = 0, fine = 0, turn = 0;                             // Codec::archive
+  std::size_t coarse = 0, fine = 0, turn = 0;                                 // Codec::archive
   std::size_t largest = 0, rotation = 0, scale0 = 0, scale1 = 0, scale2 = 0;  // Codec::archive_draco
 };
 
@@ -61,11 +61,11 @@ struct ArchiveTables {
     std::uint8_t recent = 0, kept = 0;
   };
   Smoothing dc_smoothing, sh_smoothing;
-  std::vector<std::int16_t> sh_matrix;       ///< [n_sh, n_sh]
-  std::vector<std::uint16_t> opacity;        ///< [opacity_levels + 1] FP16; Codec::archive
-  std::vector<std::uint8_t> map;             ///< [contexts().count]
-  std::vector<std::uint16_t> frequencies;    ///< [n_distributions, kRansTokens]
-  RansTables rans;                           ///< of frequencies, once parsed
+  std::vector<std::int16_t> sh_matrix;     ///< [n_sh, n_sh]
+  std::vector<std::uint16_t> opacity;      ///< [opacity_levels + 1] FP16; Codec::archive
+  std::vector<std::uint8_t> map;           ///< [contexts().count]
+  std::vector<std::uint16_t> frequencies;  ///< [n_distributions, kRansTokens]
+  RansTables rans;                         ///< of frequencies, once parsed
 
   std::size_t n_distributions() const { return frequencies.size() / kRansTokens; }
   ArchiveContexts contexts() const { return ArchiveContexts(parameters.codec, parameters.classes.size(), n_sh); }

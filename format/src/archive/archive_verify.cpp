@@ -222,8 +222,8 @@ Status verify_page(const PagedFile& file, const SplatView& splats, std::span<con
     }
     const StoredSplat stored = stored_splat(rows->means, rows->geometry, rows->sh, i, h.sh_degree, step);
     const std::uint64_t index = file.pages()[page].first + i;
-    const auto errors =
-        splat_errors(*head.archive(), rows->scale_exponent, level, h.sh_degree, splats.splat(order[index]), stored, slack);
+    const auto errors = splat_errors(*head.archive(), rows->scale_exponent, level, h.sh_degree,
+                                     splats.splat(order[index]), stored, slack);
     if (!within_bounds(*head.archive(), decoder.classes()[i], errors)) return outside(index);
   }
   return {};

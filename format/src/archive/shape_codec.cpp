@@ -47,8 +47,8 @@ void ShapeCodes::find_fine_steps(const ArchiveTables& t) {
     std::int32_t h[3];
     for (std::size_t k = 0; k < 3; ++k) h[k] = blurred_octaves(blur(s), s.coarse_step, coarse[k * n + i], 0, 0);
     const std::int32_t seen = importance_of(t, i, h);
-    fine_step[i] = static_cast<std::uint8_t>(
-        step_index(s.fine_step - finer_by(s.slope, seen, s.middle), kMostStep) - kLeastStep);
+    fine_step[i] =
+        static_cast<std::uint8_t>(step_index(s.fine_step - finer_by(s.slope, seen, s.middle), kMostStep) - kLeastStep);
   }
 }
 

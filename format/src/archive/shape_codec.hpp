@@ -108,7 +108,8 @@ class PointTree {
     if constexpr (!Coder::kReads) {
       for (std::size_t i = 0; i < cells_.size(); ++i) {
         const auto first = points.begin() + cells_[i].first, last = first + cells_[i].n;
-        const auto low = std::partition_point(first, last, [&](const GridPoint& p) { return (p[axis] >> bit & 1u) == 0; }) - first;
+        const auto low =
+            std::partition_point(first, last, [&](const GridPoint& p) { return (p[axis] >> bit & 1u) == 0; }) - first;
         numbers_[i] = static_cast<std::uint16_t>(
             fold_code(static_cast<std::int16_t>(low - static_cast<std::ptrdiff_t>(cells_[i].n / 2))));
       }
@@ -180,7 +181,8 @@ void walk_shapes(ShapeCodes& f, const ArchiveTables& t, Coder& coder) {
   std::int16_t *c0 = f.coarse.data(), *c1 = c0 + n, *c2 = c1 + n;
   coder.plane(n, c0, 0, [&](std::size_t i) { return at.coarse + seen(i); });
   coder.plane(n, c1, 0, [&](std::size_t i) { return at.coarse + 16 + seen(i) * 16 + bucket(c0[i]); });
-  coder.plane(n, c2, 0, [&](std::size_t i) { return at.coarse + 272 + (seen(i) * 16 + bucket(c0[i])) * 16 + bucket(c1[i]); });
+  coder.plane(n, c2, 0,
+              [&](std::size_t i) { return at.coarse + 272 + (seen(i) * 16 + bucket(c0[i])) * 16 + bucket(c1[i]); });
   f.find_fine_steps(t);
   constexpr std::size_t kSteps = ArchiveContexts::kStepContexts;
   for (std::size_t k = 0; k < 3; ++k) {

@@ -91,7 +91,8 @@ struct GridCell {
   bool negative;
 };
 inline GridCell grid_cell_of(std::uint32_t coordinate, std::uint32_t bits, std::uint32_t cells) {
-  const std::int32_t q = static_cast<std::int32_t>(coordinate) - (std::int32_t{1} << (bits - 1)), n = q >= 0 ? q : -1 - q;
+  const std::int32_t q = static_cast<std::int32_t>(coordinate) - (std::int32_t{1} << (bits - 1)),
+                     n = q >= 0 ? q : -1 - q;
   return {n >> cells, n & ((std::int32_t{1} << cells) - 1), q < 0};
 }
 /// The place `part` (0 to 1) of the way through the cell, in half widths from the centre.

@@ -23,6 +23,7 @@ Status check_options(const EncodeOptions& o) {
   }
   if (o.level < 1 || o.level > kMaxLevel) return bad("the level must be 1 to 19");
   if (o.profile == Profile::archive) {
+    if (o.chunk_size > kMaxArchiveRows) return bad("archive: the chunk size must be at most 32768");
     if (!(o.archive.step >= 0x1p-4f && o.archive.step <= 0x1p6f)) return bad("archive: the step must be 1/16 to 64");
     if (o.order == Order::input) {
       return bad("archive orders Gaussians itself: store their positions (keep_permutation) to find them again");

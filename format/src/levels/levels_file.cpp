@@ -152,7 +152,7 @@ Result<WrittenScene> LevelsFile::finish(const Declarations& declarations, std::s
     end_ = s.offset + s.stored_bytes;
   }
   WrittenScene written{header_, declarations, {}};
-  written.header.version_minor = 4;
+  written.header.version_minor = options_.profile == Profile::archive ? 5 : 4;
   written.header.file_bytes = end_;
   written.header.n_sections = static_cast<std::uint32_t>(sections_.size());
   std::uint64_t before = section_entry_offset(sections_.size()) + kHeadChecksumBytes;

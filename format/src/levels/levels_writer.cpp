@@ -244,6 +244,9 @@ Result<LevelsWriter> LevelsWriter::create(Sink sink, const SceneScan& leaves, co
       if (chunks_of(page.count, options.chunk_size) * options.chunk_size > lod::kMaxPageRows) {
         return bad("a page has more than 65,536 Gaussians");
       }
+      if (options.profile == Profile::archive && page.count > kMaxArchiveRows) {
+        return bad("a page of an archive has more than 32,768 Gaussians");
+      }
       page.first = first;
       first += page.count;
       n_leaves += page.level == 0 ? page.count : 0;

@@ -66,10 +66,12 @@ Status parse_record(ByteReader& in, const PageContext& context, std::uint32_t pa
   if (!in.zeros(kPageRecordBytes - kReservedField)) {
     return make_error(Errc::reserved_bits, at + kReservedField, "reserved bytes of a page's record are not zero");
   }
-  const std::uint64_t most = std::uint64_t{page_chunks} * context.header.chunk_size;
+  const bool shaped = context.pages.codec == static_cast<std::uint32_t>(Codec::archive);
+  const std::uint64_t most = std::min<std::uint64_t>(std::uint64_t{page_chunks} * context.header.chunk_size,
+                                                     shaped ? kMaxArchiveRows : lod::kMaxPageRows);
   if (page.count > most) {
-    return make_error(Errc::bad_value, at + kCountField, "a page has more Gaussians than LODS allows", most,
-                      page.count);
+    return make_error(Errc::bad_value, at + kCountField, "a page has more Gaussians than LODS or its codec allows",
+                      most, page.count);
   }
   const std::uint64_t n_chunks = chunks_of(page.count, context.header.chunk_size);
   const bool own_sets = stored.n_step_sets == n_chunks || (stored.n_step_sets == 1 && !archive);
