@@ -164,6 +164,7 @@ class ArchiveDecoder {
   GeometryCodes geometry_;         // archive_draco
   std::vector<GridPoint> points_;  // likewise
   std::vector<float> means_;
+  std::vector<std::uint16_t> geometry_rows_;
   std::vector<std::int32_t> dc_;
   std::vector<float> values_;  // of a chunk's blocks, one after the other
   ShBlock block_{};            // zeros, since computations include the unused lanes of a short block

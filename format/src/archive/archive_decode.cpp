@@ -216,13 +216,9 @@ void ArchiveDecoder::rows(int scale_exponent, std::span<std::byte> means, std::s
   const std::size_t n = colours_.n;
   means_.resize(3 * n);
   if (p.codec == Codec::archive) {
-    for (std::size_t i = 0; i < n; ++i) {
-      const auto mean = shapes_.mean(p, i);
-      std::uint16_t row[8];
-      shapes_.geometry_row(tables_, scale_exponent, i, row);
-      std::memcpy(&means_[3 * i], mean.data(), sizeof mean);
-      std::memcpy(geometry.data() + i * kGeometryBytes, row, sizeof row);
-    }
+    geometry_rows_.resize(8 * n);
+    shapes_.write_rows(tables_, scale_exponent, means_.data(), geometry_rows_.data());
+    std::memcpy(geometry.data(), geometry_rows_.data(), n * kGeometryBytes);
   } else {
     for (std::size_t k = 0; k < 3; ++k) {
       archive_kernels().means({p.mean_bits, p.mean_cells, p.centre[k], p.half_width[k]}, points_[0].data() + k, n, 3,

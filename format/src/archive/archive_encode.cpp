@@ -338,7 +338,7 @@ class Encoder {
       const std::uint32_t source = order_[f.first + i];
       const Splat s = splats_.splat(source);
       const ArchiveClass& c = tables_.parameters.classes[f.colours.classes[i]];
-      const float share = pass_on(state, f.shapes, tables_, i);
+      const float share = pass_on(state, f.shapes, i);
       if (!quantise_dc(s, c, i, state, f.colours) || !quantise_sh(s, c, i, share, state, f.colours))
         return too_large(source);
     }
@@ -446,9 +446,8 @@ class Encoder {
   static constexpr float kPassedOn = 0.3f;
 
   // The share of the last Gaussian's errors that the next makes up for.
-  static float pass_on(ColourState& state, const ShapeCodes& shapes, const ArchiveTables& t, std::size_t i) {
-    const std::int32_t opacity = octaves_of(static_cast<double>(float_from_half(t.opacity[shapes.opacity[i]])));
-    const auto seen = static_cast<float>(power_of_octaves(shapes.importance[i] - opacity));
+  static float pass_on(ColourState& state, const ShapeCodes& shapes, std::size_t i) {
+    const auto seen = static_cast<float>(power_of_octaves(shapes.importance[i] - shapes.opacity_octaves[i]));
     const float share = kPassedOn * std::min(1.f, state.seen / seen);
     state.seen = seen;
     return share;
@@ -603,6 +602,8 @@ class Encoder {
     smooth_sh(tables_, f.colours);
     const auto block = std::make_unique<ShBlock>();
     std::vector<StoredSplat> stored(plan_.header.chunk_size);
+    std::vector<std::uint16_t> geometry(8 * f.count);
+    f.shapes.write_rows(tables_, f.scale_exponent, &means_[3 * f.first], geometry.data());
     ExtentBox extent;
     for (std::uint64_t at = 0; at < f.count; at += plan_.header.chunk_size) {
       const std::uint64_t count = std::min<std::uint64_t>(plan_.header.chunk_size, f.count - at);
@@ -614,10 +615,8 @@ class Encoder {
         }
       }
       for (std::size_t i = 0; i < count; ++i) {
-        const auto mean = f.shapes.mean(tables_.parameters, at + i);
-        std::ranges::copy(mean, stored[i].mean);
-        std::ranges::copy(mean, &means_[3 * (f.first + at + i)]);
-        f.shapes.geometry_row(tables_, f.scale_exponent, at + i, stored[i].geometry);
+        std::copy_n(&means_[3 * (f.first + at + i)], 3, stored[i].mean);
+        std::copy_n(&geometry[8 * (at + i)], 8, stored[i].geometry);
         errors.add(f.colours.classes[at + i],
                    splat_errors(tables_.parameters, f.scale_exponent, f.shapes.level, degree_,
                                 splats_.splat(order_[f.first + at + i]), stored[i]));

@@ -214,8 +214,8 @@ namespace {
 // Where all steps are those below.
 constexpr double kImportance = -22;
 // Found by equal slopes of error and bytes (docs/records/EXPERIMENTS.md): logarithms to base 2 but for the last three.
-constexpr double kBlur = -10.25, kCoarse = 0.8, kFine = -3.13, kTurn = -3.92, kMean = -3.49, kSlope = 0.8;
-constexpr double kOpacityLevels = 50, kDc = 0.12, kSh = 0.087, kShSlope = 0.65;
+constexpr double kBlur = -10, kCoarse = 0.85, kFine = -3.05, kTurn = -3.9, kMean = -3.55, kSlope = 0.76;
+constexpr double kOpacityLevels = 62, kDc = 0.118, kSh = 0.095, kShSlope = 0.72;
 
 std::int32_t fixed(double octaves) {
   return static_cast<std::int32_t>(std::lround(octaves * kOctave));
@@ -270,7 +270,7 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& 
   p.step = o.step;
   // A cell holds few Gaussians; what is finer depends on each of them.
   p.mean_cells = static_cast<std::uint32_t>(
-      std::clamp(std::lround(std::log2(static_cast<double>(splats.n)) / 2 + 1.2 - coarser / 2), 4L, 18L));
+      std::clamp(std::lround(std::log2(static_cast<double>(splats.n)) / 2 + 1.4 - coarser / 2), 4L, 18L));
   std::vector<double> distances;
   for (std::size_t i = 0; i < splats.n; i += stride_of(splats)) distances.push_back(squared_distance(splats, p, i));
   ShapeParameters& s = p.shape;
@@ -304,8 +304,8 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& 
     c.sh_units = static_cast<std::uint32_t>(std::clamp(std::nearbyint(c.sh_step / t.sh_unit), 1.f, 32768.f));
     c.sh_step = static_cast<float>(c.sh_units) * t.sh_unit;
   }
-  t.dc_smoothing = {77, 174};
-  t.sh_smoothing = {62, 168};
+  t.dc_smoothing = {74, 173};
+  t.sh_smoothing = {57, 184};
 }
 
 Sample sample_importance(const SplatView& splats, const ArchiveParameters& p) {

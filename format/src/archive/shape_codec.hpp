@@ -20,16 +20,17 @@ namespace rgs::detail {
 /// Codes of a frame's Gaussians in their order, and what they imply.
 struct ShapeCodes {
   std::size_t n = 0;
-  int level = 0;                             ///< of the page, which is drawn from so many times twice as far away
-  std::vector<GridPoint> points;             ///< [n] cells of means
-  std::vector<std::uint16_t> opacity;        ///< [n]
-  std::vector<std::int16_t> coarse, fine;    ///< [3, n] of scales
-  std::vector<std::int16_t> turn;            ///< [3, n] of rotations
-  std::vector<std::uint16_t> refinement;     ///< [3, n] parts of cells
-  std::vector<std::uint8_t> classes;         ///< [n]
-  std::vector<double> distance;              ///< [n] squared
-  std::vector<std::int32_t> importance;      ///< [n]
-  std::vector<double> variance, quaternion;  ///< [3, n] in squared distances, [4, n]
+  int level = 0;                              ///< of the page, which is drawn from so many times twice as far away
+  std::vector<GridPoint> points;              ///< [n] cells of means
+  std::vector<std::uint16_t> opacity;         ///< [n]
+  std::vector<std::int16_t> coarse, fine;     ///< [3, n] of scales
+  std::vector<std::int16_t> turn;             ///< [3, n] of rotations
+  std::vector<std::uint16_t> refinement;      ///< [3, n] parts of cells
+  std::vector<std::uint8_t> classes;          ///< [n]
+  std::vector<std::int32_t> opacity_octaves;  ///< [n]
+  std::vector<double> distance;               ///< [n] squared
+  std::vector<std::int32_t> importance;       ///< [n]
+  std::vector<double> variance, quaternion;   ///< [3, n] in squared distances, [4, n]
   std::vector<std::uint8_t> fine_step, turn_step, refinement_bits;  ///< [n], [3, n], [3, n]
 
   void resize(std::size_t rows, int page_level);
@@ -38,18 +39,13 @@ struct ShapeCodes {
   void find_fine_steps(const ArchiveTables& t);
   void find_turn_steps(const ArchiveTables& t);
   void find_refinement(const ArchiveParameters& p);
-  /// Mean of row i.
-  std::array<float, 3> mean(const ArchiveParameters& p, std::size_t i) const;
-  /// Row i of GEOM.
-  void geometry_row(const ArchiveTables& t, int scale_exponent, std::size_t i, std::uint16_t row[8]) const;
+  /// Rows [n, 3] of MEAN and [n, 8] of GEOM.
+  void write_rows(const ArchiveTables& t, int scale_exponent, float* means, std::uint16_t* geometry) const;
   /// Logarithm of what a pixel blurs, in distances.
   std::int32_t blur(const ShapeParameters& s) const { return s.blur + level * kOctave; }
   float scale(std::size_t axis, std::size_t i) const {
     return static_cast<float>(std::sqrt(variance[axis * n + i] * distance[i]));
   }
-
- private:
-  std::int32_t importance_of(const ArchiveTables& t, std::size_t i, const std::int32_t blurred[3]) const;
 };
 
 constexpr std::size_t tree_context(std::uint32_t n) {

@@ -54,6 +54,12 @@ inline std::int32_t area_octaves(const std::int32_t h[3]) {
   return h[0] + h[1] + h[2] - std::min(std::min(h[0], h[1]), h[2]);
 }
 
+/// log2 of importance: opacity^2 times the area seen. A level has a quarter of the Gaussians with four times the area, and
+/// is drawn where that area looks a quarter as large; another half octave, since they only approximate the scene.
+inline std::int32_t importance_of(std::int32_t opacity, const std::int32_t blurred[3], std::int32_t level) {
+  return 2 * opacity + area_octaves(blurred) - level * (kOctave / 2 * 5);
+}
+
 /// The square of a scale from its blurred logarithm, in units of the square distance; `blur`: 2^(2 blur / 65536). What
 /// hides below the blur is an eighth of it.
 inline double variance_of(std::int32_t blurred, double blur) {
