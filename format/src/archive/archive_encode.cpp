@@ -213,11 +213,17 @@ class Encoder {
     }
     fit();
     if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) {
-      s.error().found = name_in_source(source_index, s.error().found);
+      // The largest coefficient is to blame, even if the transforms that it bent fail for another Gaussian first.
+      const auto of_leaves = leaves().sh;
+      const auto largest = std::ranges::max_element(of_leaves, {}, [](float x) { return std::abs(x); });
+      s.error().found = source_index[static_cast<std::size_t>(largest - of_leaves.begin()) / stride];
       return tl::unexpected(s.error());
     }
     fit_tables();
-    if (Status s = reconstruct(); !s) return tl::unexpected(s.error());
+    if (Status s = reconstruct(); !s) {
+      if (s.error().code == Errc::bad_value) s.error().found = name_in_source(source_index, s.error().found);
+      return tl::unexpected(s.error());
+    }
     std::vector<std::byte> bytes;
     auto written = pages_ != nullptr ? assemble_pages(bytes, source_index) : assemble(bytes, source_index);
     if (!written) return written;
@@ -618,9 +624,12 @@ class Encoder {
         std::ranges::copy(mean, stored[i].mean);
         std::ranges::copy(mean, &means_[3 * (f.first + at + i)]);
         f.shapes.geometry_row(tables_, f.scale_exponent, at + i, stored[i].geometry);
-        errors.add(f.colours.classes[at + i],
-                   splat_errors(tables_.parameters, f.scale_exponent, f.shapes.level, degree_,
-                                splats_.splat(order_[f.first + at + i]), stored[i]));
+        const std::uint32_t source = order_[f.first + at + i];
+        const SplatErrors e = splat_errors(tables_.parameters, f.scale_exponent, f.shapes.level, degree_,
+                                           splats_.splat(source), stored[i]);
+        // Turned by the least step, something that long and thin is nowhere near where it was.
+        if (!(std::max(e.mean, e.covariance) <= std::numeric_limits<float>::max())) return too_large(source);
+        errors.add(f.colours.classes[at + i], e);
         if (pages_ == nullptr) continue;
         extent.add(extent_of(reinterpret_cast<const std::byte*>(stored[i].mean),
                              reinterpret_cast<const std::byte*>(stored[i].geometry), f.scale_exponent));
