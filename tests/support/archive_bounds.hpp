@@ -108,6 +108,14 @@ inline BlurredErrors blurred_errors(const StatedBounds& of, int level, const Spl
   return {std::sqrt(std::max(errors.mean, 0.0)), std::sqrt(std::max(errors.covariance, 0.0))};
 }
 
+/// How far at most a mean is from its source's, by the bound: along the widest axis of the decoded Gaussian, blurred.
+inline double reach_of_mean(const StatedBounds& of, int level, const Splat& decoded) {
+  double distance = 0;
+  for (std::size_t k = 0; k < 3; ++k) distance += std::pow(static_cast<double>(decoded.mean[k]) - of.centre[k], 2.0);
+  const double scale = std::exp(static_cast<double>(*std::max_element(decoded.log_scale, decoded.log_scale + 3)));
+  return of.mean * std::sqrt(scale * scale + std::exp2(2 * of.blur + 2 * level) * std::max(distance, of.nearest));
+}
+
 /// Whether a decoded Gaussian is its source within these bounds, and the rounding of the decoded numbers. `step`: of SH
 /// coefficients [48].
 template <class StepOf>
