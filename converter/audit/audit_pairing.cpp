@@ -124,17 +124,18 @@ Pairing pair_by_means(const Source& source, const FileView& asset) {
   return join(std::move(of_source), std::move(of_asset));
 }
 
-// Pairs what is left of the source, in order, each with the nearest that is left of the asset. A format that rounds to
-// a grid puts every mean on the point of the grid that is nearest to it, so each finds its own.
-void pair_nearest(const Source& source, const Source& asset, Pairing& pairing) {
+float largest_scale(const Splat& s) {
+  return scale_from_log(std::max({s.log_scale[0], s.log_scale[1], s.log_scale[2]}));
+}
+
+// Pairs what is left of the source, in order, each with the nearest within reach that is left of the asset, whose means
+// `points` are. A format that rounds to a grid puts every mean on the point of the grid that is nearest to it, so each
+// finds its own.
+template <class Reach>
+void pair_nearest(const Source& source, const std::vector<Point>& points, const Reach& reach, Pairing& pairing) {
   std::vector<std::uint8_t> is_paired(source.size());
   for (const std::uint32_t row : pairing.source_of)
     if (row != kUnpaired) is_paired[row] = 1;
-  std::vector<Point> points(asset.size());
-  for_each_mean(asset, [&](std::uint64_t row, const float* mean) {
-    for (std::size_t k = 0; k < 3; ++k)
-      points[row][k] = static_cast<float>(asset.origin()[k] - source.origin()[k] + static_cast<double>(mean[k]));
-  });
   std::vector<std::uint32_t> rows;
   std::vector<Point> left;
   for (std::uint32_t row = 0; row < points.size(); ++row) {
@@ -153,14 +154,41 @@ void pair_nearest(const Source& source, const Source& asset, Pairing& pairing) {
     for (std::size_t i = 0; i < part.size(); ++i) {
       const Splat& s = part[i];
       if (is_paired[first + i] != 0) continue;
-      const float size = scale_from_log(std::max({s.log_scale[0], s.log_scale[1], s.log_scale[2]}));
-      const auto found = nearest.take({s.mean[0], s.mean[1], s.mean[2]}, kSameGaussian * size);
+      const auto found = nearest.take({s.mean[0], s.mean[1], s.mean[2]}, reach(s));
       if (!found) continue;
       pairing.source_of[rows[*found]] = static_cast<std::uint32_t>(first + i);
       ++pairing.n_paired;
       pairing.by = PairedBy::nearest;
     }
   }
+}
+
+// How far the archive may have moved a Gaussian's mean; docs/format/ARCHIVE.md "Bounds".
+float archive_reach(const ArchiveParameters& p, const Splat& s) {
+  double squared = 0, widest = 0;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const double d = static_cast<double>(s.mean[k]) - p.centre[k];
+    squared += d * d;
+    widest = std::max({widest, p.half_width[k], std::abs(d)});
+  }
+  const double size = static_cast<double>(largest_scale(s));
+  if (p.codec == Codec::archive_draco) {
+    return static_cast<float>(std::max<double>(kSameGaussian * size, 2 * static_cast<double>(p.bound_mean) * widest));
+  }
+  const double blur = std::exp2(p.shape.blur / 32768.0) * std::max(squared, p.shape.nearest);
+  double most = kSameGaussian;
+  for (const ArchiveClass& c : p.classes) most = std::max(most, static_cast<double>(c.bound_mean));
+  return static_cast<float>(most * std::sqrt(size * size + blur));
+}
+
+Pairing pair_by_means(const Source& source, const FileView& asset, const ArchiveParameters* archive) {
+  Pairing pairing = pair_by_means(source, asset);
+  if (archive == nullptr) return pairing;
+  std::vector<Point> points(asset.header().n_gaussians);
+  for_each_mean(asset, [&points](std::uint64_t row, const float* mean) { std::copy_n(mean, 3, points[row].data()); });
+  pair_nearest(
+      source, points, [archive](const Splat& s) { return archive_reach(*archive, s); }, pairing);
+  return pairing;
 }
 
 Status check_count(std::uint64_t n_source, std::uint64_t n_asset) {
@@ -183,7 +211,7 @@ void for_each_mean(const FileView& asset, const UseMean& use) {
       [&](std::uint64_t row, const ActivatedSplat& splat) { use(row, splat.mean); });
 }
 
-Result<Pairing> pair_gaussians(const Source& source, const FileView& asset) {
+Result<Pairing> pair_gaussians(const Source& source, const FileView& asset, const ArchiveParameters* archive) {
   if (auto ok = check_count(source.size(), asset.header().n_gaussians); !ok) return tl::unexpected(ok.error());
   if (auto pairing = pair_by_permutation(source, asset)) return *std::move(pairing);
   const Origin& origin = asset.declarations().origin;
@@ -192,10 +220,10 @@ Result<Pairing> pair_gaussians(const Source& source, const FileView& asset) {
     const auto again = source.relative_to(origin);
     if (!again) return tl::unexpected(again.error());
     if (auto pairing = pair_by_order(*again, asset)) return *std::move(pairing);
-    return pair_by_means(*again, asset);
+    return pair_by_means(*again, asset, archive);
   }
   if (auto pairing = pair_by_order(source, asset)) return *std::move(pairing);
-  return pair_by_means(source, asset);
+  return pair_by_means(source, asset, archive);
 }
 
 Result<Pairing> pair_gaussians(const Source& source, const Source& asset) {
@@ -207,7 +235,13 @@ Result<Pairing> pair_gaussians(const Source& source, const Source& asset) {
     for_each_mean(asset, note_in(of_asset));
     pairing = join(std::move(of_source), std::move(of_asset));
   }
-  pair_nearest(source, asset, pairing);
+  std::vector<Point> points(asset.size());
+  for_each_mean(asset, [&](std::uint64_t row, const float* mean) {
+    for (std::size_t k = 0; k < 3; ++k)
+      points[row][k] = static_cast<float>(asset.origin()[k] - source.origin()[k] + static_cast<double>(mean[k]));
+  });
+  pair_nearest(
+      source, points, [](const Splat& s) { return kSameGaussian * largest_scale(s); }, pairing);
   return pairing;
 }
 

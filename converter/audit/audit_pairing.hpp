@@ -30,10 +30,12 @@ void for_each_mean(const Source& source, const UseMean& use);
 void for_each_mean(const FileView& asset, const UseMean& use);
 
 /// Pairs by the file's permutation if it has one; else in order, if the asset keeps the source's; else by equal means,
-/// relative to the asset's origin, which conversion never changes (coincident Gaussians keep their order). `asset` must
-/// be valid, and preloaded if it is coded. Takes at most 36 bytes a Gaussian. Errors: limit_exceeded (2^32 - 1
-/// Gaussians or more).
-Result<Pairing> pair_gaussians(const Source& source, const FileView& asset);
+/// relative to the asset's origin, which conversion changes in archives alone (coincident Gaussians keep their order).
+/// `archive`: of the file that `asset` is, or has the leaves of, else null: means that are not equal pair with the nearest
+/// within kSameGaussian of the source's largest standard deviations, blurred as a pixel does, or within the archive's
+/// bounds. `asset` must be valid, and preloaded if it is coded. Takes at most 36 bytes a Gaussian, of an archive 100.
+/// Errors: limit_exceeded (2^32 - 1 Gaussians or more).
+Result<Pairing> pair_gaussians(const Source& source, const FileView& asset, const ArchiveParameters* archive);
 /// The same for an asset of another format, which may have rounded means: those that are not equal pair with the nearest
 /// mean within kSameGaussian of the source's largest standard deviations. Takes at most 100 bytes a Gaussian.
 Result<Pairing> pair_gaussians(const Source& source, const Source& asset);

@@ -103,7 +103,7 @@ std::string pairing_words(PairedBy by) {
     case PairedBy::permutation: return "by the permutation that the asset carries";
     case PairedBy::order: return "in order, which the asset keeps";
     case PairedBy::means: return "by equal means, which the conversion does not change";
-    case PairedBy::nearest: return "by the nearest means within three standard deviations, as the format rounds them";
+    case PairedBy::nearest: return "by the nearest means, as the format rounds them";
   }
   return "";
 }

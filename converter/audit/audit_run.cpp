@@ -259,14 +259,15 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
         report.made_from_source = true;
     }
     const auto began = Clock::now();
-    auto paired = pair_gaussians(*source, view);
+    const ArchiveParameters* archive = asset->levels ? asset->levels->head().archive() : view.archive();
+    auto paired = pair_gaussians(*source, view, archive);
     if (!paired) return make_error(options.asset, paired.error());
     pairing = std::move(*paired);
     if (2 * pairing.n_paired < size.n_asset) {
       // The conversion may have been given other axes than the source states.
       auto other = Source::open(options.source, options.read, other_axes);
       if (!other) return make_error(options.source, other.error());
-      auto again = pair_gaussians(*other, view);
+      auto again = pair_gaussians(*other, view, archive);
       if (!again) return make_error(options.asset, again.error());
       if (again->n_paired > pairing.n_paired) {
         pairing = std::move(*again);

@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include <cmath>
 #include <cstdlib>
 #include <nlohmann/json.hpp>
 
@@ -102,31 +103,45 @@ Json json(const Provenance& p) {
 }
 
 Json json(const ArchiveParameters& p) {
+  const bool draco = p.codec == Codec::archive_draco;
   Json classes = Json::array();
   for (const ArchiveClass& c : p.classes) {
-    classes.push_back({{"rotation_step", number(c.rotation_step)},
-                       {"scale_step", scale_step(c)},
-                       {"dc_step", dc_step(c)},
-                       {"sh_step", number(c.sh_step)},
-                       {"bound_rotation", number(c.bound_rotation)},
-                       {"bound_scale", number(c.bound_scale)},
-                       {"bound_dc", number(c.bound_dc)},
-                       {"bound_sh", number(c.bound_sh)}});
+    Json& j = classes.emplace_back(Json{{"dc_step", dc_step(c)},
+                                        {"sh_step", number(c.sh_step)},
+                                        {"bound_dc", number(c.bound_dc)},
+                                        {"bound_sh", number(c.bound_sh)}});
+    if (draco) {
+      j["rotation_step"] = number(c.rotation_step);
+      j["scale_step"] = scale_step(c);
+      j["bound_rotation"] = number(c.bound_rotation);
+      j["bound_scale"] = number(c.bound_scale);
+    } else {
+      j["bound_mean"] = number(c.bound_mean);
+      j["bound_covariance"] = number(c.bound_covariance);
+    }
   }
-  return {{"profile", archive_name(p)},
-          {"mean_cells", p.mean_cells},
-          {"centre", p.centre},
-          {"half_width", p.half_width},
-          {"opacity_levels", p.opacity_levels},
-          {"rotation_step", number(p.rotation_step)},
-          {"scale_step", number(p.scale_step)},
-          {"dc_step", number(p.dc_step)},
-          {"sh_step", number(p.sh_step)},
-          {"slope", number(p.slope)},
-          {"class_octaves", number(p.class_octaves)},
-          {"bound_mean", number(p.bound_mean)},
-          {"bound_opacity", number(p.bound_opacity)},
-          {"classes", std::move(classes)}};
+  Json j{{"profile", archive_name(p)},
+         {"codec", static_cast<std::uint32_t>(p.codec)},
+         {"mean_cells", p.mean_cells},
+         {"centre", p.centre},
+         {"half_width", p.half_width},
+         {"opacity_levels", p.opacity_levels},
+         {"bound_opacity", number(p.bound_opacity)},
+         {"classes", std::move(classes)}};
+  if (draco) {
+    j["rotation_step"] = number(p.rotation_step);
+    j["scale_step"] = number(p.scale_step);
+    j["dc_step"] = number(p.dc_step);
+    j["sh_step"] = number(p.sh_step);
+    j["slope"] = number(p.slope);
+    j["class_octaves"] = number(p.class_octaves);
+    j["bound_mean"] = number(p.bound_mean);
+  } else {
+    j["step"] = number(p.step);
+    j["nearest"] = std::sqrt(p.shape.nearest);
+    j["blur"] = std::exp2(p.shape.blur / 65536.0);
+  }
+  return j;
 }
 
 Json sections(const InfoReport& report) {

@@ -431,7 +431,8 @@ Status order_leaves(const SplatStream& stream, const SceneScan& scan, const Enco
 BuildOptions build_options(const EncodeOptions& encode, const StreamOptions& options) {
   BuildOptions build = options.build;
   build.chunk_size = encode.chunk_size;
-  build.page_chunks = std::clamp(kMaxPageRows / build.chunk_size, 1U, build.page_chunks);  // fewer large chunks
+  const std::uint32_t most = encode.profile == Profile::archive ? kMaxArchiveRows : kMaxPageRows;
+  build.page_chunks = std::clamp(most / build.chunk_size, 1U, build.page_chunks);  // fewer large chunks
   return build;
 }
 

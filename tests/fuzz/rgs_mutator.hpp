@@ -254,7 +254,7 @@ class RgsMutator {
 
   std::vector<Bytes> frames_of(const Section& s) const {
     std::vector<Bytes> frames;
-    if ((s.codec() != 1 && s.codec() != 2) || s.content.size() < 16) return frames;
+    if (s.codec() < 1 || s.codec() > 3 || s.content.size() < 16) return frames;
     const std::uint64_t n = get<std::uint32_t>(s.content, 4);
     if (n > (s.content.size() - 16) / 16) return frames;
     std::uint64_t at = 16 + 16 * n;

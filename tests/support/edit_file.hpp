@@ -101,7 +101,7 @@ inline void fix_hashes(std::span<std::byte> file, Hashes which = Hashes::all) {
     const bool levels = std::memcmp(file.data() + entry_at(i), "LODS", 4) == 0;
     const bool pages = std::memcmp(file.data() + entry_at(i), "PAGE", 4) == 0;
     if (which == Hashes::all && levels) fix_page_hashes(file, offset, size);
-    if (which == Hashes::all && !pages && (codec == 1 || codec == 2)) fix_frame_hashes(file.subspan(offset, size));
+    if (which == Hashes::all && !pages && codec >= 1 && codec <= 3) fix_frame_hashes(file.subspan(offset, size));
     put(file, entry_at(i) + 40, xxh3(file.subspan(offset, size)));
   }
   if (file.size() - entry_at(n) >= 8) put(file, entry_at(n), xxh3(file.first(entry_at(n))));

@@ -18,6 +18,7 @@ struct GoldenLevels {
   SplatCloud leaves;  ///< in file order
   lod::Levels levels;
   EncodeOptions options;
+  bool earlier = false;  ///< written by an earlier version with options of its own: still read, no longer written
 };
 
 /// Pages of a few chunks of 32, so that few Gaussians have three levels.
@@ -30,13 +31,7 @@ inline GoldenLevels golden_levels(const std::string& name, Profile profile, std:
   scene.options.order = profile == Profile::archive ? Order::morton : Order::input;
   scene.options.keep_permutation = true;
   scene.options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};
-  scene.options.archive.mean_cells = 12;
-  scene.options.archive.sh_step = 0.0625f;
-  scene.options.archive.dc_step = 0.125f;
-  scene.options.archive.rotation_step = 0.03125f;
-  scene.options.archive.scale_step = 0.125f;
-  scene.options.archive.opacity_levels = 50;
-  scene.options.archive.slope = 0.5f;
+  scene.options.archive.step = 0.7f;
   return scene;
 }
 
@@ -49,7 +44,9 @@ inline std::vector<GoldenLevels> all_golden_levels() {
   scenes.back().options.chunk_step_sets = false;
   scenes.back().options.origin = {4e6, 1e5, -0.1};
   scenes.push_back(golden_levels("levels_packed", Profile::packed, 300, 2, 33));
-  scenes.push_back(golden_levels("levels_archive", Profile::archive, 300, 1, 34));
+  scenes.push_back(golden_levels("levels_archive", Profile::archive, 300, 1, 34));  // Codec::archive_draco
+  scenes.back().earlier = true;
+  scenes.push_back(golden_levels("levels_archive3", Profile::archive, 300, 1, 34));
   return scenes;
 }
 

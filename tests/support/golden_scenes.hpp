@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <limits>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "rgs/encode.hpp"
@@ -75,6 +76,7 @@ struct GoldenScene {
   std::string name;  ///< tests/golden/NAME.rgs
   SplatCloud cloud;
   EncodeOptions options;
+  bool earlier = false;  ///< written by an earlier version with options of its own: still read, no longer written
 };
 
 /// The defaults of format 1.0's first files.
@@ -144,25 +146,23 @@ inline std::vector<GoldenScene> golden_scenes() {
   scenes.push_back({"packed_degree2", golden_cloud(130, 2, 19), golden_options()});
   scenes.back().options.profile = Profile::packed;
   // Lossy: every degree, one Gaussian, several chunks, and distant means. Options are spelled out, because presets may
-  // change.
+  // change. archive_*: Codec::archive_draco; archive3_*: Codec::archive.
   const std::uint64_t counts[] = {5, 1, 70, 300};
-  for (int degree = 0; degree <= kMaxShDegree; ++degree) {
-    scenes.push_back({"archive_degree" + std::to_string(degree),
-                      golden_cloud(counts[degree], degree, 21 + static_cast<std::uint64_t>(degree)), golden_options()});
-    EncodeOptions& options = scenes.back().options;
-    options.profile = Profile::archive;
-    options.keep_permutation = true;
-    options.chunk_size = 32;
-    options.archive.mean_cells = 12;
-    options.archive.sh_step = 0.0625f;
-    options.archive.dc_step = 0.125f;
-    options.archive.rotation_step = 0.03125f;
-    options.archive.scale_step = 0.125f;
-    options.archive.opacity_levels = 50;
-    options.archive.slope = 0.5f;
+  for (const char* name : {"archive_degree", "archive3_degree"}) {
+    for (int degree = 0; degree <= kMaxShDegree; ++degree) {
+      scenes.push_back({name + std::to_string(degree),
+                        golden_cloud(counts[degree], degree, 21 + static_cast<std::uint64_t>(degree)),
+                        golden_options()});
+      scenes.back().earlier = std::string_view(name) == "archive_degree";
+      EncodeOptions& options = scenes.back().options;
+      options.profile = Profile::archive;
+      options.keep_permutation = true;
+      options.chunk_size = 32;
+      options.archive.step = 0.7f;
+    }
+    scenes.back().cloud.mean[30] = 65536.f;
+    scenes.back().cloud.mean[91] = -300.f;
   }
-  scenes.back().cloud.mean[30] = 65536.f;
-  scenes.back().cloud.mean[91] = -300.f;
   return scenes;
 }
 

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <filesystem>
 #include <limits>
 
 #include "golden_levels.hpp"
@@ -156,8 +157,8 @@ inline void reject_packed_pages(RejectMaker& m) {
         get<std::uint32_t>(m.file(), at.record(at.n_pages - 1) + 16) - 1);
 }
 
-/// `m` has an archive.
-inline void reject_archive_pages(RejectMaker& m) {
+/// `m` has an archive of Codec::archive_draco.
+inline void reject_draco_pages(RejectMaker& m) {
   using enum Errc;
   const LevelsAt at(m);
   m.set("page_corner_2_28", bad_value, at.record(1) + 64, 1u << 28);
@@ -166,7 +167,28 @@ inline void reject_archive_pages(RejectMaker& m) {
   m.set("page_streams", corrupt_data, at.page(2), ~0u);
 }
 
-inline void reject_levels(std::vector<RejectCase>& cases) {
+/// `m` has an archive of Codec::archive with 140 Gaussians.
+inline void reject_archive_pages(RejectMaker& m) {
+  using enum Errc;
+  const LevelsAt at(m);
+  const auto bits = get<std::uint32_t>(m.file(), m.section("ARCH") + 4);
+  m.set("pages3_in_1_4", unsupported_codec, m.entry("PAGE") + 8, 10, std::uint16_t{4});
+  m.change("page3_rows", bad_value, at.record(0) + 20, [&](Bytes& b) {  // with larger chunks pages may be so large
+    put(b, 32, std::uint64_t{3});
+    put(b, 40, std::uint64_t{3});
+    put(b, 48, 64u);
+    put(b, at.section + 8, 1024u);
+    put(b, at.record(0) + 20, (1u << 15) + 1);
+  });
+  m.set("page3_corner_2_28", bad_value, at.record(2) + 68, 1u << 28);
+  m.set("page3_corner_beyond", corrupt_data, at.page(1), at.record(1) + 72, (1u << bits) - 1);
+  m.set("page3_bits", corrupt_data, at.page(0), static_cast<std::uint8_t>(bits + 1));
+  m.set("page3_fourth_byte", corrupt_data, at.page(2), at.page(2) + 3, std::uint8_t{128});
+  m.set("page3_state", corrupt_data, at.page(1), at.page(1) + 4 + 3, std::uint8_t{0x5A});
+}
+
+/// `golden`: the folder of golden files.
+inline void reject_levels(std::vector<RejectCase>& cases, const std::filesystem::path& golden) {
   const GoldenLevels scene = golden_levels("", Profile::direct, 140, 1, 35, 1);
   RejectMaker direct(cases, encode_levels(scene));
   reject_levels_sections(direct);
@@ -179,6 +201,8 @@ inline void reject_levels(std::vector<RejectCase>& cases) {
   coded.options.provenance.reset();
   RejectMaker packed(cases, encode_levels(coded));
   reject_packed_pages(packed);
+  RejectMaker draco(cases, read_bytes(golden / "levels_archive_base.rgs"));
+  reject_draco_pages(draco);
   coded.options.profile = Profile::archive;
   coded.options.order = Order::morton;
   RejectMaker archive(cases, encode_levels(coded));

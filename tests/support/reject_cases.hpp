@@ -2,8 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <filesystem>
 #include <limits>
 
+#include "archive_draco_reject_cases.hpp"
 #include "archive_reject_cases.hpp"
 #include "golden_scenes.hpp"
 #include "levels_reject_cases.hpp"
@@ -279,7 +281,8 @@ inline void reject_coded(RejectMaker& m) {
 
 }  // namespace detail
 
-inline std::vector<RejectCase> reject_cases() {
+/// `golden`: the folder of golden files, which has those that earlier versions wrote and the defects are made in.
+inline std::vector<RejectCase> reject_cases(const std::filesystem::path& golden) {
   std::vector<RejectCase> cases;
   // Six Gaussians of degree 0 with every section; no scale is subnormal, no opacity 0 or 1.
   EncodeOptions options = golden_options();
@@ -313,12 +316,17 @@ inline std::vector<RejectCase> reject_cases() {
   detail::RejectMaker coded(cases, detail::sound(golden_cloud(200, 0, 17), options));
   detail::reject_coded(coded);
 
+  detail::RejectMaker draco(cases, read_bytes(golden / "archive_base.rgs"));
+  detail::reject_draco_archive(draco);
   options.profile = Profile::archive;
+  options.archive.step = 0.7f;
   options.keep_permutation = false;
   options.chunk_size = 64;
   detail::RejectMaker archive(cases, detail::sound(golden_cloud(150, 1, 20), options));
-  detail::reject_archive(archive);
-  detail::reject_levels(cases);
+  detail::reject_archive(archive, 150);
+  detail::RejectMaker few(cases, detail::sound(golden_cloud(5, 0, 21), options));
+  detail::reject_last_state(few);
+  detail::reject_levels(cases, golden);
   return cases;
 }
 

@@ -52,7 +52,7 @@ struct EncodeOptions {
   Profile profile = Profile::direct;
   ArchiveOptions archive;
   int level = 1;                   ///< packed: effort, 1 to kMaxLevel; docs/user/PROFILES.md
-  std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^16]
+  std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^16], 2^15 with archive
   bool chunk_step_sets = true;     ///< SH steps per chunk; false: one set for the file (the paper's scheme)
   Order order = Order::morton;
   bool keep_permutation = false;  ///< store each Gaussian's position in the source

@@ -34,7 +34,8 @@ class LevelsWriter {
   /// the written ones are recomputed from what is stored. With EncodeOptions::keep_permutation, options.source_index [n
   /// leaves] (or none: 0, 1, 2, ...) holds each leaf Gaussian's position in the source, in the order of the leaves.
   /// quality_db: see lod::Levels. Errors: check_encodable()'s, bad_argument (no Gaussians; pages that are no tree, have
-  /// other leaves than the scan, or exceed lod::kMaxPageRows; one set of SH steps for the file with Profile::archive).
+  /// other leaves than the scan, or exceed lod::kMaxPageRows, kMaxArchiveRows with Profile::archive; one set of SH steps
+  /// for the file with Profile::archive).
   static Result<LevelsWriter> create(Sink sink, const SceneScan& leaves, const EncodeOptions& options,
                                      std::vector<lod::Page> pages, float quality_db = 0);
   LevelsWriter(LevelsWriter&& other) noexcept;

@@ -132,42 +132,58 @@ std::vector<CubeRotation> cube_rotations() {
   return out;
 }
 
-// Codes of a rotation whose turns around the Gaussian's own axes show by `shows`: coarse ones first, and each finer one
-// makes up for what they turned around its axis.
+// Half the turn of a Gaussian around its own axes from rotation q to that with last components x, and its derivatives by
+// each of them.
+struct Turn {
+  double half[3], by[3][3];  // by[k][a]: of half[k] by x[a]
+
+  Turn(const Quaternion& q, const double x[3]) {
+    const double w = std::sqrt(std::max(1 - x[0] * x[0] - x[1] * x[1] - x[2] * x[2], 0x1p-20));
+    const double from[3] = {q[1], q[2], q[3]};
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::size_t i = (k + 1) % 3, j = (k + 2) % 3;
+      half[k] = q[0] * x[k] - w * from[k] - (from[i] * x[j] - from[j] * x[i]);
+      for (std::size_t a = 0; a < 3; ++a) by[k][a] = x[a] / w * from[k];
+      by[k][k] += q[0];
+      by[k][i] += from[j];
+      by[k][j] -= from[i];
+    }
+  }
+};
+
+// Codes of a rotation whose turns around the Gaussian's own axes show by `shows`: coarse ones first, and the finer ones
+// make up for what those have turned.
 void turn_codes(const Quaternion& q, const double shows[3], const double step[3], const bool coded[3],
                 std::int16_t codes[3]) {
-  const double w = q[0], x[3] = {q[1], q[2], q[3]};
-  // Turns of the Gaussian, by changes of x.
-  const double turns[3][3] = {{w + x[0] * x[0] / w, x[2] + x[0] * x[1] / w, -x[1] + x[0] * x[2] / w},
-                              {-x[2] + x[1] * x[0] / w, w + x[1] * x[1] / w, x[0] + x[1] * x[2] / w},
-                              {x[1] + x[2] * x[0] / w, -x[0] + x[2] * x[1] / w, w + x[2] * x[2] / w}};
+  // What shows little may turn far, so that one step of Newton's method is not enough (docs/format/ARCHIVE.md "Rotation").
+  constexpr int kSteps = 3;
+  double x[3] = {q[1], q[2], q[3]};
   std::size_t order[3] = {0, 1, 2};
   std::stable_sort(order, order + 3, [&](std::size_t a, std::size_t b) { return step[a] > step[b]; });
-  double moved[3] = {};
-  for (int t = 0; t < 3; ++t) {
+  for (std::size_t t = 0; t < 3; ++t) {
     const std::size_t axis = order[t];
-    const double code = coded[axis] ? std::nearbyint((x[axis] + moved[axis]) / step[axis]) : 0;
+    const double code = coded[axis] ? std::nearbyint(x[axis] / step[axis]) : 0;
     codes[axis] = static_cast<std::int16_t>(std::clamp(code, -32767.0, 32767.0));
-    moved[axis] = codes[axis] * step[axis] - x[axis];
-    if (t == 2) break;
-    // Least squares over the axes that are left, one or two.
-    const std::size_t a = order[t + 1], b = order[2];
-    double aa = 0, ab = 0, bb = 0, ra = 0, rb = 0;
-    for (std::size_t k = 0; k < 3; ++k) {
-      double turned = 0;
-      for (int done = 0; done <= t; ++done) turned += turns[k][order[done]] * moved[order[done]];
-      aa += shows[k] * turns[k][a] * turns[k][a];
-      ab += shows[k] * turns[k][a] * turns[k][b];
-      bb += shows[k] * turns[k][b] * turns[k][b];
-      ra -= shows[k] * turns[k][a] * turned;
-      rb -= shows[k] * turns[k][b] * turned;
-    }
-    if (t == 1) {
-      moved[b] = rb / bb;
-    } else {
-      const double determinant = aa * bb - ab * ab;
-      moved[a] = (ra * bb - ab * rb) / determinant;
-      moved[b] = (aa * rb - ab * ra) / determinant;
+    x[axis] = codes[axis] * step[axis];
+    // Least squares (Gauss-Newton) over the axes that are left, one or two.
+    for (int n = 0; n < kSteps && t < 2; ++n) {
+      const std::size_t a = order[t + 1], b = order[2];
+      const Turn turn(q, x);
+      double aa = 0, ab = 0, bb = 0, ra = 0, rb = 0;
+      for (std::size_t k = 0; k < 3; ++k) {
+        aa += shows[k] * turn.by[k][a] * turn.by[k][a];
+        ab += shows[k] * turn.by[k][a] * turn.by[k][b];
+        bb += shows[k] * turn.by[k][b] * turn.by[k][b];
+        ra -= shows[k] * turn.by[k][a] * turn.half[k];
+        rb -= shows[k] * turn.by[k][b] * turn.half[k];
+      }
+      if (t == 1) {
+        x[b] += rb / bb;
+      } else {
+        const double determinant = aa * bb - ab * ab;
+        x[a] += (ra * bb - ab * rb) / determinant;
+        x[b] += (aa * rb - ab * ra) / determinant;
+      }
     }
   }
 }
@@ -213,11 +229,17 @@ class Encoder {
     }
     fit();
     if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) {
-      s.error().found = name_in_source(source_index, s.error().found);
+      // The largest coefficient is to blame, even if the transforms that it bent fail for another Gaussian first.
+      const auto of_leaves = leaves().sh;
+      const auto largest = std::ranges::max_element(of_leaves, {}, [](float x) { return std::abs(x); });
+      s.error().found = source_index[static_cast<std::size_t>(largest - of_leaves.begin()) / stride];
       return tl::unexpected(s.error());
     }
     fit_tables();
-    if (Status s = reconstruct(); !s) return tl::unexpected(s.error());
+    if (Status s = reconstruct(); !s) {
+      if (s.error().code == Errc::bad_value) s.error().found = name_in_source(source_index, s.error().found);
+      return tl::unexpected(s.error());
+    }
     std::vector<std::byte> bytes;
     auto written = pages_ != nullptr ? assemble_pages(bytes, source_index) : assemble(bytes, source_index);
     if (!written) return written;
@@ -617,9 +639,12 @@ class Encoder {
       for (std::size_t i = 0; i < count; ++i) {
         std::copy_n(&means_[3 * (f.first + at + i)], 3, stored[i].mean);
         std::copy_n(&geometry[8 * (at + i)], 8, stored[i].geometry);
-        errors.add(f.colours.classes[at + i],
-                   splat_errors(tables_.parameters, f.scale_exponent, f.shapes.level, degree_,
-                                splats_.splat(order_[f.first + at + i]), stored[i]));
+        const std::uint32_t source = order_[f.first + at + i];
+        const SplatErrors e = splat_errors(tables_.parameters, f.scale_exponent, f.shapes.level, degree_,
+                                           splats_.splat(source), stored[i]);
+        // Turned by the least step, something that long and thin is nowhere near where it was.
+        if (!(std::max(e.mean, e.covariance) <= std::numeric_limits<float>::max())) return too_large(source);
+        errors.add(f.colours.classes[at + i], e);
         if (pages_ == nullptr) continue;
         extent.add(extent_of(reinterpret_cast<const std::byte*>(stored[i].mean),
                              reinterpret_cast<const std::byte*>(stored[i].geometry), f.scale_exponent));

@@ -234,12 +234,17 @@ double squared_distance(const SplatView& splats, const ArchiveParameters& p, std
   return squared;
 }
 
-float largest_sh(const SplatView& splats, std::size_t n_sh) {
+float largest_sh(const SplatView& splats, std::size_t n_sh, bool of_degree_0) {
   float largest = 0;
   for (std::size_t i = 0; i < splats.sh.size(); ++i) {
-    if (i % (3 + n_sh) >= 3) largest = std::max(largest, std::abs(splats.sh[i]));
+    if ((i % (3 + n_sh) < 3) == of_degree_0) largest = std::max(largest, std::abs(splats.sh[i]));
   }
   return largest;
+}
+
+// Finer steps of SH show in no code of SHI8, and leave no codes for large values where Gaussians fill the view.
+double least_step(float largest) {
+  return std::clamp(static_cast<double>(largest) / 2000, 0x1p-11, 0x1p-6);
 }
 
 std::size_t stride_of(const SplatView& splats) {
@@ -290,16 +295,17 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& 
     const double root = std::max(static_cast<double>(level), 0.35) / p.opacity_levels;
     t.opacity.push_back(half_from_float(static_cast<float>(root * root)));
   }
+  const float largest_dc = largest_sh(splats, t.n_sh, true), largest = largest_sh(splats, t.n_sh, false);
   p.classes.resize(kClasses);
   for (int c = 0; c < kClasses; ++c) {
     const double factor = step * std::exp2(-kShSlope / 2 * (middle + (c - kClasses / 2) - kImportance));
     ArchiveClass& out = p.classes[static_cast<std::size_t>(c)];
-    out.dc_step = static_cast<std::uint32_t>(std::clamp(std::nearbyint(kDc * factor * 65536), 1.0, 0x1p26));
-    out.sh_step = static_cast<float>(kSh * factor);
+    out.dc_step = static_cast<std::uint32_t>(
+        std::clamp(std::nearbyint(std::max(kDc * factor, least_step(largest_dc)) * 65536), 1.0, 0x1p26));
+    out.sh_step = static_cast<float>(std::max(kSh * factor, least_step(largest)));
   }
   // Small enough for the finest steps, if that leaves room for the largest values.
-  t.sh_unit =
-      std::clamp(largest_sh(splats, t.n_sh) / 8000, p.classes.back().sh_step / 8, p.classes[kClasses / 2].sh_step / 4);
+  t.sh_unit = std::clamp(largest / 8000, p.classes.back().sh_step / 8, p.classes[kClasses / 2].sh_step / 4);
   for (ArchiveClass& c : p.classes) {
     c.sh_units = static_cast<std::uint32_t>(std::clamp(std::nearbyint(c.sh_step / t.sh_unit), 1.f, 32768.f));
     c.sh_step = static_cast<float>(c.sh_units) * t.sh_unit;

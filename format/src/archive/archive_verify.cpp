@@ -20,44 +20,16 @@
 namespace rgs::detail {
 namespace {
 
-using Matrix = std::array<std::array<double, 3>, 3>;  // symmetric, or lower triangular
+using Matrix = std::array<std::array<double, 3>, 3>;
 
-// R diag(s^2) R^T; `q` need not be normalised.
-Matrix covariance(const double q[4], const double scale[3]) {
+// Of a quaternion that need not be normalised.
+Matrix rotation_matrix(const double q[4]) {
   double squared = 0;
   for (int k = 0; k < 4; ++k) squared += q[k] * q[k];
   const double u = 2 / squared, w = q[0], x = q[1], y = q[2], z = q[3];
-  const double r[3][3] = {{1 - u * (y * y + z * z), u * (x * y - w * z), u * (x * z + w * y)},
-                          {u * (x * y + w * z), 1 - u * (x * x + z * z), u * (y * z - w * x)},
-                          {u * (x * z - w * y), u * (y * z + w * x), 1 - u * (x * x + y * y)}};
-  Matrix out{};
-  for (std::size_t i = 0; i < 3; ++i) {
-    for (std::size_t j = 0; j < 3; ++j) {
-      for (std::size_t k = 0; k < 3; ++k) out[i][j] += r[i][k] * scale[k] * scale[k] * r[j][k];
-    }
-  }
-  return out;
-}
-
-// L of m = L L^T, m positive definite.
-Matrix cholesky(const Matrix& m) {
-  Matrix l{};
-  for (std::size_t i = 0; i < 3; ++i) {
-    for (std::size_t j = 0; j <= i; ++j) {
-      double rest = m[i][j];
-      for (std::size_t k = 0; k < j; ++k) rest -= l[i][k] * l[j][k];
-      l[i][j] = i == j ? std::sqrt(std::max(rest, 0x1p-1000)) : rest / l[j][j];
-    }
-  }
-  return l;
-}
-
-// x := L^-1 x.
-void solve(const Matrix& l, double x[3]) {
-  for (std::size_t i = 0; i < 3; ++i) {
-    for (std::size_t k = 0; k < i; ++k) x[i] -= l[i][k] * x[k];
-    x[i] /= l[i][i];
-  }
+  return {{{1 - u * (y * y + z * z), u * (x * y - w * z), u * (x * z + w * y)},
+           {u * (x * y + w * z), 1 - u * (x * x + z * z), u * (y * z - w * x)},
+           {u * (x * z - w * y), u * (y * z + w * x), 1 - u * (x * x + y * y)}}};
 }
 
 constexpr std::array kErrors = {&SplatErrors::mean, &SplatErrors::covariance, &SplatErrors::opacity, &SplatErrors::dc,
@@ -86,21 +58,27 @@ SplatErrors splat_errors(const ArchiveParameters& p, int scale_exponent, int lev
     error[k] = x - static_cast<double>(source.mean[k]);
     distance += d * d;
   }
-  const Matrix decoded = covariance(q, scale), original = covariance(of_source, scale_of_source);
   const double blur = std::exp2(2.0 * p.shape.blur / kOctave + 2 * level) * std::max(distance, p.shape.nearest);
-  Matrix blurred = decoded, difference;
+  const Matrix axes = rotation_matrix(q), source_axes = rotation_matrix(of_source);
+  // The blur leaves the Gaussian its axes, along which A only scales: nothing cancels, however long and thin it is.
+  double unit[3];
+  Matrix root{};  // A times a root of the source's covariance
   for (std::size_t i = 0; i < 3; ++i) {
-    blurred[i][i] += blur;
-    for (std::size_t j = 0; j < 3; ++j) difference[i][j] = decoded[i][j] - original[i][j];
+    unit[i] = 1 / std::sqrt(scale[i] * scale[i] + blur);
+    double moved = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+      moved += axes[k][i] * error[k];
+      for (std::size_t j = 0; j < 3; ++j) root[i][j] += unit[i] * axes[k][i] * source_axes[k][j] * scale_of_source[j];
+    }
+    e.mean += moved * unit[i] * (moved * unit[i]);
   }
-  const Matrix l = cholesky(blurred);
-  solve(l, error);
-  e.mean = std::sqrt(error[0] * error[0] + error[1] * error[1] + error[2] * error[2]);
-  for (auto& row : difference) solve(l, row.data());  // L^-1 D^T
-  for (std::size_t j = 0; j < 3; ++j) {
-    double column[3] = {difference[0][j], difference[1][j], difference[2][j]};
-    solve(l, column);
-    e.covariance += column[0] * column[0] + column[1] * column[1] + column[2] * column[2];
+  e.mean = std::sqrt(e.mean);
+  for (std::size_t i = 0; i < 3; ++i) {
+    for (std::size_t j = 0; j < 3; ++j) {
+      double change = i == j ? scale[i] * unit[i] * (scale[i] * unit[i]) : 0;
+      for (std::size_t k = 0; k < 3; ++k) change -= root[i][k] * root[j][k];
+      e.covariance += change * change;
+    }
   }
   e.covariance = std::sqrt(e.covariance);
   const double opacity = 1 / (1 + std::exp(-static_cast<double>(source.opacity_logit)));

@@ -123,7 +123,7 @@ TEST_CASE("an asset is audited against a source of any format as against the sam
   convert({scene.ply, scene.file("kept.rgs"), "--keep-permutation"});
   convert({scene.file("kept.rgs"), archive, "--keep-permutation", "--profile", "archive:small"});
   CHECK(audited({scene.file("kept.rgs"), archive})["rendered"]["psnr"].get<double>() > 20);
-  CHECK(audited({scene.file("kept.rgs"), archive})["gaussians"]["paired_by"] == "means");
+  CHECK(audited({scene.file("kept.rgs"), archive})["gaussians"]["paired_by"] == "nearest");
 }
 
 TEST_CASE("a source in other axes, far away or unzipped is audited") {

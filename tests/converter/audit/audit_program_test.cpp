@@ -489,7 +489,7 @@ TEST_CASE("an archive's Gaussians are paired despite their moved means") {
   REQUIRE(run.exit_code == 0);
   const json j = json::parse(run.out);
   CHECK(j["gaussians"]["paired"] == scene.cloud.size());
-  CHECK(j["gaussians"]["paired_by"] == "means");
+  CHECK(j["gaussians"]["paired_by"] == "nearest");
   CHECK(j["rendered"]["psnr"].get<double>() > 30);
 }
 

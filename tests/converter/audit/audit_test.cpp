@@ -48,7 +48,7 @@ struct Files {
   }
   AttributeReport compare() const {
     tool::Progress quiet(tool::Progress::Mode::quiet);
-    return compare_attributes(source, asset, pair_gaussians(source, asset).value(), quiet);
+    return compare_attributes(source, asset, pair_gaussians(source, asset, asset.archive()).value(), quiet);
   }
 };
 
@@ -90,7 +90,7 @@ TEST_CASE("Gaussians are paired by means, by order or by permutation, also where
   for (const Case& c :
        {Case{{}, PairedBy::means}, Case{order, PairedBy::order}, Case{permutation, PairedBy::permutation}}) {
     const Files files(cloud, cloud, c.options);
-    const auto pairing = pair_gaussians(files.source, files.asset);
+    const auto pairing = pair_gaussians(files.source, files.asset, files.asset.archive());
     REQUIRE(pairing);
     CHECK(pairing->by == c.by);
     CHECK(pairing->n_paired == 1999);
@@ -135,7 +135,7 @@ TEST_CASE("a source of doubles is paired with its asset, whatever the asset's or
       REQUIRE_FALSE(worst.gaussians.empty());
       CHECK(std::fabs(worst.gaussians[0].mean[0] - place[0]) <= 1);
       // Mixtures lie where their means do.
-      const auto pairing = pair_gaussians(files.source, files.asset);
+      const auto pairing = pair_gaussians(files.source, files.asset, files.asset.archive());
       REQUIRE(pairing);
       CHECK(pairing->n_paired == cloud.size());
       CHECK(mixed_scene(files.source, files.asset, *pairing, Mixture::stored_sh)->origin() == place);
@@ -150,18 +150,43 @@ TEST_CASE("Gaussians at one position are paired in source order") {
   for (std::uint64_t i = 0; i < cloud.size(); ++i) std::copy_n(&cloud.mean[0], 3, &cloud.mean[3 * i]);
   const Files files(cloud, cloud);
   const AttributeReport report = files.compare();
-  CHECK(pair_gaussians(files.source, files.asset)->n_paired == 300);
+  CHECK(pair_gaussians(files.source, files.asset, files.asset.archive())->n_paired == 300);
   CHECK(error_of(report, "rotation").meaning.max < 0.1);
   CHECK(error_of(report, "opacity").meaning.max < 0.1);
 }
 
+TEST_CASE("an archive's Gaussians are paired with the nearest, as its positions in the source say") {
+  SplatCloud cloud = audit_cloud(5000, 1);
+  for (std::uint64_t i = 0; i < 50; ++i) {  // points, and what is hardly seen, which moves farther than it is large
+    for (std::uint64_t k = 0; k < 3; ++k) cloud.log_scale[3 * i + k] = -30;
+    cloud.opacity_logit[i] = i % 2 == 0 ? 4.F : -4.F;
+  }
+  EncodeOptions options;
+  options.profile = Profile::archive;
+  const Files files(cloud, cloud, options);
+  const auto pairing = pair_gaussians(files.source, files.asset, files.asset.archive());
+  REQUIRE(pairing);
+  CHECK(pairing->by == PairedBy::nearest);
+  CHECK(pairing->n_paired == 5000);
+  options.keep_permutation = true;
+  const Files kept(cloud, cloud, options);
+  const auto truth = pair_gaussians(kept.source, kept.asset, kept.asset.archive());
+  REQUIRE(truth);
+  CHECK(truth->by == PairedBy::permutation);
+  std::uint64_t n_wrong = 0;
+  for (std::size_t i = 0; i < 5000; ++i) n_wrong += pairing->source_of[i] != truth->source_of[i];
+  CHECK(n_wrong < 5);
+  // Without the archive's bounds its means are only others.
+  CHECK(pair_gaussians(files.source, files.asset, nullptr)->n_paired < 10);
+}
+
 TEST_CASE("unrelated files are not paired") {
   const Files files(audit_cloud(100, 0, 1), audit_cloud(100, 0, 2));
-  CHECK(pair_gaussians(files.source, files.asset)->n_paired == 0);
+  CHECK(pair_gaussians(files.source, files.asset, files.asset.archive())->n_paired == 0);
   EncodeOptions order;
   order.order = Order::input;
   const Files ordered(audit_cloud(100, 0, 1), audit_cloud(100, 0, 2), order);
-  CHECK(pair_gaussians(ordered.source, ordered.asset)->n_paired == 0);
+  CHECK(pair_gaussians(ordered.source, ordered.asset, nullptr)->n_paired == 0);
 }
 
 TEST_CASE("attribute errors agree with a plain computation from the decoded files") {
@@ -252,7 +277,7 @@ TEST_CASE("a change of one Gaussian is found, with its index in both files") {
   CHECK(error_of(report, "scale").meaning.max == doctest::Approx(100.0 / 3).epsilon(2e-3));
   CHECK(error_of(report, "sh2.blue").value.max == doctest::Approx(0.25).epsilon(0.02));
   CHECK(error_of(report, "sh2.red").value.max < 0.01);
-  const auto pairing = pair_gaussians(files.source, files.asset);
+  const auto pairing = pair_gaussians(files.source, files.asset, files.asset.archive());
   for (const char* key : {"rotation", "scale", "opacity", "colour"}) {
     const WorstList& list = worst_of(report, key);
     REQUIRE_FALSE(list.gaussians.empty());

@@ -147,22 +147,18 @@ TEST_CASE("the program writes the bytes of encode() with its options") {
   add({"--profile", "packed", "--level", "5"}, [](auto& o) { o.level = 5; });
   add({"--profile", "archive"}, [](auto& o) { o.profile = Profile::archive; });
   add({"--profile", "archive:high", "--threads", "1"}, [](auto& o) { o.profile = Profile::archive; });
-  add({"--archive-slope", "0.5", "--profile", "archive:small"}, [](auto& o) {
+  add({"--profile", "archive:small"}, [](auto& o) {
     o.profile = Profile::archive;
     o.archive = archive_small();
-    o.archive.slope = 0.5F;
   });
-  add({"--profile", "archive", "--archive-mean-cells", "12", "--archive-sh-step", "0.5", "--archive-dc-step", "0.4",
-       "--archive-rotation-step", "0.125", "--archive-scale-step", "0.5", "--archive-opacity-levels", "10"},
-      [](auto& o) {
-        o.profile = Profile::archive;
-        o.archive = {.mean_cells = 12,
-                     .sh_step = 0.5F,
-                     .dc_step = 0.4F,
-                     .rotation_step = 0.125F,
-                     .scale_step = 0.5F,
-                     .opacity_levels = 10};
-      });
+  add({"--profile", "archive:tiny"}, [](auto& o) {
+    o.profile = Profile::archive;
+    o.archive = archive_tiny();
+  });
+  add({"--archive-step", "0.5", "--profile", "archive:small"}, [](auto& o) {
+    o.profile = Profile::archive;
+    o.archive = {.step = 0.5F};
+  });
   add({"--keep-order"}, [](auto& o) { o.order = Order::input; });
   add({"--keep-permutation"}, [](auto& o) { o.keep_permutation = true; });
   add({"--chunk-size", "96"}, [](auto& o) { o.chunk_size = 96; });

@@ -10,6 +10,7 @@
 
 #include "build_levels.hpp"
 #include "edit_file.hpp"
+#include "golden_files.hpp"
 #include "golden_levels.hpp"
 #include "rgs/rgs.hpp"
 #include "run_program.hpp"
@@ -259,22 +260,51 @@ TEST_CASE_FIXTURE(Fixture, "a packed file: its profile, frames and one chunk, al
 TEST_CASE_FIXTURE(Fixture, "an archive: its preset, steps and bounds") {
   EncodeOptions options;
   options.profile = Profile::archive;
-  for (const bool custom : {false, true}) {
-    if (custom) options.archive.opacity_levels = 77;
+  for (const auto& [archive, name] : {std::pair(archive_high(), "archive:high"),
+                                      {archive_small(), "archive:small"},
+                                      {archive_tiny(), "archive:tiny"},
+                                      {ArchiveOptions{.step = 0.77F}, "archive"}}) {
+    CAPTURE(name);
+    options.archive = archive;
     const auto bytes = encoded(3000, 2, options);
     const std::string path = write(bytes);
     const ProgramResult text = run(path + " --verify");
     CHECK(text.exit_code == 0);
-    CHECK(has(text.out, custom ? " archive, 1 frames" : " archive:high, 1 frames"));
-    CHECK(has(text.out, "77 levels") == custom);
-    const FileView view = FileView::open(bytes).value();
+    CHECK(has(text.out, " " + std::string(name) + ", 1 frames"));
+    CHECK(has(text.out, "0.77; fall with importance") == (archive.step == 0.77F));
+    const ArchiveParameters p = *FileView::open(bytes).value().archive();
+    CHECK(has(text.out, std::to_string(p.opacity_levels) + " levels"));
     const auto j = json(path)["archive"];
-    CHECK(j["profile"] == (custom ? "archive" : "archive:high"));
-    CHECK(j["opacity_levels"] == options.archive.opacity_levels);
-    CHECK(j["bound_mean"].get<float>() == view.archive()->bound_mean);
-    REQUIRE(j["classes"].size() == view.archive()->classes.size());
-    CHECK(j["classes"][3]["bound_sh"].get<float>() == view.archive()->classes[3].bound_sh);
+    CHECK(j["profile"] == name);
+    CHECK(j["codec"] == 3);
+    CHECK(j["step"].get<float>() == archive.step);
+    CHECK(j["opacity_levels"] == p.opacity_levels);
+    CHECK(j["bound_opacity"].get<float>() == p.bound_opacity);
+    REQUIRE(j["classes"].size() == p.classes.size());
+    CHECK(j["classes"][8]["bound_mean"].get<float>() == p.classes[8].bound_mean);
+    CHECK(j["classes"][8]["bound_covariance"].get<float>() == p.classes[8].bound_covariance);
+    CHECK(j["classes"][3]["bound_sh"].get<float>() == p.classes[3].bound_sh);
+    CHECK_FALSE(j["classes"][3].contains("rotation_step"));
   }
+}
+
+TEST_CASE_FIXTURE(Fixture, "an archive of version 1.2: its steps and bounds") {
+  const auto bytes = test::golden_file("archive_degree3");
+  const std::string path = write(bytes);
+  const ProgramResult text = run(path + " --verify");
+  CHECK(text.exit_code == 0);
+  CHECK(has(text.out, " archive, 1 frames"));
+  CHECK(has(text.out, "50 levels"));
+  CHECK(has(text.out, "rotation, degrees"));
+  const ArchiveParameters p = *FileView::open(bytes).value().archive();
+  const auto j = json(path)["archive"];
+  CHECK(j["profile"] == "archive");
+  CHECK(j["codec"] == 2);
+  CHECK(j["opacity_levels"] == 50);
+  CHECK(j["bound_mean"].get<float>() == p.bound_mean);
+  REQUIRE(j["classes"].size() == p.classes.size());
+  CHECK(j["classes"][3]["bound_rotation"].get<float>() == p.classes[3].bound_rotation);
+  CHECK_FALSE(j["classes"][3].contains("bound_covariance"));
 }
 
 TEST_CASE_FIXTURE(Fixture, "one chunk") {
@@ -442,7 +472,7 @@ TEST_CASE("levels of detail are listed, page by page on request") {
   Fixture f;
   for (const test::GoldenLevels& scene : test::all_golden_levels()) {
     CAPTURE(scene.name);
-    const std::vector<std::byte> bytes = test::encode_levels(scene);
+    const std::vector<std::byte> bytes = test::file_of(scene);
     const auto file = PagedFile::open(bytes);
     REQUIRE(file);
     const std::string path = f.write(bytes);

@@ -1,7 +1,7 @@
-// golden_test.cpp - files committed for formats 1.0 to 1.4: exact bytes from the encoder, expected values from the
-// decoder, and files with one defect. SPDX-License-Identifier: Apache-2.0
+// golden_test.cpp - files committed for formats 1.0 to 1.5: exact bytes from the encoder, expected values from the
+// decoder, and files with one defect.
+// SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
-#include <draco/core/draco_version.h>
 #include <zstd.h>
 
 #include <algorithm>
@@ -11,8 +11,10 @@
 #include <sstream>
 #include <string_view>
 
-#include "checkout.hpp"
+#include "archive_bounds.hpp"
+#include "archive_pages.hpp"
 #include "edit_file.hpp"
+#include "golden_files.hpp"
 #include "golden_levels.hpp"
 #include "golden_scenes.hpp"
 #include "instruction_sets.hpp"
@@ -27,23 +29,20 @@ namespace fs = std::filesystem;
 
 namespace {
 
-const fs::path kGolden = fs::path(source_dir()) / "tests/golden";
+const fs::path kGolden = golden_folder();
 
-// Compressed bytes depend on the libraries: the coded files were written with these versions.
-const bool kGoldenZstd = ZSTD_versionNumber() == 10504;
-const bool kGoldenDraco = std::string_view(draco::kDracoVersion) == "1.5.5";
-
-bool same_libraries(Profile profile) {
-  return profile == Profile::direct || (kGoldenZstd && (profile == Profile::packed || kGoldenDraco));
+// Compressed bytes depend on the library: the coded files were written with this version.
+bool same_library(Profile profile) {
+  return profile == Profile::direct || ZSTD_versionNumber() == 10504;
 }
 
 Bytes golden(const std::string& name) {
-  return read_bytes(kGolden / (name + ".rgs"));
+  return golden_file(name);
 }
 
 void check_bytes(Profile profile) {
   for (const GoldenScene& scene : golden_scenes()) {
-    if (scene.options.profile != profile) continue;
+    if (scene.options.profile != profile || scene.earlier) continue;
     CAPTURE(scene.name);
     const auto bytes = encode(scene.cloud.view(), scene.options);
     REQUIRE(bytes);
@@ -61,19 +60,18 @@ TEST_CASE("the encoder writes the bytes of every direct golden file") {
 }
 
 TEST_CASE("the encoder writes the bytes of every packed golden file") {
-  if (!same_libraries(Profile::packed)) return skip_without_tool("another version of Zstandard writes other bytes");
+  if (!same_library(Profile::packed)) return skip_without_tool("another version of Zstandard writes other bytes");
   check_bytes(Profile::packed);
 }
 
 TEST_CASE("the encoder writes the bytes of every archived golden file") {
-  if (!same_libraries(Profile::archive))
-    return skip_without_tool("other versions of Zstandard or Draco write other bytes");
+  if (!same_library(Profile::archive)) return skip_without_tool("another version of Zstandard writes other bytes");
   check_bytes(Profile::archive);
 }
 
 TEST_CASE("the writer writes the bytes of every golden file with levels") {
   for (const GoldenLevels& scene : all_golden_levels()) {
-    if (!same_libraries(scene.options.profile)) continue;
+    if (!same_library(scene.options.profile) || scene.earlier) continue;
     CAPTURE(scene.name);
     const Bytes bytes = encode_levels(scene), expected = golden(scene.name);
     REQUIRE(bytes.size() == expected.size());
@@ -82,7 +80,7 @@ TEST_CASE("the writer writes the bytes of every golden file with levels") {
 }
 
 TEST_CASE("every golden file has the scene that it was written from") {
-  std::set<std::string> names;
+  std::set<std::string> names{"archive_base.rgs", "levels_archive_base.rgs"};  // files of reject/ are made from these
   for (const GoldenLevels& scene : all_golden_levels()) names.insert(scene.name + ".rgs");
   for (const GoldenScene& scene : golden_scenes()) names.insert(scene.name + ".rgs");
   for (const auto& entry : fs::directory_iterator(kGolden)) {
@@ -212,9 +210,9 @@ TEST_CASE("every golden file decodes to its scene within the stated bounds") {
   }
 }
 
-TEST_CASE("every golden archive decodes to its scene within its stated bounds") {
+TEST_CASE("every golden archive of version 1.2 decodes to its scene within its stated bounds") {
   for (const GoldenScene& scene : golden_scenes()) {
-    if (scene.options.profile != Profile::archive) continue;
+    if (scene.options.profile != Profile::archive || !scene.earlier) continue;
     CAPTURE(scene.name);
     const Bytes bytes = golden(scene.name);
     const auto view = FileView::open(bytes);
@@ -255,6 +253,37 @@ TEST_CASE("every golden archive decodes to its scene within its stated bounds") 
         CHECK(std::abs(a.sh[k] - s.sh[k]) <= bound[k < 3 ? 2 : 3] + 0.5f * steps.of_value(k) + 1e-6f);
       }
     }
+  }
+}
+
+TEST_CASE("every golden archive of version 1.5 decodes to its scene within its stated bounds") {
+  for (const GoldenScene& scene : golden_scenes()) {
+    if (scene.options.profile != Profile::archive || scene.earlier) continue;
+    CAPTURE(scene.name);
+    const Bytes bytes = golden(scene.name);
+    const auto view = FileView::open(bytes);
+    REQUIRE(view);
+    REQUIRE(validate(*view));
+    CHECK(view->header().version_minor == 5);
+    const SplatView source = scene.cloud.view();
+    REQUIRE(view->header().n_gaussians == source.n);
+    std::vector<ActivatedSplat> splats(source.n);
+    REQUIRE(view->read(0, splats));
+    const StatedBounds bounds(bytes);
+    for (std::uint64_t i = 0; i < source.n; ++i) {
+      CAPTURE(i);
+      const ShStepSet steps = view->chunk_steps(i / view->header().chunk_size).value();
+      const auto step = [&steps](int k) { return steps.of_value(k); };
+      CHECK(is_within(bounds, 0, source.sh_degree, source.splat(view->source_index(i)), splats[i], step));
+    }
+  }
+}
+
+TEST_CASE("every page of the golden archive with levels holds its Gaussians within the stated bounds") {
+  for (const GoldenLevels& scene : all_golden_levels()) {
+    if (scene.options.profile != Profile::archive || scene.earlier) continue;
+    CAPTURE(scene.name);
+    check_pages_within_bounds(golden(scene.name), scene);
   }
 }
 
@@ -324,7 +353,7 @@ TEST_CASE("each file with one defect causes the listed error at the listed offse
   std::ifstream list(folder / "reject.txt");
   REQUIRE(list);
   std::map<std::string, RejectCase> cases;
-  for (RejectCase& c : reject_cases()) {
+  for (RejectCase& c : reject_cases(kGolden)) {
     CAPTURE(c.name);
     CHECK(cases.emplace(c.name + ".rgs", std::move(c)).second);
   }
@@ -347,7 +376,7 @@ TEST_CASE("each file with one defect causes the listed error at the listed offse
       CHECK(cloud.error().offset == offset);
     });
     REQUIRE(cases.count(name) == 1);
-    if (same_libraries(Profile::archive) || get<std::uint16_t>(bytes, 10) == 0) CHECK(cases.at(name).bytes == bytes);
+    if (same_library(Profile::archive) || get<std::uint16_t>(bytes, 10) == 0) CHECK(cases.at(name).bytes == bytes);
     CHECK(std::string(errc_name(cases.at(name).code)) == code);
     CHECK(cases.at(name).offset == offset);
   }
@@ -396,7 +425,7 @@ TEST_CASE("validation in steps gives the result of validation at once") {
 }
 
 TEST_CASE("a file is decoded while its large sections are still arriving") {
-  for (const char* name : {"degree3.rgs", "packed_degree2.rgs", "archive_degree1.rgs"}) {
+  for (const char* name : {"degree3.rgs", "packed_degree2.rgs", "archive_degree1.rgs", "archive3_degree2.rgs"}) {
     CAPTURE(name);
     const Bytes whole = read_bytes(kGolden / name);
     const auto complete = FileView::open(whole);

@@ -13,6 +13,7 @@
 #include "checkout.hpp"
 #include "complexity.hpp"
 #include "edit_file.hpp"
+#include "golden_files.hpp"
 #include "golden_levels.hpp"
 #include "random_cloud.hpp"
 #include "rgs/decode.hpp"
@@ -170,7 +171,7 @@ Bytes many_pages(std::uint64_t n) {
 TEST_CASE("a file opens from any prefix to the pages whose records are complete, and extends to the whole") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     CAPTURE(scene.name);
-    const Bytes bytes = encode_levels(scene);
+    const Bytes bytes = file_of(scene);
     const auto whole = PagedFile::open(bytes);
     REQUIRE(whole);
     const std::uint64_t levels = section_of(bytes, "LODS"), end = table_end(bytes);
@@ -194,7 +195,7 @@ TEST_CASE("a file opens from any prefix to the pages whose records are complete,
 TEST_CASE("a table that arrives in pieces of any size equals the whole one") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     CAPTURE(scene.name);
-    const Bytes bytes = encode_levels(scene);
+    const Bytes bytes = file_of(scene);
     const auto whole = PagedFile::open(bytes);
     REQUIRE(whole);
     for (std::uint64_t seed = 0; seed < 30; ++seed) {
@@ -226,7 +227,7 @@ TEST_CASE("a table that arrives in pieces of any size equals the whole one") {
 
 TEST_CASE("a table that is read below any known page, in any order, equals the whole one") {
   std::vector<Bytes> files{many_pages(3000), many_pages(9000)};
-  for (const GoldenLevels& scene : all_golden_levels()) files.push_back(encode_levels(scene));
+  for (const GoldenLevels& scene : all_golden_levels()) files.push_back(file_of(scene));
   std::size_t n_gaps = 0;
   for (const Bytes& bytes : files) {
     const auto whole = PagedFile::open(bytes);
@@ -262,7 +263,7 @@ TEST_CASE("a table that is read below any known page, in any order, equals the w
 TEST_CASE("pages of a prefix decode from ranges of the file alone") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     CAPTURE(scene.name);
-    const Bytes bytes = encode_levels(scene);
+    const Bytes bytes = file_of(scene);
     const auto whole = PagedFile::open(bytes);
     auto file = open_from(bytes, section_of(bytes, "LODS") + 64 + 112);
     REQUIRE(whole);
@@ -686,7 +687,7 @@ TEST_CASE("fuzzing seeds are valid files: others would stop at the first check")
 TEST_CASE("a damaged beginning is refused with the error of the whole file") {
   std::mt19937 random(31);
   int n_refused = 0, n_trailing = 0;
-  for (const char* name : {"levels_direct.rgs", "levels_packed.rgs", "levels_archive.rgs"}) {
+  for (const char* name : {"levels_direct.rgs", "levels_packed.rgs", "levels_archive.rgs", "levels_archive3.rgs"}) {
     const Bytes golden = read_bytes(std::filesystem::path(source_dir()) / "tests/golden" / name);
     const std::uint64_t pages = section_of(golden, "PAGE");
     for (int i = 0; i < 2000; ++i) {

@@ -7,7 +7,9 @@
 #include <limits>
 #include <set>
 
+#include "archive_pages.hpp"
 #include "edit_file.hpp"
+#include "golden_files.hpp"
 #include "golden_levels.hpp"
 #include "random_cloud.hpp"
 #include "rgs/decode.hpp"
@@ -69,7 +71,7 @@ TEST_CASE("leaves of a file with levels equal the file without, byte for byte") 
   for (const GoldenLevels& scene : all_golden_levels()) {
     if (scene.options.profile == Profile::archive || !scene.options.chunk_step_sets) continue;
     CAPTURE(scene.name);
-    const Bytes bytes = encode_levels(scene);
+    const Bytes bytes = file_of(scene);
     const auto file = PagedFile::open(bytes);
     REQUIRE(file);
     const auto plain = leaves_as_file(*file);
@@ -103,7 +105,7 @@ TEST_CASE("every page holds the Gaussians that it was written from, to the forma
   for (const GoldenLevels& scene : all_golden_levels()) {
     if (scene.options.profile == Profile::archive) continue;
     CAPTURE(scene.name);
-    const Bytes bytes = encode_levels(scene);
+    const Bytes bytes = file_of(scene);
     const auto file = PagedFile::open(bytes);
     REQUIRE(file);
     REQUIRE(validate(*file));
@@ -137,32 +139,72 @@ TEST_CASE("every page holds the Gaussians that it was written from, to the forma
 TEST_CASE("pages of an archive keep its stated bounds on all levels") {
   const GoldenLevels scene = golden_levels("", Profile::archive, 700, 3, 41, 3);
   const Bytes bytes = encode_levels(scene);
+  CHECK(scene.levels.pages[0].level == 2);
+  check_pages_within_bounds(bytes, scene);
+  // Positions refer to the leaves: a page's are in it.
   const auto file = PagedFile::open(bytes);
   REQUIRE(file);
-  REQUIRE(validate(*file));
-  REQUIRE(file->head().archive() != nullptr);
-  const ArchiveParameters& p = *file->head().archive();
-  CHECK(file->n_levels() == 3);
-  for (std::uint32_t i = 0; i < file->n_pages(); ++i) {
-    const lod::Page& page = file->pages()[i];
-    const std::vector<Splat> splats = splats_of(*file, i);
-    // Draco reorders a page: each decoded mean is found among the sources by the grid.
-    std::multiset<std::array<float, 3>> expected, found;
-    for (std::uint64_t k = page.first; k < page.first + page.count; ++k) {
-      expected.insert(archive_mean(p, scene.levels.splats.view().splat(k).mean));
+  std::uint64_t leaf = 0, in_order = 0;
+  for (std::uint32_t page = 0; page < file->n_pages(); ++page) {
+    if (file->pages()[page].level != 0) continue;
+    std::set<std::uint64_t> positions;
+    const std::uint64_t first = leaf;
+    for (std::uint32_t i = 0; i < file->pages()[page].count; ++i, ++leaf) {
+      positions.insert(file->source_index(leaf));
+      in_order += file->source_index(leaf) == leaf;
     }
-    for (const Splat& s : splats) found.insert({s.mean[0], s.mean[1], s.mean[2]});
-    CHECK(found == expected);
+    CHECK(*positions.begin() == first);
+    CHECK(*positions.rbegin() == leaf - 1);
+    CHECK(positions.size() == leaf - first);
   }
-  // Positions refer to the leaves.
-  const SplatView leaves = scene.leaves.view();
-  const std::vector<std::uint32_t> pages = lod::pages_of_level(file->pages(), 0);
-  const auto cloud = read_pages(*file, pages);
-  REQUIRE(cloud);
-  for (std::uint64_t i = 0; i < leaves.n; ++i) {
-    const Splat source = leaves.splat(file->source_index(i)), stored = cloud->view().splat(i);
-    const auto mean = archive_mean(p, source.mean);
-    CHECK(std::ranges::equal(mean, stored.mean));
+  CHECK(leaf == 700);
+  CHECK(in_order < 100);  // archives have an order of their own
+}
+
+TEST_CASE("an archive stores pages more coarsely the higher they are") {
+  // The same Gaussians on every level: what shows a quarter as large needs less.
+  GoldenLevels scene = golden_levels("", Profile::archive, 256, 2, 46, 8);
+  lod::Levels& levels = scene.levels;
+  REQUIRE(levels.pages.size() == 1);
+  constexpr std::uint32_t kLevels = 4;
+  const SplatCloud leaves = scene.leaves;
+  const lod::Page leaf = levels.pages[0];
+  levels.pages.clear();
+  levels.splats.resize(kLevels * leaves.size(), leaves.sh_degree);
+  for (std::uint32_t i = 0; i < kLevels; ++i) {
+    lod::Page& page = levels.pages.emplace_back(leaf);
+    page.first = i * leaves.size();
+    page.level = kLevels - 1 - i;
+    page.error = 0.01f * static_cast<float>(page.level);
+    page.parent = i == 0 ? lod::kNoPage : i - 1;
+    page.first_child = page.level == 0 ? 0 : i + 1;
+    page.n_children = page.level == 0 ? 0 : 1;
+    for (std::uint64_t k = 0; k < leaves.size(); ++k) levels.splats.set(page.first + k, leaves.view().splat(k));
+  }
+  const Bytes bytes = encode_levels(scene);
+  check_pages_within_bounds(bytes, scene);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  for (std::uint32_t i = 0; i + 1 < kLevels; ++i) {
+    CAPTURE(i);
+    CHECK(file->stored(i).stored_bytes < 0.95 * file->stored(i + 1).stored_bytes);
+  }
+  // A pixel blurs twice as much, in which steps are: means move twice as far where Gaussians are smaller than that.
+  std::vector<double> distance(kLevels);  // squared, to the nearest mean of the source
+  for (std::uint32_t i = 0; i < kLevels; ++i) {
+    for (const Splat& s : splats_of(*file, i)) {
+      double nearest = std::numeric_limits<double>::infinity();
+      for (std::uint64_t k = 0; k < leaves.size(); ++k) {
+        double squared = 0;
+        for (std::size_t j = 0; j < 3; ++j) squared += std::pow(s.mean[j] - leaves.mean[3 * k + j], 2.0);
+        nearest = std::min(nearest, squared);
+      }
+      distance[i] += nearest / static_cast<double>(leaves.size());
+    }
+  }
+  for (std::uint32_t i = 0; i + 1 < kLevels; ++i) {
+    CAPTURE(i);
+    CHECK(distance[i] > 2 * distance[i + 1]);
   }
 }
 
@@ -284,7 +326,7 @@ TEST_CASE("pages cost little more than a file of the same Gaussians") {
 TEST_CASE("every prefix that holds the root is a scene and says what is missing") {
   for (const GoldenLevels& scene : all_golden_levels()) {
     CAPTURE(scene.name);
-    const Bytes whole = encode_levels(scene);
+    const Bytes whole = file_of(scene);
     const std::uint64_t first_page = section_of(whole, "PAGE");
     const auto complete = PagedFile::open(whole);
     REQUIRE(complete);
@@ -399,7 +441,7 @@ TEST_CASE("a page decodes from its bytes, wherever they come from, and from no o
 TEST_CASE("boxes of pages hold everything stored below, whatever the tree says") {
   for (const Profile profile : {Profile::direct, Profile::archive}) {
     GoldenLevels scene = golden_levels("", profile, 300, 1, 45);
-    const Bytes bytes = encode_levels(scene);  // with boxes of means only
+    const Bytes bytes = file_of(scene);  // with boxes of means only
     const auto file = PagedFile::open(bytes);
     REQUIRE(file);
     REQUIRE(validate(*file));
