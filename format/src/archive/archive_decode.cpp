@@ -256,18 +256,19 @@ void ArchiveDecoder::sh(int sh_degree, std::uint32_t chunk_rows, std::span<const
   constexpr std::size_t kPart = kMinChunkSize;  // of one chunk: chunks start at its multiples
   static_assert(kShLanes % kPart == 0);
   const std::size_t stride = sh_bytes(sh_degree), n_values = 3 + tables_.n_sh;
+  std::array<float, kShMaxCodes> steps{};
   if (stride != n_values) std::memset(out.data(), 0, out.size());
   dc_values(tables_, colours_, dc_);
   for (std::size_t first = 0; first < colours_.n; first += kShLanes) {
     const std::size_t count = std::min<std::size_t>(kShLanes, colours_.n - first);
     sh_block(tables_, matrix_, colours_, dc_, first, count, block_);
-    for (std::size_t part = 0; part < count; part += kPart) {
-      const ShStepSet& set = chunk_steps[(first + part) / chunk_rows];
+    const std::size_t chunk = first / chunk_rows, last = (first + count - 1) / chunk_rows;
+    for (std::size_t k = 0; k < n_values; ++k) steps[k] = chunk_steps[chunk].of_value(static_cast<int>(k));
+    archive_kernels().quantize(block_.value[0], steps.data(), static_cast<int>(n_values), block_.lanes.codes[0]);
+    for (std::size_t i = kPart; last != chunk && i < count; ++i) {  // in chunks of 32 a block has two
+      const ShStepSet& set = chunk_steps[(first + i) / chunk_rows];
       for (std::size_t k = 0; k < n_values; ++k) {
-        const float step = set.of_value(static_cast<int>(k));
-        for (std::size_t i = part; i < part + kPart; ++i) {
-          block_.lanes.codes[k][i] = quantize_sh(block_.value[k][i], step);
-        }
+        block_.lanes.codes[k][i] = quantize_sh(block_.value[k][i], set.of_value(static_cast<int>(k)));
       }
     }
     store_block(first, count, stride, out);
