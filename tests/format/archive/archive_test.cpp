@@ -16,6 +16,7 @@
 #include "archive/rans.hpp"
 #include "archive_bounds.hpp"
 #include "edit_file.hpp"
+#include "instruction_sets.hpp"
 #include "plausible_cloud.hpp"
 #include "random_cloud.hpp"
 #include "rgs/decode.hpp"
@@ -709,7 +710,7 @@ TEST_CASE("needles, discs and spheres of any direction keep their shape") {
   }
 }
 
-TEST_CASE("whatever codes and parameters a file has, its rows are finite") {
+TEST_CASE("whatever codes and parameters a file has, its rows are finite and the same with all instructions") {
   using namespace rgs::detail;
   SplitMix random{126};
   for (int turn = 0; turn < 300; ++turn) {
@@ -767,18 +768,30 @@ TEST_CASE("whatever codes and parameters a file has, its rows are finite") {
     for (std::size_t k = 0; k < 3; ++k)
       stream[k] = static_cast<std::byte>(any(0, static_cast<std::int32_t>(p.mean_bits)));
     stream[3] = std::byte{0};
-    ArchiveDecoder decoder(t);
-    // Refused for its end at the latest; the codes are there nevertheless, if its points are.
-    REQUIRE_FALSE(decoder.codes({{stream, 0}, {}, {}}, kN, any(0, 63)));
-    std::vector<std::byte> means(12 * kN), geometry(16 * kN), steps(4 * 48), sh(kN * sh_bytes(degree));
-    decoder.rows(any(-110, 110), means, geometry);
+    const int level = any(0, 63), scale_exponent = any(-110, 110);
+    std::vector<std::byte> means, geometry, steps, sh;
+    with_each_instruction_set([&] {
+      ArchiveDecoder decoder(t);
+      // Refused for its end at the latest; the codes are there nevertheless, if its points are.
+      REQUIRE_FALSE(decoder.codes({{stream, 0}, {}, {}}, kN, level));
+      std::vector<std::byte> rows[] = {std::vector<std::byte>(12 * kN), std::vector<std::byte>(16 * kN),
+                                       std::vector<std::byte>(4 * 48), std::vector<std::byte>(kN * sh_bytes(degree))};
+      decoder.rows(scale_exponent, rows[0], rows[1]);
+      decoder.sh_and_steps(degree, 32, rows[2], rows[3]);
+      if (means.empty()) {
+        means = rows[0], geometry = rows[1], steps = rows[2], sh = rows[3];
+      }
+      REQUIRE(same(means, rows[0]));
+      REQUIRE(same(geometry, rows[1]));
+      REQUIRE(same(steps, rows[2]));
+      REQUIRE(same(sh, rows[3]));
+    });
     for (std::size_t i = 0; i < 3 * kN; ++i) REQUIRE(std::isfinite(get<float>(means, 4 * i)));
     for (std::size_t i = 0; i < 8 * kN; ++i) {
       const auto half = get<std::uint16_t>(geometry, 2 * i);
       REQUIRE((half & 0x7FFFu) < 0x7C00u);
       if (i % 8 == 0 || i % 8 >= 4) REQUIRE(half < 0x8000u);
     }
-    decoder.sh_and_steps(degree, 32, steps, sh);
     for (std::size_t i = 0; i < 4 * 12; ++i) {
       const auto step = get<float>(steps, 4 * i);
       REQUIRE(std::isfinite(step));
