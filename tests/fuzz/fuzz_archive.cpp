@@ -54,6 +54,7 @@ ArchiveTables flat_tables(rgs::Codec codec, std::span<const std::byte> bytes) {
     c.scale_base = -(1 << 23);
     c.dc_step = static_cast<std::uint32_t>(bytes[2]) << 18 | 1u;
     c.sh_step = 0x1p40f;
+    c.sh_units = static_cast<std::uint32_t>(bytes[2]) << 7 | 1u;
   }
   // Steps of every size, and their ends.
   const auto octaves = [](std::byte b) { return (static_cast<std::int32_t>(b) - 128) * (1 << 17); };
@@ -69,6 +70,9 @@ ArchiveTables flat_tables(rgs::Codec codec, std::span<const std::byte> bytes) {
   t.opacity[0] = 1;
   t.dc_matrix.fill(32767);
   t.dc_weights.fill(-32768);
+  t.sh_unit = 0x1p40f;
+  t.dc_smoothing = {1, 254};
+  t.sh_smoothing = {static_cast<std::uint8_t>(bytes[3]), static_cast<std::uint8_t>(255 - static_cast<int>(bytes[3]))};
   t.sh_centre.resize(t.n_sh);
   t.sh_matrix.assign(t.n_sh * t.n_sh, -32768);
   t.map.resize(t.contexts().count);

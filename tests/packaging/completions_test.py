@@ -52,7 +52,8 @@ class Completions(unittest.TestCase):
         self.assertEqual(self.bash("rgs-render", "--bac"), ["--background", "--backend"])
         self.assertEqual(self.bash("rgs-render", "--backend", "c"), ["cpu", "cuda"])
         self.assertEqual(self.bash("rgs-render", "--out", "x"), [])  # left to file names
-        self.assertEqual(self.bash("rgs-convert", "--profile", ""), ["packed", "direct", "archive:high", "archive:small"])
+        self.assertEqual(self.bash("rgs-convert", "--profile", ""),
+                         ["packed", "direct", "archive:high", "archive:small", "archive:tiny"])
         self.assertEqual(self.bash("rgs-convert", "--profile", "archive:s"), ["small"])
 
     def fish(self, line):

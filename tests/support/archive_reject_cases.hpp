@@ -15,8 +15,8 @@ namespace rgs::test::detail {
 /// Where arrays start in the content of the tables of an archive of degree 1 with these opacity_levels.
 struct ArchiveContent {
   explicit ArchiveContent(std::uint64_t levels) : map(opacity + 2 * (levels + 1)) {}
-  static constexpr std::uint64_t kSh = 9, sh_centre = 12;
-  static constexpr std::uint64_t opacity = sh_centre + 4 * kSh + 18 + 12 + 2 * kSh * kSh;
+  static constexpr std::uint64_t kSh = 9, sh_centre = 12, sh_unit = sh_centre + 4 * kSh + 18, smoothing = sh_unit + 4;
+  static constexpr std::uint64_t opacity = smoothing + 4 + 2 * kSh * kSh;
   std::uint64_t map;
 };
 /// Contexts: of a cell of n points, n at least 16; of opacities.
@@ -56,7 +56,8 @@ inline void reject_parameters(RejectMaker& m) {
   m.set("arch3_reserved", reserved_bits, arch + 112, std::uint8_t{1});
   m.set("arch3_reserved_last", reserved_bits, arch + 112, arch + 127, std::uint8_t{1});
   m.set("class3_dc_step", bad_value, first, 0u);
-  m.set("class3_sh_step", bad_value, first + 4, 0x1p41f);
+  m.set("class3_sh_step", bad_value, first + 4, 0u);
+  m.set("class3_sh_step_large", bad_value, first + 4, (1u << 15) + 1);
   m.set("class3_bound_mean", bad_value, first + 8, -1.f);
   m.set("class3_bound_covariance", bad_value, first + 12, kInfinity);
   m.set("class3_bound_dc", bad_value, first + 16, kNaN);
@@ -68,6 +69,9 @@ inline void reject_parameters(RejectMaker& m) {
     m.change(name, bad_value, tables, [&](Bytes& b) { change_tables(b, tables, change); });
   };
   content("tables3_centre", [&](Bytes& t) { put(t, at.sh_centre, kNaN); });
+  content("tables3_sh_unit", [&](Bytes& t) { put(t, at.sh_unit, 0x1p-61f); });
+  content("tables3_dc_smoothing", [&](Bytes& t) { put(t, at.smoothing, std::uint16_t{0x80 << 8 | 0x80}); });
+  content("tables3_sh_smoothing", [&](Bytes& t) { put(t, at.smoothing + 2, std::uint16_t{0xFF << 8 | 0x01}); });
   content("tables3_opacity_0", [&](Bytes& t) { put(t, at.opacity, std::uint16_t{0}); });
   content("tables3_opacity_above_1", [&](Bytes& t) { put(t, at.map - 2, std::uint16_t{0x3C01}); });
   content("tables3_map", [&](Bytes& t) { put(t, at.map, std::uint8_t{255}); });

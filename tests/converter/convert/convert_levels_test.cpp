@@ -218,6 +218,17 @@ TEST_CASE("--lod accepts chunks of any size, and colours far beyond those of a p
   const ProgramResult run = rgs_convert({"--lod", "--chunk-size", "16384", ply, levels});
   CAPTURE(run.err);
   CHECK(run.exit_code == 0);
+  // Pages of an archive have half as many Gaussians at most.
+  const std::string modest = write_scene(folder.file("modest.ply"), ordinary_cloud(70'000, 0, 5)),
+                    archive = folder.file("archive.rgs");
+  const ProgramResult lossy =
+      rgs_convert({"--lod", "--profile", "archive:small", "--chunk-size", "16384", modest, archive});
+  CAPTURE(lossy.err);
+  REQUIRE(lossy.exit_code == 0);
+  const Bytes bytes = read_bytes(archive);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(std::ranges::max(file->pages(), {}, &lod::Page::count).count == 32768);
 }
 
 TEST_CASE("--merge takes more inputs than the shell's limit of open files") {

@@ -16,6 +16,7 @@
 #include "archive/rans.hpp"
 #include "archive_bounds.hpp"
 #include "edit_file.hpp"
+#include "instruction_sets.hpp"
 #include "plausible_cloud.hpp"
 #include "random_cloud.hpp"
 #include "rgs/decode.hpp"
@@ -709,12 +710,14 @@ TEST_CASE("needles, discs and spheres of any direction keep their shape") {
   }
 }
 
-TEST_CASE("whatever codes and parameters a file has, its rows are finite") {
+TEST_CASE("whatever codes and parameters a file has, its rows are finite and the same with all instructions") {
   using namespace rgs::detail;
   SplitMix random{126};
   for (int turn = 0; turn < 300; ++turn) {
     CAPTURE(turn);
     ArchiveTables t;
+    const int degree = turn % 4;
+    t.n_sh = archive_sh_count(degree);
     ArchiveParameters& p = t.parameters;
     const auto any = [&random](std::int32_t low, std::int32_t high) {  // the limits more often
       const std::uint64_t which = random.below(4);
@@ -729,7 +732,7 @@ TEST_CASE("whatever codes and parameters a file has, its rows are finite") {
     p.classes.resize(static_cast<std::size_t>(any(1, 32)));
     for (ArchiveClass& c : p.classes) {
       c.dc_step = static_cast<std::uint32_t>(any(1, 1 << 26));
-      c.sh_step = static_cast<float>(any_power(-40, 40));
+      c.sh_units = static_cast<std::uint32_t>(any(1, 1 << 15));
     }
     for (std::size_t k = 0; k < 3; ++k) {
       p.centre[k] = any_power(-200, 128) * (random.below(2) == 0 ? 1 : -1);
@@ -746,7 +749,14 @@ TEST_CASE("whatever codes and parameters a file has, its rows are finite") {
     for (std::uint32_t i = 0; i <= p.opacity_levels; ++i)
       t.opacity.push_back(static_cast<std::uint16_t>(any(1, 0x3C00)));
     t.dc_matrix.fill(-32768);
-    t.dc_weights.fill(32767);
+    for (float& x : t.dc_centre) x = static_cast<float>(any_power(-60, 40));
+    for (std::size_t k = 0; k < t.n_sh; ++k) t.sh_centre.push_back(static_cast<float>(any_power(-60, 40)));
+    t.sh_matrix.assign(t.n_sh * t.n_sh, static_cast<std::int16_t>(any(-32768, 32767)));
+    t.sh_unit = static_cast<float>(any_power(-60, 40));
+    for (ArchiveTables::Smoothing* s : {&t.dc_smoothing, &t.sh_smoothing}) {
+      s->recent = static_cast<std::uint8_t>(any(0, 255));
+      s->kept = static_cast<std::uint8_t>(any(0, 255 - s->recent));
+    }
     t.map.resize(t.contexts().count);
     t.frequencies.assign(kRansTokens, 4096 / kRansTokens);
     t.frequencies[0] += 4096 % kRansTokens;
@@ -758,17 +768,36 @@ TEST_CASE("whatever codes and parameters a file has, its rows are finite") {
     for (std::size_t k = 0; k < 3; ++k)
       stream[k] = static_cast<std::byte>(any(0, static_cast<std::int32_t>(p.mean_bits)));
     stream[3] = std::byte{0};
-    ArchiveDecoder decoder(t);
-    // Refused for its end at the latest; the codes are there nevertheless, if its points are.
-    REQUIRE_FALSE(decoder.codes({{stream, 0}, {}, {}}, kN, any(0, 63)));
-    std::vector<std::byte> means(12 * kN), geometry(16 * kN), sh(16 * kN);
-    decoder.rows(any(-110, 110), means, geometry);
+    const int level = any(0, 63), scale_exponent = any(-110, 110);
+    std::vector<std::byte> means, geometry, steps, sh;
+    with_each_instruction_set([&] {
+      ArchiveDecoder decoder(t);
+      // Refused for its end at the latest; the codes are there nevertheless, if its points are.
+      REQUIRE_FALSE(decoder.codes({{stream, 0}, {}, {}}, kN, level));
+      std::vector<std::byte> rows[] = {std::vector<std::byte>(12 * kN), std::vector<std::byte>(16 * kN),
+                                       std::vector<std::byte>(4 * 48), std::vector<std::byte>(kN * sh_bytes(degree))};
+      decoder.rows(scale_exponent, rows[0], rows[1]);
+      decoder.sh_and_steps(degree, 32, rows[2], rows[3]);
+      if (means.empty()) {
+        means = rows[0], geometry = rows[1], steps = rows[2], sh = rows[3];
+      }
+      REQUIRE(same(means, rows[0]));
+      REQUIRE(same(geometry, rows[1]));
+      REQUIRE(same(steps, rows[2]));
+      REQUIRE(same(sh, rows[3]));
+    });
     for (std::size_t i = 0; i < 3 * kN; ++i) REQUIRE(std::isfinite(get<float>(means, 4 * i)));
     for (std::size_t i = 0; i < 8 * kN; ++i) {
       const auto half = get<std::uint16_t>(geometry, 2 * i);
       REQUIRE((half & 0x7FFFu) < 0x7C00u);
       if (i % 8 == 0 || i % 8 >= 4) REQUIRE(half < 0x8000u);
     }
+    for (std::size_t i = 0; i < 4 * 12; ++i) {
+      const auto step = get<float>(steps, 4 * i);
+      REQUIRE(std::isfinite(step));
+      REQUIRE_FALSE(std::signbit(step));
+    }
+    for (const std::byte code : sh) REQUIRE(code != std::byte{0x80});
   }
 }
 
@@ -848,7 +877,6 @@ TEST_CASE("invalid tables of an archive are refused") {
   ArchiveTables good;
   good.n_sh = archive_sh_count(1);
   good.parameters.classes.resize(3);
-  for (ArchiveClass& c : good.parameters.classes) c.sh_step = 1;
   good.parameters.opacity_levels = 2;
   good.opacity = {1, 0x3800, 0x3C00};
   good.sh_centre.resize(good.n_sh);
@@ -880,6 +908,19 @@ TEST_CASE("invalid tables of an archive are refused") {
   bad = good;
   bad.dc_centre[0] = 0x1p41f;
   refused(write_archive_tables(bad), Errc::bad_value, frame);
+  for (const float unit : {0.f, 0x1p-61f, 0x1p41f, std::nanf("")}) {
+    bad = good;
+    bad.sh_unit = unit;
+    refused(write_archive_tables(bad), Errc::bad_value, frame);
+  }
+  for (ArchiveTables::Smoothing ArchiveTables::*smoothing :
+       {&ArchiveTables::dc_smoothing, &ArchiveTables::sh_smoothing}) {
+    bad = good;
+    bad.*smoothing = {200, 55};
+    CHECK(parse(write_archive_tables(bad)));
+    bad.*smoothing = {200, 56};
+    refused(write_archive_tables(bad), Errc::bad_value, frame);
+  }
   for (const std::uint16_t opacity : std::array<std::uint16_t, 6>{0, 0x3C01, 0x7C00, 0x7E00, 0x8000, 0xB800}) {
     bad = good;
     bad.opacity[1] = opacity;

@@ -208,6 +208,28 @@ TEST_CASE("an archive stores pages more coarsely the higher they are") {
   }
 }
 
+TEST_CASE("pages of an archive have at most 2^15 Gaussians") {
+  const SplatCloud cloud = golden_cloud(40'000, 0, 47);
+  for (const std::uint32_t page_chunks : {512u, 513u}) {
+    const lod::Levels levels = trivial_levels(cloud, {.chunk_size = 64, .page_chunks = page_chunks});
+    for (const Profile profile : {Profile::direct, Profile::archive}) {
+      EncodeOptions options;
+      options.profile = profile;
+      options.chunk_size = 64;
+      options.order = profile == Profile::archive ? Order::morton : Order::input;
+      Bytes bytes;
+      const auto written = write_levels(levels, options, bytes);
+      if (profile == Profile::archive && page_chunks == 513) {
+        REQUIRE_FALSE(written);
+        CHECK(written.error().code == Errc::bad_argument);
+      } else {
+        REQUIRE(written);
+        CHECK(PagedFile::open(bytes)->pages()[1].count == 64 * page_chunks);
+      }
+    }
+  }
+}
+
 TEST_CASE("the bytes do not depend on the number of threads") {
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
     GoldenLevels scene = golden_levels("", profile, 3000, 2, 42);
