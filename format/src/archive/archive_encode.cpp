@@ -603,17 +603,21 @@ class Encoder {
     return {};
   }
 
-  // The stated bounds are measured; checking them against half a step catches mistakes in what is measured.
+  // The stated bounds are measured; checking them against half a step, and what a Gaussian of any class passes on, catches
+  // mistakes in what is measured.
   bool steps_explain_bounds() const {
     const ArchiveParameters& p = tables_.parameters;
+    const auto coarsest = std::ranges::max(p.classes, {}, &ArchiveClass::sh_step).sh_step;
+    const double passed_on = static_cast<double>(kPassedOn * coarsest) / 2;
     float largest_sh = 1;
     for (const float x : splats_.sh) largest_sh = std::max(largest_sh, std::abs(x));
     const double rounding = static_cast<double>(largest_sh) * 0x1p-11, side = std::sqrt(0.75);  // matrices have 14 bits
     bool explained = p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11;
     for (const ArchiveClass& c : p.classes) {
-      explained =
-          explained && c.bound_dc <= c.dc_step / 65536.0 * side + rounding &&
-          c.bound_sh <= static_cast<double>(c.sh_step) / 2 * std::sqrt(static_cast<double>(tables_.n_sh)) + rounding;
+      explained = explained && c.bound_dc <= c.dc_step / 65536.0 * side + rounding &&
+                  c.bound_sh <=
+                      (static_cast<double>(c.sh_step) / 2 + passed_on) * std::sqrt(static_cast<double>(tables_.n_sh)) +
+                          rounding;
     }
     return explained;
   }

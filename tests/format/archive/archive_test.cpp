@@ -55,7 +55,7 @@ bool same(std::span<const std::byte> a, std::span<const std::byte> b) {
 
 // What the steps guarantee: the stated bounds must not be worse. Those of class 0 have no end; others have an importance of
 // at least `least`, by which all is so much finer. longest: how many times a Gaussian is longer than wide, blurred, if the
-// least step of a turn, 2^-12, shows.
+// least step of a turn, 2^-12, shows, and that rotations are FP16.
 void check_stated(const ArchiveParameters& p, double longest = 0) {
   const ShapeParameters& shape = p.shape;
   const auto octaves = [](double x) { return std::exp2(x / 65536.0); };
@@ -65,7 +65,9 @@ void check_stated(const ArchiveParameters& p, double longest = 0) {
     CAPTURE(i);
     const ArchiveClass& c = p.classes[static_cast<std::size_t>(i)];
     CHECK(c.bound_dc <= c.dc_step / 65536.0 * std::sqrt(3.0) / 2 + 0.03);
-    CHECK(c.bound_sh <= static_cast<double>(c.sh_step) / 2 * std::sqrt(45.0) + 0.001);
+    // Neighbours make up for each other's errors: a part of those of any class comes on top.
+    const double passed_on = 0.3 * static_cast<double>(p.classes.front().sh_step) / 2;
+    CHECK(c.bound_sh <= (static_cast<double>(c.sh_step) / 2 + passed_on) * std::sqrt(45.0) + 0.001);
     if (i == 0) continue;
     const double least = i - n_classes / 2 - 0.5;
     const auto finer = [&](double importance) { return shape.slope / 2.0 * importance; };
@@ -84,7 +86,7 @@ void check_stated(const ArchiveParameters& p, double longest = 0) {
                  variance = std::exp2(scale) - 1 + 1.0 / 64;
     // Half a step around each axis moves a quaternion's component, and turns by twice as much. Of a needle whose end moves
     // by v, in units of its blurred width, the covariance changes by v on both sides and by v v^T across.
-    const double turn = std::max(octaves(shape.turn_step - finer(least) + 65536 / 4), longest * 0x1p-12);
+    const double turn = octaves(shape.turn_step - finer(least) + 65536 / 4) + longest * 0x1p-12;
     const double moved = 3 * turn * turn;
     CHECK(c.bound_covariance <= 1.2 * std::sqrt(3 * variance * variance + 2 * moved + moved * moved));
   }
@@ -234,13 +236,15 @@ TEST_CASE("extreme and equal Gaussians can be archived") {
   for (std::size_t i = 0; i < flat.size(); ++i) flat.mean[3 * i + 1] = 7;
   SplatCloud piled = plausible_cloud(1500, 0, random);
   for (float& x : piled.mean) x = 0;
-  for (const SplatCloud* cloud : {&extremes, &equals, &flat, &piled}) {
+  SplatCloud noise = golden_cloud(20000, 1, 8);  // neighbours have nothing in common
+  for (const SplatCloud* cloud : {&extremes, &equals, &flat, &piled, &noise}) {
     const Bytes bytes = encode_archive_file(*cloud, archive_options());
     const auto view = FileView::open(bytes);
     REQUIRE(view);
     CHECK(validate(*view));
     CHECK(verify_archive(bytes, cloud->view(), source_order(*view)));
-    check_stated(*view->archive(), cloud == &piled ? std::exp(6) : 0);  // whose blur is nothing
+    // The blur of the one is nothing, that of the other 2^-10 of a distance of about 8 from Gaussians of scales up to 1.
+    check_stated(*view->archive(), cloud == &piled ? std::exp(6) : cloud == &noise ? 128 : 0);
   }
 }
 
