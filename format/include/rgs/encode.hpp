@@ -33,9 +33,8 @@ enum class Profile : std::uint8_t {
   archive  ///< Codec::archive: lossy within stated bounds, a sixth of the size or less; the same layout once decoded
 };
 
-/// Losses that Profile::archive may cause. Steps are for a Gaussian of median importance (opacity^2 times area, over
-/// squared distance where that is large); a Gaussian of x times that importance gets steps x^(-slope / 2) times as
-/// large, x limited to 2^-8 .. 2^8. Defaults are archive_high().
+/// Losses that Profile::archive may cause: smaller for a Gaussian of more importance (opacity^2 times area, over squared
+/// distance where that is large). Defaults are archive_high().
 struct ArchiveOptions {
   float step = 1;        ///< 1/16 to 64: all errors are about in proportion to it; docs/user/PROFILES.md
   unsigned threads = 0;  ///< 0: as many as the machine runs at once; the file does not depend on it

@@ -83,6 +83,7 @@ void smooth(std::int16_t* planes, std::size_t stride, int n_planes, const std::i
   alignas(64) std::int16_t rows[kShLanes][kWidth];
   alignas(64) std::int32_t s[kWidth];
   std::copy_n(state, kWidth, s);
+  for (auto& row : rows) std::fill(row + n_planes, row + kWidth, std::int16_t{0});  // lanes that are not used
   for (int k = 0; k < n_planes; ++k) {
     for (int i = 0; i < count; ++i)
       rows[i][k] = planes[static_cast<std::size_t>(k) * stride + static_cast<std::size_t>(i)];
