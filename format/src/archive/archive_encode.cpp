@@ -37,11 +37,11 @@ ArchiveOptions archive_high() {
 }
 
 ArchiveOptions archive_small() {
-  return {.step = 2};
+  return {.step = 2.2f};
 }
 
 ArchiveOptions archive_tiny() {
-  return {.step = 4};
+  return {.step = 5};
 }
 
 namespace {
@@ -631,6 +631,7 @@ class Encoder {
     std::vector<std::uint16_t> geometry(8 * f.count);
     f.shapes.write_rows(tables_, f.scale_exponent, &means_[3 * f.first], geometry.data());
     ExtentBox extent;
+    ShMagnitudes of_frame;
     for (std::uint64_t at = 0; at < f.count; at += plan_.header.chunk_size) {
       const std::uint64_t count = std::min<std::uint64_t>(plan_.header.chunk_size, f.count - at);
       for (std::size_t first = 0; first < count; first += kShLanes) {
@@ -655,24 +656,40 @@ class Encoder {
         if (f.level == 0) totals.counts.add(stored[i].geometry);
       }
       if (pages_ == nullptr) {
-        describe_chunk((f.first + at) / plan_.header.chunk_size, std::span(stored).first(count), totals);
+        describe_chunk((f.first + at) / plan_.header.chunk_size, std::span(stored).first(count), totals.counts,
+                       of_frame);
       }
     }
-    if (pages_ != nullptr) f.extent = extent.box();
+    if (pages_ != nullptr) {
+      f.extent = extent.box();
+    } else {
+      share_steps(f, of_frame.steps());
+      totals.magnitudes.merge(of_frame);
+    }
     return {};
   }
 
   // Entry and SH steps of a chunk, from its decoded Gaussians.
-  void describe_chunk(std::uint64_t index, std::span<const StoredSplat> splats, Totals& totals) {
+  void describe_chunk(std::uint64_t index, std::span<const StoredSplat> splats, ValueCounts& counts,
+                      ShMagnitudes& of_frame) {
     ChunkSummary summary;
     ShMagnitudes magnitudes;
     for (const StoredSplat& s : splats) {
-      summary.add(s.mean, s.geometry, totals.counts);
+      summary.add(s.mean, s.geometry, counts);
       magnitudes.add(s.sh, degree_);
     }
     scene_.chunks[index] = summary.entry(plan_.header.scale_exponent);
     scene_.steps[index] = magnitudes.steps();
-    totals.magnitudes.merge(magnitudes);
+    of_frame.merge(magnitudes);
+  }
+
+  // Above degree 0 a frame's chunks share their steps, which are far below those of archives: sets of its own for each
+  // would cost more bytes than they show.
+  void share_steps(const Frame& f, const ShStepSet& steps) {
+    const std::uint32_t chunk = plan_.header.chunk_size;
+    for (std::uint64_t i = f.first / chunk; i < chunks_of(f.first + f.count, chunk); ++i) {
+      std::copy(steps.step[1], std::end(steps.step[3]), scene_.steps[i].step[1]);
+    }
   }
 
   // Boxes of the decoded means.

@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <numeric>
 
 #include "archive/shape_formulas.hpp"
@@ -97,6 +98,56 @@ Transform fit_transform(const SplatView& splats, std::span<const double> weights
     t.matrix[k] = static_cast<std::int16_t>(std::nearbyint(value * (1 << kMatrixBits)));
   }
   return t;
+}
+
+// Smoothing by which values y = matrix * (SH - centre) of consecutive Gaussians leave the least to code, by their
+// logarithms; `step` of all.
+ArchiveTables::Smoothing fit_smoothing(const SplatView& splats, std::size_t first, std::span<const float> centre,
+                                       std::span<const std::int16_t> matrix, double step) {
+  constexpr std::array kKept{0.6, 0.72, 0.81, 0.88};
+  constexpr std::size_t kRun = 2048, kRuns = 16;
+  constexpr int kGains = 32;
+  const std::size_t n = centre.size(), width = static_cast<std::size_t>(3 * sh_coefficients(splats.sh_degree));
+  struct Sums {
+    double yy = 0, ym = 0, mm = 0;  // m: the mean of those before
+  };
+  std::vector<Sums> sums(kKept.size() * n);
+  const std::uint64_t run = std::max<std::uint64_t>(kRun, splats.n / kRuns);
+  for (std::uint64_t begin = 0; begin < splats.n; begin += run) {
+    std::vector<double> mean(kKept.size() * n);
+    for (std::uint64_t row = begin; row < std::min(begin + kRun, splats.n); ++row) {
+      const float* sh = &splats.sh[row * width + first];
+      for (std::size_t k = 0; k < n; ++k) {
+        double y = 0;
+        for (std::size_t q = 0; q < n; ++q)
+          y += static_cast<double>(matrix[q * n + k]) * static_cast<double>(sh[q] - centre[q]);
+        y /= 1 << kMatrixBits;
+        for (std::size_t j = 0; j < kKept.size(); ++j) {
+          Sums& s = sums[j * n + k];
+          double& m = mean[j * n + k];
+          s.yy += y * y, s.ym += y * m, s.mm += m * m;
+          m = kKept[j] * m + (1 - kKept[j]) * step * std::nearbyint(y / step);
+        }
+      }
+    }
+  }
+  ArchiveTables::Smoothing best{};
+  double least = std::numeric_limits<double>::max();
+  for (std::size_t j = 0; j < kKept.size(); ++j) {
+    for (int g = 0; g < kGains; ++g) {
+      const double gain = static_cast<double>(g) / kGains;
+      double bits = 0;
+      for (const Sums& s : std::span(sums).subspan(j * n, n)) {
+        const double floor = static_cast<double>(std::min(kRun * kRuns, splats.n)) * step * step / 12;
+        bits += std::log2(s.yy - gain * (2 * s.ym - gain * s.mm) + floor);
+      }
+      if (bits >= least) continue;
+      least = bits;
+      best = {static_cast<std::uint8_t>(std::lround(256 * gain * (1 - kKept[j]))),
+              static_cast<std::uint8_t>(std::lround(256 * kKept[j]))};
+    }
+  }
+  return best;
 }
 
 using Counts = std::array<std::uint64_t, kRansTokens>;
@@ -213,9 +264,10 @@ namespace {
 
 // Where all steps are those below.
 constexpr double kImportance = -22;
-// Found by equal slopes of error and bytes (docs/records/EXPERIMENTS.md): logarithms to base 2 but for the last three.
-constexpr double kBlur = -10, kCoarse = 0.85, kFine = -3.05, kTurn = -3.9, kMean = -3.55, kSlope = 0.76;
-constexpr double kOpacityLevels = 62, kDc = 0.118, kSh = 0.095, kShSlope = 0.72;
+// Found by equal slopes of error and bytes (docs/records/EXPERIMENTS.md): logarithms to base 2 but for those of
+// opacity and SH. kBlur is relative to the largest scale of most Gaussians.
+constexpr double kBlur = -1.75, kCoarse = 0.8, kFine = -3.1, kTurn = -4.1, kMean = -3.55, kCells = 2.1, kSlope = 0.65;
+constexpr double kOpacityLevels = 63, kDc = 0.1, kSh = 0.1, kShSlope = 0.68;
 
 std::int32_t fixed(double octaves) {
   return static_cast<std::int32_t>(std::lround(octaves * kOctave));
@@ -251,15 +303,27 @@ std::size_t stride_of(const SplatView& splats) {
   return static_cast<std::size_t>((splats.n + kSample - 1) / kSample);
 }
 
+// log2 of what a pixel blurs, in distances: scenes are made of Gaussians that show.
+double blur_of(const SplatView& splats, const ArchiveParameters& p) {
+  std::vector<double> sizes;
+  for (std::size_t i = 0; i < splats.n; i += stride_of(splats)) {
+    const float* scale = &splats.log_scale[3 * i];
+    const double largest = static_cast<double>(*std::max_element(scale, scale + 3)) * std::numbers::log2e;
+    sizes.push_back(largest - std::log2(std::max(squared_distance(splats, p, i), p.shape.nearest)) / 2);
+  }
+  return std::clamp(median(std::move(sizes)) + kBlur, -40.0, 0.0);
+}
+
 // log2 of importance.
 std::vector<double> importance(const SplatView& splats, const ArchiveParameters& p) {
   std::vector<double> out;
+  const double blur = static_cast<double>(p.shape.blur) / kOctave;
   for (std::size_t i = 0; i < splats.n; i += stride_of(splats)) {
     const double distance = std::max(squared_distance(splats, p, i), p.shape.nearest);
     double h[3];
     for (std::size_t k = 0; k < 3; ++k) {
       const double square = std::exp(2 * static_cast<double>(splats.log_scale[3 * i + k])) / distance;
-      h[k] = std::log2(square + std::exp2(2 * kBlur)) / 2;
+      h[k] = std::log2(square + std::exp2(2 * blur)) / 2;
     }
     const double area = h[0] + h[1] + h[2] - std::min({h[0], h[1], h[2]});
     out.push_back(2 * std::log2(std::max(opacity_of(splats, i), 1e-4)) + area);
@@ -275,12 +339,12 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& 
   p.step = o.step;
   // A cell holds few Gaussians; what is finer depends on each of them.
   p.mean_cells = static_cast<std::uint32_t>(
-      std::clamp(std::lround(std::log2(static_cast<double>(splats.n)) / 2 + 1.4 - coarser / 2), 4L, 18L));
+      std::clamp(std::lround(std::log2(static_cast<double>(splats.n)) / 2 + kCells - coarser / 2), 4L, 18L));
   std::vector<double> distances;
   for (std::size_t i = 0; i < splats.n; i += stride_of(splats)) distances.push_back(squared_distance(splats, p, i));
   ShapeParameters& s = p.shape;
   s.nearest = std::max(median(std::move(distances)), 1e-60);
-  s.blur = fixed(kBlur);
+  s.blur = fixed(blur_of(splats, p));
   s.coarse_step = fixed(kCoarse);
   const double middle = std::round(std::clamp(median(importance(splats, p)), -60.0, 60.0));
   s.middle = fixed(middle);
@@ -310,8 +374,6 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& 
     c.sh_units = static_cast<std::uint32_t>(std::clamp(std::nearbyint(c.sh_step / t.sh_unit), 1.f, 32768.f));
     c.sh_step = static_cast<float>(c.sh_units) * t.sh_unit;
   }
-  t.dc_smoothing = {74, 173};
-  t.sh_smoothing = {57, 184};
 }
 
 Sample sample_importance(const SplatView& splats, const ArchiveParameters& p) {
@@ -327,10 +389,13 @@ void fit_transforms(const SplatView& splats, const Sample& sample, ArchiveTables
   const Transform dc = fit_transform(splats, weights, stride, 0, 3);
   std::ranges::copy(dc.centre, t.dc_centre.begin());
   std::ranges::copy(dc.matrix, t.dc_matrix.begin());
+  const ArchiveClass& middle = t.parameters.classes[kClasses / 2];
+  t.dc_smoothing = fit_smoothing(splats, 0, t.dc_centre, t.dc_matrix, middle.dc_step / 65536.0);
   if (t.n_sh == 0) return;
   Transform sh = fit_transform(splats, weights, stride, 3, t.n_sh);
   t.sh_centre = std::move(sh.centre);
   t.sh_matrix = std::move(sh.matrix);
+  t.sh_smoothing = fit_smoothing(splats, 3, t.sh_centre, t.sh_matrix, static_cast<double>(middle.sh_step));
 }
 
 // GEOM and SHI8 have separate distributions, so that the tables of either fit in the cache.

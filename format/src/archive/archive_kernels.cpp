@@ -4,6 +4,8 @@
 // The compiler vectorises formulas for single numbers: operations are rounded one by one, so every instruction set
 // gives the same bits.
 
+// As in codec_kernels.cpp.
+#define HWY_DISABLED_TARGETS (HWY_SSE4 | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "archive/archive_kernels.cpp"  // NOLINT
 #include <hwy/foreach_target.h>
@@ -17,6 +19,8 @@ HWY_BEFORE_NAMESPACE();
 namespace rgs::detail {
 namespace HWY_NAMESPACE {
 namespace {
+
+namespace hn = hwy::HWY_NAMESPACE;
 
 void note(const std::int16_t* codes, std::size_t n, std::uint16_t* __restrict history,
           std::uint16_t* __restrict sizes) {
@@ -77,6 +81,34 @@ void dc(const std::int16_t* matrix, const std::int32_t* values, std::size_t stri
   }
 }
 
+// Eight rows of eight numbers become columns: each round of three interleaves rows i and i + 4. Those beyond n_in are 0,
+// those beyond n_out are not written.
+HWY_INLINE void transpose(const std::int16_t* in, std::size_t in_stride, int n_in, std::int16_t* out,
+                          std::size_t out_stride, int n_out) {
+#if HWY_TARGET == HWY_SCALAR
+  for (int i = 0; i < n_out; ++i) {
+    for (int j = 0; j < 8; ++j) {
+      out[static_cast<std::size_t>(i) * out_stride + static_cast<std::size_t>(j)] =
+          j < n_in ? in[static_cast<std::size_t>(j) * in_stride + static_cast<std::size_t>(i)] : std::int16_t{0};
+    }
+  }
+#else
+  constexpr hn::Full128<std::int16_t> d;
+  hn::Vec<hn::Full128<std::int16_t> > a[8], b[8];
+  for (int i = 0; i < 8; ++i) {
+    a[i] = i < n_in ? hn::LoadU(d, in + static_cast<std::size_t>(i) * in_stride) : hn::Zero(d);
+  }
+  for (int round = 0; round < 3; ++round) {
+    for (int i = 0; i < 4; ++i) {
+      b[2 * i] = hn::InterleaveLower(d, a[i], a[i + 4]);
+      b[2 * i + 1] = hn::InterleaveUpper(d, a[i], a[i + 4]);
+    }
+    for (int i = 0; i < 8; ++i) a[i] = b[i];
+  }
+  for (int i = 0; i < n_out; ++i) hn::StoreU(a[i], d, out + static_cast<std::size_t>(i) * out_stride);
+#endif
+}
+
 void smooth(std::int16_t* planes, std::size_t stride, int n_planes, const std::int32_t* steps, int count,
             std::int32_t recent, std::int32_t kept, std::int32_t* state) {
   constexpr int kWidth = kShMaxCodes;
@@ -84,9 +116,13 @@ void smooth(std::int16_t* planes, std::size_t stride, int n_planes, const std::i
   alignas(64) std::int32_t s[kWidth];
   std::copy_n(state, kWidth, s);
   for (auto& row : rows) std::fill(row + n_planes, row + kWidth, std::int16_t{0});  // lanes that are not used
-  for (int k = 0; k < n_planes; ++k) {
-    for (int i = 0; i < count; ++i)
-      rows[i][k] = planes[static_cast<std::size_t>(k) * stride + static_cast<std::size_t>(i)];
+  const auto plane = [&](int k, int i) { return planes + static_cast<std::size_t>(k) * stride + i; };
+  const auto eights = count / 8 * 8;
+  for (int k = 0; k < n_planes; k += 8) {
+    for (int i = 0; i < eights; i += 8) transpose(plane(k, i), stride, n_planes - k, &rows[i][k], kWidth, 8);
+    for (int i = eights; i < count; ++i) {
+      for (int j = k; j < std::min(k + 8, kWidth); ++j) rows[i][j] = j < n_planes ? *plane(j, i) : std::int16_t{0};
+    }
   }
   for (int i = 0; i < count; ++i) {
     const std::int32_t step = steps[i];
@@ -96,9 +132,12 @@ void smooth(std::int16_t* planes, std::size_t stride, int n_planes, const std::i
       s[k] = smoothed_state(value, s[k], recent, kept);
     }
   }
-  for (int k = 0; k < n_planes; ++k) {
-    for (int i = 0; i < count; ++i)
-      planes[static_cast<std::size_t>(k) * stride + static_cast<std::size_t>(i)] = rows[i][k];
+  for (int k = 0; k < n_planes; k += 8) {
+    const int n = std::min(n_planes - k, 8);
+    for (int i = 0; i < eights; i += 8) transpose(&rows[i][k], kWidth, 8, plane(k, i), stride, n);
+    for (int i = eights; i < count; ++i) {
+      for (int j = k; j < k + n; ++j) *plane(j, i) = rows[i][j];
+    }
   }
   std::copy_n(s, kWidth, state);
 }

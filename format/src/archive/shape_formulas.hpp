@@ -67,10 +67,14 @@ inline double variance_of(std::int32_t blurred, double blur) {
   return rest < least ? least : rest;
 }
 
-/// How much a small turn around an axis shows, by the variances along the two others.
+/// How much a small turn around an axis shows, by the variances along the two others; and its logarithm.
 inline double turn_sensitivity(double a, double b, double blur) {
   const double d = a - b;
-  return (d * d) / ((a + blur) * (b + blur));
+  return d * d / ((a + blur) * (b + blur));
+}
+inline std::int32_t turn_octaves(double a, double b, double blur) {
+  const double d = a - b;
+  return octaves_of(d * d) - octaves_of(a + blur) - octaves_of(b + blur);
 }
 
 /// From the square of the inverse standard deviation along each axis of the world: sum of rotation^2 / variance.
@@ -79,16 +83,16 @@ inline void world_precision(const double q[4], const double variance[3], double 
   const double r[3][3] = {{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
                           {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
                           {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}};
+  const double u[3] = {1 / (variance[0] + blur), 1 / (variance[1] + blur), 1 / (variance[2] + blur)};
   for (int k = 0; k < 3; ++k) {
-    out[k] = (r[k][0] * r[k][0] / (variance[0] + blur) + r[k][1] * r[k][1] / (variance[1] + blur)) +
-             r[k][2] * r[k][2] / (variance[2] + blur);
+    out[k] = (r[k][0] * r[k][0] * u[0] + r[k][1] * r[k][1] * u[1]) + r[k][2] * r[k][2] * u[2];
   }
 }
 
 /// Unit quaternion w x y z from the last three components, w not negative.
 inline void quaternion_of(double x, double y, double z, double q[4]) {
-  const double s = (x * x + y * y) + z * z, w = std::sqrt(s < 1 ? 1 - s : 0), length = std::sqrt(s + w * w);
-  q[0] = w / length, q[1] = x / length, q[2] = y / length, q[3] = z / length;
+  const double s = (x * x + y * y) + z * z, w = std::sqrt((1 - s) * (s < 1 ? 1.0 : 0.0)), scale = 1 / std::sqrt(s + w * w);
+  q[0] = w * scale, q[1] = x * scale, q[2] = y * scale, q[3] = z * scale;
 }
 
 /// A cell of the grid of means on one axis.

@@ -52,34 +52,48 @@ void find_fine_steps(const ArchiveTables& t, ShapeCodes& f) {
   }
 }
 
+// Blocks of rows pass through arrays that alias nothing, in loops that the compiler vectorises.
+constexpr std::size_t kRows = 64;
+
 void find_turn_steps(const ArchiveTables& t, ShapeCodes& f) {
   const ShapeParameters s = t.parameters.shape;
   const auto n_classes = static_cast<std::int32_t>(t.parameters.classes.size());
   const std::size_t n = f.n;
   const std::int32_t blur = f.blur(s), level = f.level;
   const double blurred = power_of_octaves(2 * blur);
-  const std::int16_t *coarse = f.coarse.data(), *fine = f.fine.data();
-  const std::int32_t* opacity = f.opacity_octaves.data();
-  const std::uint8_t* fine_step = f.fine_step.data();
-  std::int32_t* __restrict importance = f.importance.data();
-  std::uint8_t* __restrict classes = f.classes.data(), * __restrict turn_step = f.turn_step.data();
-  double* __restrict variance = f.variance.data();
-  for (std::size_t i = 0; i < n; ++i) {
-    const std::int32_t step = step_of(fine_step[i] + kLeastStep);
-    std::int32_t h[3];
-    double v[3];
+  alignas(64) std::int32_t step[kRows], h[3][kRows], seen[kRows], shows[3][kRows];
+  alignas(64) double v[3][kRows];
+  alignas(64) std::uint8_t byte[kRows];
+  for (std::size_t first = 0; first < n; first += kRows) {
+    const std::size_t count = std::min(kRows, n - first);
+    for (std::size_t i = 0; i < count; ++i) step[i] = step_of(f.fine_step[first + i] + kLeastStep);
     for (std::size_t k = 0; k < 3; ++k) {
-      h[k] = blurred_octaves(blur, s.coarse_step, coarse[k * n + i], step, fine[k * n + i]);
-      v[k] = variance[k * n + i] = variance_of(h[k], blurred);
+      const std::int16_t *coarse = &f.coarse[k * n + first], *fine = &f.fine[k * n + first];
+      for (std::size_t i = 0; i < count; ++i) {
+        h[k][i] = blurred_octaves(blur, s.coarse_step, coarse[i], step[i], fine[i]);
+      }
+      for (std::size_t i = 0; i < count; ++i) v[k][i] = variance_of(h[k][i], blurred);
+      std::copy_n(v[k], count, &f.variance[k * n + first]);
     }
-    const std::int32_t seen = importance[i] = importance_of(opacity[i], h, level);
-    const std::int32_t nearest = ((seen - s.middle + kOctave / 2) >> 16) + n_classes / 2;
-    classes[i] = static_cast<std::uint8_t>(nearest < 0 ? 0 : nearest > n_classes - 1 ? n_classes - 1 : nearest);
-    const std::int32_t finer = finer_by(s.slope, seen, s.middle);
+    const std::int32_t* opacity = &f.opacity_octaves[first];
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::int32_t of[3] = {h[0][i], h[1][i], h[2][i]};
+      seen[i] = importance_of(opacity[i], of, level);
+    }
+    std::copy_n(seen, count, &f.importance[first]);
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::int32_t nearest = ((seen[i] - s.middle + kOctave / 2) >> 16) + n_classes / 2;
+      byte[i] = static_cast<std::uint8_t>(std::clamp(nearest, 0, n_classes - 1));
+    }
+    std::copy_n(byte, count, &f.classes[first]);
     for (std::size_t k = 0; k < 3; ++k) {
-      const std::int32_t shows = octaves_of(turn_sensitivity(v[(k + 1) % 3], v[(k + 2) % 3], blurred));
-      turn_step[k * n + i] =
-          static_cast<std::uint8_t>(step_index(s.turn_step - finer - (shows >> 1), kMostTurn) - kLeastStep);
+      const double *a = v[(k + 1) % 3], *b = v[(k + 2) % 3];
+      for (std::size_t i = 0; i < count; ++i) shows[k][i] = turn_octaves(a[i], b[i], blurred);
+      for (std::size_t i = 0; i < count; ++i) {
+        const std::int32_t octaves = s.turn_step - finer_by(s.slope, seen[i], s.middle) - (shows[k][i] >> 1);
+        byte[i] = static_cast<std::uint8_t>(step_index(octaves, kMostTurn) - kLeastStep);
+      }
+      std::copy_n(byte, count, &f.turn_step[k * n + first]);
     }
   }
 }
@@ -88,31 +102,40 @@ void find_refinement(const ArchiveParameters& p, ShapeCodes& f) {
   const ShapeParameters s = p.shape;
   const std::size_t n = f.n;
   const double blurred = power_of_octaves(2 * f.blur(s));
-  std::int32_t cell_of[3];  // of octaves 0 and 1
-  for (std::size_t k = 0; k < 3; ++k) {
-    cell_of[k] = octaves_of(p.half_width[k]) - static_cast<std::int32_t>(p.mean_cells) * kOctave;
-  }
-  const GridPoint* points = f.points.data();
-  const double *variance = f.variance.data(), *distance = f.distance.data();
-  const std::int16_t* turn = f.turn.data();
-  const std::uint8_t* turn_step = f.turn_step.data();
-  const std::int32_t* importance = f.importance.data();
-  double* __restrict quaternion = f.quaternion.data();
-  std::uint8_t* __restrict bits = f.refinement_bits.data();
-  for (std::size_t i = 0; i < n; ++i) {
-    double q[4], v[3], precision[3], c[3];
+  alignas(64) double q[4][kRows], v[3][kRows], precision[3][kRows];
+  alignas(64) std::int32_t step[kRows];
+  alignas(64) std::uint8_t byte[kRows];
+  for (std::size_t first = 0; first < n; first += kRows) {
+    const std::size_t count = std::min(kRows, n - first);
     for (std::size_t k = 0; k < 3; ++k) {
-      v[k] = variance[k * n + i];
-      c[k] = turn[k * n + i] * (step_of(turn_step[k * n + i] + kLeastStep) * 0x1p-16);
+      const std::int16_t* turn = &f.turn[k * n + first];
+      const std::uint8_t* turn_step = &f.turn_step[k * n + first];
+      for (std::size_t i = 0; i < count; ++i) q[1 + k][i] = turn[i] * (step_of(turn_step[i] + kLeastStep) * 0x1p-16);
+      std::copy_n(&f.variance[k * n + first], count, v[k]);
     }
-    quaternion_of(c[0], c[1], c[2], q);
-    for (std::size_t k = 0; k < 4; ++k) quaternion[k * n + i] = q[k];
-    world_precision(q, v, blurred, precision);
-    const std::int32_t step = s.mean_step - finer_by(s.slope, importance[i], s.middle) + (octaves_of(distance[i]) >> 1);
+    for (std::size_t i = 0; i < count; ++i) {
+      double unit[4], out[3];
+      const double of[3] = {v[0][i], v[1][i], v[2][i]};
+      quaternion_of(q[1][i], q[2][i], q[3][i], unit);
+      for (std::size_t k = 0; k < 4; ++k) q[k][i] = unit[k];
+      world_precision(unit, of, blurred, out);
+      for (std::size_t k = 0; k < 3; ++k) precision[k][i] = out[k];
+    }
+    for (std::size_t k = 0; k < 4; ++k) std::copy_n(q[k], count, &f.quaternion[k * n + first]);
+    const double* distance = &f.distance[first];
+    const std::int32_t* seen = &f.importance[first];
+    for (std::size_t i = 0; i < count; ++i) {
+      step[i] = s.mean_step - finer_by(s.slope, seen[i], s.middle) + (octaves_of(distance[i]) >> 1);
+    }
+    const GridPoint* points = &f.points[first];
     for (std::size_t k = 0; k < 3; ++k) {
-      const std::int32_t octave = grid_cell_of(points[i][k], p.mean_bits, p.mean_cells).octave;
-      const std::int32_t cell = cell_of[k] + (octave > 1 ? octave - 1 : 0) * kOctave;
-      bits[k * n + i] = static_cast<std::uint8_t>(refinement_bits(cell, step - (octaves_of(precision[k]) >> 1)));
+      const std::int32_t cell_of = octaves_of(p.half_width[k]) - static_cast<std::int32_t>(p.mean_cells) * kOctave;
+      for (std::size_t i = 0; i < count; ++i) {
+        const std::int32_t octave = grid_cell_of(points[i][k], p.mean_bits, p.mean_cells).octave;
+        const std::int32_t cell = cell_of + (octave > 1 ? octave - 1 : 0) * kOctave;
+        byte[i] = static_cast<std::uint8_t>(refinement_bits(cell, step[i] - (octaves_of(precision[k][i]) >> 1)));
+      }
+      std::copy_n(byte, count, &f.refinement_bits[k * n + first]);
     }
   }
 }
@@ -122,7 +145,6 @@ void write_rows(const ArchiveTables& t, const ShapeCodes& f, int scale_exponent,
   const ArchiveParameters& p = t.parameters;
   const std::size_t n = f.n;
   const double unit = power_of_two(scale_exponent);
-  constexpr std::size_t kRows = 64;
   alignas(64) float value[7][kRows];
   alignas(64) std::uint16_t half[8][kRows];
   for (std::size_t first = 0; first < n; first += kRows) {
