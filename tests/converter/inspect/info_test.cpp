@@ -264,18 +264,19 @@ TEST_CASE_FIXTURE(Fixture, "an archive: its preset, steps and bounds") {
                                       {archive_small(), "archive:small"},
                                       {archive_tiny(), "archive:tiny"},
                                       {ArchiveOptions{.step = 0.77F}, "archive"}}) {
-    CAPTURE(name);
+    const std::string preset = name;
+    CAPTURE(preset);
     options.archive = archive;
     const auto bytes = encoded(3000, 2, options);
     const std::string path = write(bytes);
     const ProgramResult text = run(path + " --verify");
     CHECK(text.exit_code == 0);
-    CHECK(has(text.out, " " + std::string(name) + ", 1 frames"));
+    CHECK(has(text.out, " " + preset + ", 1 frames"));
     CHECK(has(text.out, "0.77; fall with importance") == (archive.step == 0.77F));
     const ArchiveParameters p = *FileView::open(bytes).value().archive();
     CHECK(has(text.out, std::to_string(p.opacity_levels) + " levels"));
     const auto j = json(path)["archive"];
-    CHECK(j["profile"] == name);
+    CHECK(j["profile"] == preset);
     CHECK(j["codec"] == 3);
     CHECK(j["step"].get<float>() == archive.step);
     CHECK(j["opacity_levels"] == p.opacity_levels);
