@@ -15,7 +15,7 @@ endif()
 set(rgs_component_runtime rgs_runtime)
 
 # Namespace of imported targets, package that an outside project must find to have them, module of pkg-config.
-foreach(row "tl;tl-expected;" "TBB;TBB;tbb" "hwy;hwy;libhwy" "glm;glm;glm" "draco;draco;draco" "zstd;zstd;libzstd"
+foreach(row "tl;tl-expected;" "TBB;TBB;tbb" "hwy;hwy;libhwy" "glm;glm;glm" "zstd;zstd;libzstd"
     "Threads;Threads;" "CUDA;CUDAToolkit;" "xxHash;xxHash;libxxhash" "ZLIB;ZLIB;zlib" "WebP;WebP;libwebp" "LibZip;LibZip;libzip"
     "CURL;CURL;libcurl")
   list(GET row 0 space)

@@ -35,14 +35,14 @@ deb() {
 
 libraries() {
   for build in libraries libraries-small; do
-    [ $build = libraries ] && options= || options="-DRGS_ENABLE_DRACO=OFF -DRGS_BUILD_RUNTIME=OFF"
+    [ $build = libraries ] && options= || options=-DRGS_BUILD_RUNTIME=OFF
     # shellcheck disable=SC2086  # a list of options
     step $build-build sh -c '
       cmake -S . -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_CUDA=OFF -DBUILD_SHARED_LIBS=ON -DRGS_PROGRAMS=OFF "$@" &&
         cmake --build "$2" --parallel "${RGS_JOBS:-$(nproc)}"' sh -B build/$build $options
   done
   step libraries-needed /usr/bin/python3 tests/packaging/needed_test.py build/libraries/lib
-  step libraries-small-needed /usr/bin/python3 tests/packaging/needed_test.py build/libraries-small/lib --without-draco
+  step libraries-small-needed /usr/bin/python3 tests/packaging/needed_test.py build/libraries-small/lib --without-runtime
   step libraries-bare sh packaging/bare_root.sh --packages "g++ cmake ninja-build pkgconf libexpected-dev libxxhash-dev
     libzstd-dev libhwy-dev libglm-dev nlohmann-json3-dev zlib1g-dev libwebp-dev libzip-dev" sh /project/tests/packaging/libraries.sh
 }

@@ -15,8 +15,8 @@ class RoofGS(ConanFile):
     license = "Apache-2.0"
     description = "Compact assets and a fast renderer for 3D Gaussian splats"
     settings = "os", "arch", "compiler", "build_type"
-    options = {"draco": [True, False], "runtime": [True, False], "http": [True, False]}
-    default_options = {"draco": True, "runtime": True, "http": False, "zstd/*:shared": True}
+    options = {"runtime": [True, False], "http": [True, False]}
+    default_options = {"runtime": True, "http": False, "zstd/*:shared": True}
     package_type = "shared-library"
 
     def set_version(self):
@@ -37,8 +37,6 @@ class RoofGS(ConanFile):
         for name in ("highway/[>=1.0]", "libwebp/[>=1.2]", "libzip/[>=1.7]", "nlohmann_json/[>=3.11]", "xxhash/[>=0.8]",
                      "zlib/[>=1.2]", "zstd/[>=1.5.2]"):
             self.requires(name)
-        if self.options.draco:
-            self.requires("draco/[>=1.5]")
         if self.options.runtime:
             self.requires("onetbb/[>=2021.8]")
         if self.options.http:
@@ -48,8 +46,7 @@ class RoofGS(ConanFile):
         toolchain = CMakeToolchain(self)
         toolchain.cache_variables.update(
             BUILD_SHARED_LIBS=True, RGS_PROGRAMS=False, RGS_ENABLE_CUDA=False, RGS_WERROR=False,
-            RGS_ENABLE_DRACO=bool(self.options.draco), RGS_BUILD_RUNTIME=bool(self.options.runtime),
-            RGS_ENABLE_HTTP=bool(self.options.http))
+            RGS_BUILD_RUNTIME=bool(self.options.runtime), RGS_ENABLE_HTTP=bool(self.options.http))
         toolchain.generate()
         CMakeDeps(self).generate()  # xxHash, libzip and libwebp are found by the modules in cmake/
 

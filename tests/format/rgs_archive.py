@@ -36,7 +36,9 @@ class Tables:
     dc_centre: NDArray[np.float32]       # [3]
     sh_centre: NDArray[np.float32]       # [Q]
     dc_matrix: NDArray[np.int64]         # [3, 3]
-    dc_weights: NDArray[np.int64]        # [3, 2]
+    dc_weights: NDArray[np.int64]        # [3, 2], in codec 3 [0]
+    sh_unit: NDArray[np.float32]         # [1], in codec 2 [0], as is the next
+    smoothing: NDArray[np.int64]         # [2, 2] of DC and of the others: recent, kept
     sh_matrix: NDArray[np.int64]         # [Q, Q]
     opacity: NDArray[np.float16]         # [L + 1], in codec 2 [0]
     map: NDArray[np.uint8]               # [X]
@@ -49,12 +51,12 @@ def sh_contexts(classes: int, q: int) -> int:
 
 
 def tables_layout(arch: dict[str, Any], q: int) -> list[tuple[np.dtype[Any], tuple[int, ...]]]:
-    codec, classes = arch["codec"], arch["n_classes"]
-    contexts = MEAN_CONTEXTS + GEOM_CONTEXTS if codec == 3 else 1 + classes * (1 + 1 + 12 + 8 + 128 + 256)
+    codec_3, classes = arch["codec"] == 3, arch["n_classes"]
+    contexts = MEAN_CONTEXTS + GEOM_CONTEXTS if codec_3 else 1 + classes * (1 + 1 + 12 + 8 + 128 + 256)
     return [(np.dtype(dtype), shape) for dtype, *shape in (
-        ("<f4", 3), ("<f4", q), ("<i2", 3, 3), ("<i2", 3, 2), ("<i2", q, q),
-        ("<f2", arch["opacity_levels"] + 1 if codec == 3 else 0), ("u1", contexts + sh_contexts(classes, q)),
-        ("<u2", arch["n_distributions"], TOKENS))]
+        ("<f4", 3), ("<f4", q), ("<i2", 3, 3), ("<i2", 0 if codec_3 else 3, 2), ("<f4", int(codec_3)),
+        ("u1", 2 * codec_3, 2), ("<i2", q, q), ("<f2", arch["opacity_levels"] + 1 if codec_3 else 0),
+        ("u1", contexts + sh_contexts(classes, q)), ("<u2", arch["n_distributions"], TOKENS))]
 
 
 def tables_bytes(arch: dict[str, Any], q: int) -> int:
@@ -71,6 +73,8 @@ def read_tables(content: bytes, arch: dict[str, Any], q: int) -> Tables:
     t = Tables(*(part.astype(np.int64) if part.dtype.kind == "i" or part.dtype == np.uint16 else part for part in parts))
     for values in (t.dc_centre, t.sh_centre):
         need((np.abs(values) <= 2.0**40).all(), "centres: finite, magnitudes up to 2^40")
+    need(((t.sh_unit >= 2.0**-60) & (t.sh_unit <= 2.0**40)).all(), "the unit of SH: 2^-60 to 2^40")
+    need((t.smoothing.sum(1, dtype=np.int64) < 256).all(), "recent and kept: together below 2^8")
     need(((t.opacity > 0) & (t.opacity <= 1)).all(), "an opacity: above 0, at most 1")
     need((t.map < arch["n_distributions"]).all(), "a context's distribution")
     need((t.frequencies.sum(1) == SLOTS).all(), "frequencies of a distribution")
@@ -313,21 +317,40 @@ def sh_values(stream: Stream, arch: dict[str, Any], classes: NDArray[np.int64], 
         h = (13 * h + 128 * np.abs(codes[plane]).clip(None, 255)) // 16
 
     of = {name: np.array([c[name] for c in arch["classes"]])[classes] for name in ("dc_step", "sh_step")}
+    if arch["codec"] == 3:
+        dc = smooth(codes[:3], of["dc_step"], tables.smoothing[0], -2**30, 2**30)
+        others = smooth(codes[3:], of["sh_step"], tables.smoothing[1], -2**15, 2**15 - 1)
+        unit = np.repeat(tables.sh_unit, rows)
+    else:
+        dc, others, unit = predict_dc(codes[:3], of["dc_step"], tables.dc_weights), codes[3:], of["sh_step"]
     value = np.empty((rows, 3 + q), np.float32)
-    before = [(0, 0)] * 3
-    for i in range(rows):
-        step = int(of["dc_step"][i])
-        v = []
-        for m in range(3):
-            near, far = tables.dc_weights[m].tolist()
-            guess = (near * before[m][0] + far * before[m][1]) // 256
-            v.append(min(max((int(codes[m, i]) + (2 * guess + step) // (2 * step)) * step, -2**30), 2**30))
-            before[m] = v[m], before[m][0]
-        value[i, :3] = tables.dc_matrix @ np.array(v) * 2.0**-30 + tables.dc_centre.astype(np.float64)
-    sums = (tables.sh_matrix @ codes[3:]).astype(np.uint32).view(np.int32).astype(np.float32).T
-    factor = of["sh_step"].astype(np.float32) * np.float32(2.0**-14)
+    value[:, :3] = (tables.dc_matrix @ dc).T * 2.0**-30 + tables.dc_centre.astype(np.float64)
+    sums = (tables.sh_matrix @ others).astype(np.uint32).view(np.int32).astype(np.float32).T
+    factor = unit.astype(np.float32) * np.float32(2.0**-14)
     value[:, 3:] = sums * factor[:, None] + tables.sh_centre
     return value
+
+
+def smooth(codes: NDArray[np.int64], steps: NDArray[np.int64], smoothing: NDArray[np.int64], low: int,
+           high: int) -> NDArray[np.int64]:
+    """Values [planes, rows] of codes in codec 3."""
+    recent, kept = smoothing.astype(np.int64)
+    values, state = np.empty_like(codes), np.zeros(len(codes), np.int64)
+    for i, step in enumerate(steps):
+        values[:, i] = (codes[:, i] * int(step) + (state + 128) // 256).clip(low, high)
+        state = recent * values[:, i] + kept * state // 256
+    return values
+
+
+def predict_dc(codes: NDArray[np.int64], steps: NDArray[np.int64], weights: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Values [3, rows] of codes in codec 2."""
+    values = np.empty_like(codes)
+    before, before_that = np.zeros((2, 3), np.int64)
+    for i, step in enumerate(steps.tolist()):
+        guess = (weights[:, 0] * before + weights[:, 1] * before_that) // 256
+        values[:, i] = ((codes[:, i] + (2 * guess + step) // (2 * step)) * step).clip(-2**30, 2**30)
+        before, before_that = values[:, i], before
+    return values
 
 
 def sh_codes(value: NDArray[np.float32], steps: NDArray[np.float32], row_bytes: int) -> bytes:

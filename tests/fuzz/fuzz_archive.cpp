@@ -20,19 +20,25 @@ void require(bool condition) {
   if (!condition) std::abort();
 }
 
-// The header is corrected, so that every input reaches the kd-tree.
+// A Draco stream of n points without its kd-tree.
+std::vector<std::byte> point_head(std::uint32_t n, std::uint32_t bits) {
+  constexpr char kDraco[] = "DRACO\2\3\0\1\0\0", kAttribute[] = "\1\1\0\6\3\0\0\6";
+  std::vector<std::byte> head(31);
+  std::memcpy(head.data(), kDraco, 11);
+  std::memcpy(head.data() + 11, &n, 4);
+  std::memcpy(head.data() + 15, kAttribute, 8);
+  std::memcpy(head.data() + 23, &bits, 4);
+  std::memcpy(head.data() + 27, &n, 4);
+  return head;
+}
+
+// The head is correct, so that every input reaches the kd-tree.
 void decode_draco(std::span<const std::byte> bytes) {
   if (bytes.size() < 4) return;
   std::uint16_t count;
   std::memcpy(&count, bytes.data(), sizeof count);
   const std::uint32_t n = count % 1000u + 1, max_bits = static_cast<std::uint32_t>(bytes[2]) % 28 + 1;
-  const std::vector<GridPoint> one{{0, 0, 0}};
-  std::vector<std::byte> stream = encode_points(one).value();
-  stream.resize(31);
-  const std::uint32_t bits = static_cast<std::uint32_t>(bytes[3]) % (max_bits + 1);
-  std::memcpy(stream.data() + 11, &n, 4);
-  std::memcpy(stream.data() + 23, &bits, 4);
-  std::memcpy(stream.data() + 27, &n, 4);
+  std::vector<std::byte> stream = point_head(n, static_cast<std::uint32_t>(bytes[3]) % (max_bits + 1));
   stream.insert(stream.end(), bytes.begin() + 4, bytes.end());
   std::vector<GridPoint> points(n);
   static_cast<void>(decode_points(stream, 0, max_bits, points));
@@ -115,7 +121,13 @@ void decode_frames(std::span<const std::byte> bytes) {
   if (bytes.size() < 4) return;
   const ArchiveTables t = flat_tables(rgs::Codec::archive_draco, bytes);
   const std::size_t n = static_cast<std::size_t>(bytes[3]) % 80 + 1;
-  const std::vector<std::byte> points = encode_points(std::vector<GridPoint>(n)).value();
+  // Points of no bits: 33 streams of one byte, three of one word, all zeros but for their lengths.
+  std::vector<std::byte> points = point_head(static_cast<std::uint32_t>(n), 0);
+  for (int k = 0; k < 33; ++k) points.insert(points.end(), {std::byte{}, std::byte{1}, std::byte{}});
+  for (int k = 0; k < 3; ++k) {
+    points.push_back(std::byte{4});
+    points.resize(points.size() + 7);
+  }
   RansWriter writer(t.frequencies, t.map);
   GeometryCodes zeros;
   zeros.resize(n);

@@ -1,7 +1,7 @@
 // fuzz_archive_encode.cpp - arbitrary Gaussians and options of Profile::archive: the encoder verifies what it accepts.
-// compared itself.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <cmath>
 #include <cstdlib>
 #include <cstring>
 #include <span>
@@ -17,8 +17,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   options.on_bad = rgs::BadPolicy::repair;
   options.chunk_size = 32u * (1u + data[1] % 8u);
   options.chunk_step_sets = (data[2] & 1) != 0;
-  options.archive = (data[2] & 2) != 0 ? rgs::archive_small() : rgs::archive_high();
-  options.archive.threads = 1;
+  options.archive = {.step = std::ldexp(1.f, data[2] / 2 % 11 - 4), .threads = 1};
   const auto floats = static_cast<std::size_t>(11 + 3 * rgs::sh_coefficients(degree));
   const std::size_t n = std::min<std::size_t>((size - 3) / (4 * floats), 100);
   rgs::SplatCloud cloud;

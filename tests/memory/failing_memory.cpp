@@ -2,14 +2,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "failing_memory.hpp"
 
-#include <dlfcn.h>
 #include <zstd.h>
 #include <zstd_errors.h>
 
 #include <atomic>
 #include <cstdlib>
 #include <new>
-#include <string_view>
 
 namespace {
 
@@ -24,17 +22,9 @@ bool fails() {
   return true;
 }
 
-// Draco's encoder allocates in destructors: a failure there ends the program, which a test cannot prevent.
-bool is_draco(const void* code) {
-  Dl_info info;
-  return ::dladdr(code, &info) != 0 && info.dli_fname != nullptr &&
-         std::string_view(info.dli_fname).find("draco") != std::string_view::npos;
-}
-
-void* allocate(std::size_t size, std::size_t alignment, const void* caller) {
+void* allocate(std::size_t size, std::size_t alignment) {
   void* memory = nullptr;
-  if ((g_armed && !is_draco(caller) && fails()) || ::posix_memalign(&memory, alignment, size == 0 ? 1 : size) != 0)
-    throw std::bad_alloc();
+  if (fails() || ::posix_memalign(&memory, alignment, size == 0 ? 1 : size) != 0) throw std::bad_alloc();
   return memory;
 }
 
@@ -58,19 +48,19 @@ bool stop_failing() {
 
 // All forms: a sanitizer replaces the missing ones, which would bypass these.
 void* operator new(std::size_t size) {
-  return allocate(size, alignof(std::max_align_t), __builtin_return_address(0));
+  return allocate(size, alignof(std::max_align_t));
 }
 void* operator new[](std::size_t size) {
-  return allocate(size, alignof(std::max_align_t), __builtin_return_address(0));
+  return allocate(size, alignof(std::max_align_t));
 }
 void* operator new(std::size_t size, const std::nothrow_t&) noexcept {
   return fails() ? nullptr : std::malloc(size);
 }
 void* operator new(std::size_t size, std::align_val_t alignment) {
-  return allocate(size, static_cast<std::size_t>(alignment), __builtin_return_address(0));
+  return allocate(size, static_cast<std::size_t>(alignment));
 }
 void* operator new[](std::size_t size, std::align_val_t alignment) {
-  return allocate(size, static_cast<std::size_t>(alignment), __builtin_return_address(0));
+  return allocate(size, static_cast<std::size_t>(alignment));
 }
 void operator delete(void* memory) noexcept {
   std::free(memory);

@@ -25,7 +25,7 @@ bool stop_failing();
 /// Calls f() repeatedly: each allocation fails in turn, alone and with all that follow; from the 64th on, only some do.
 /// f returns a hash of its result, or its error. Each time it must be the undisturbed hash or host_out_of_memory.
 /// Returns the number of allocations. Not for code with nlohmann's JSON (camera JSON, glb, SOG), which allocates in
-/// destructors, where a failure ends the program. Draco's allocations never fail for the same reason.
+/// destructors, where a failure ends the program.
 template <class F>
 std::int64_t fail_each_allocation(const F& f) {
   const Result<std::uint64_t> undisturbed = f();

@@ -1,4 +1,4 @@
-# needed_test.py - shared libraries link what they use and nothing else: needed_test.py FOLDER [--without-draco]
+# needed_test.py - shared libraries link what they use and nothing else: needed_test.py FOLDER [--without-runtime]
 # SPDX-License-Identifier: Apache-2.0
 import re
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 
 LANGUAGE = {"libstdc++.so.6", "libm.so.6", "libgcc_s.so.1", "libc.so.6", "ld-linux-x86-64.so.2"}
 NEEDED = {
-    "librgs_format.so": {"libdraco.so.7", "libhwy.so.1", "libxxhash.so.0", "libzstd.so.1"},
+    "librgs_format.so": {"libhwy.so.1", "libxxhash.so.0", "libzstd.so.1"},
     "librgs_cameras.so": {"librgs_format.so.0.1"},
     "librgs_interchange.so": {"librgs_format.so.0.1", "libz.so.1", "libwebp.so.7", "libzip.so.4", "libzstd.so.1"},
     "librgs_runtime.so": {"librgs_format.so.0.1", "librgs_cameras.so.0.1", "libtbb.so.12", "libcurl.so.4", "libhwy.so.1"},
@@ -15,8 +15,7 @@ NEEDED = {
 
 folder = Path(sys.argv[1])
 expected = {name: set(libraries) for name, libraries in NEEDED.items()}
-if "--without-draco" in sys.argv:
-    expected["librgs_format.so"].discard("libdraco.so.7")
+if "--without-runtime" in sys.argv:
     del expected["librgs_runtime.so"]
 found = {}
 for library in sorted(folder.glob("lib*.so")):

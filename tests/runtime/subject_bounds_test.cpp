@@ -86,7 +86,7 @@ TEST_CASE("the default view of a scene is that of its .rgs in every profile, wit
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
     CAPTURE(static_cast<int>(profile));
     options.profile = profile;
-    // Archives round means to 1/65536 of the box and opacities to 1/255; a bin of opacity is as wide as ten Gaussians.
+    // Archives round means and opacities.
     const double allowed = profile == Profile::archive ? 1.5 : 0.1;
     const auto bytes = encode(cloud.view(), options);
     REQUIRE(bytes);

@@ -97,7 +97,7 @@ void walk_sh(ColourCodes& f, const ArchiveTables& t, CodeSizes& sizes, Coder& co
 
 // ---- what codes stand for --------------------------------------------------------------------------------------------
 
-/// (2 g + S) div (2 S) of docs/format/ARCHIVE.md "DC": the predicted code after two values.
+/// (2 g + S) div (2 S) of docs/format/ARCHIVE.md "Rows of SHI8 of codec 2": the predicted code after two values.
 std::int64_t expected_dc(const std::int16_t weights[2], std::int64_t before, std::int64_t before_that,
                          std::int64_t step);
 /// What predicts the next DC value: 256 times an exponential average.

@@ -71,7 +71,7 @@ struct Totals {
   ShMagnitudes magnitudes;
 };
 
-// Cell of a mean on one axis, from the centre: the inverse of grid_mean().
+// Cell of a mean on one axis, from the centre.
 std::int64_t grid_cell(const ArchiveParameters& p, std::size_t axis, float mean) {
   const double t = (static_cast<double>(mean) - p.centre[axis]) / p.half_width[axis];
   const double u = std::min(std::abs(t), 0x1p255);  // beyond any grid, but finite
@@ -508,11 +508,11 @@ class Encoder {
       if (!(std::abs(wanted) <= 32000)) return false;
       // No dead zone: it costs more than it saves compared with a larger step (docs/records/EXPERIMENTS.md).
       const auto expected = static_cast<float>((state.sh[k] + 128) >> 8);
-      const auto code = static_cast<std::int16_t>(std::nearbyint((wanted - expected) / static_cast<float>(step)));
+      std::int16_t& code = codes.sh[k * codes.n + i];
+      if (!code_of(static_cast<double>((wanted - expected) / static_cast<float>(step)), code)) return false;
       const std::int32_t value = smoothed_value(code, step, state.sh[k]);
       state.error[k] = wanted - static_cast<float>(value);
       state.sh[k] = smoothed_state(value, state.sh[k], tables_.sh_smoothing.recent, tables_.sh_smoothing.kept);
-      codes.sh[k * codes.n + i] = code;
       size += static_cast<double>(value) * static_cast<double>(value);
     }
     // Rows of the matrix are nearly unit vectors, so no sum of the inverse exceeds 32 bits.

@@ -1,5 +1,4 @@
-// archive_formulas.hpp - docs/format/ARCHIVE.md "From codes to rows", number by number, without branches, so that loops
-// vectorise.
+// archive_formulas.hpp - docs/format/ARCHIVE.md "Rows", number by number, without branches, so that loops vectorise.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -115,6 +115,7 @@ void smooth(std::int16_t* planes, std::size_t stride, int n_planes, const std::i
   alignas(64) std::int16_t rows[kShLanes][kWidth];
   alignas(64) std::int32_t s[kWidth];
   std::copy_n(state, kWidth, s);
+  for (auto& row : rows) std::fill(row + n_planes, row + kWidth, std::int16_t{0});  // lanes that are not used
   const auto plane = [&](int k, int i) { return planes + static_cast<std::size_t>(k) * stride + i; };
   const auto eights = count / 8 * 8;
   for (int k = 0; k < n_planes; k += 8) {

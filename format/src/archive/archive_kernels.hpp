@@ -1,5 +1,5 @@
 // archive_kernels.hpp - inner loops of the archive decoder, compiled for several instruction sets;
-// docs/format/ARCHIVE.md "From codes to rows".
+// docs/format/ARCHIVE.md "Rows".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

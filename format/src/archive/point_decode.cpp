@@ -169,18 +169,18 @@ class Tree {
   PlainBits remaining_, axes_, halves_;
 };
 
-}  // namespace
-
-bool legal_point_head(std::span<const std::byte> stream, std::uint32_t n, std::uint32_t max_bits) {
+bool legal_head(std::span<const std::byte> stream, std::uint32_t n, std::uint32_t max_bits) {
   if (stream.size() < kHeadBytes || !has(stream, 0, kHead) || !has(stream, 15, kAttribute)) return false;
   ByteReader counts(stream.subspan(11)), tree(stream.subspan(23));
   return counts.u32() == n && tree.u32() <= max_bits && tree.u32() == n;
 }
 
+}  // namespace
+
 Status decode_points(std::span<const std::byte> stream, std::uint64_t offset, std::uint32_t max_bits,
                      std::span<GridPoint> points) {
   assert(max_bits <= 32);
-  if (!legal_point_head(stream, static_cast<std::uint32_t>(points.size()), max_bits)) {
+  if (!legal_head(stream, static_cast<std::uint32_t>(points.size()), max_bits)) {
     return make_error(Errc::corrupt_data, offset,
                       "a frame of means is not the Draco stream that the format prescribes");
   }

@@ -67,18 +67,22 @@ class Histogram {
 
   std::uint64_t count() const { return count_; }
   std::uint64_t weight() const { return weight_; }
-  /// The box without this share of the weight at either end of each axis.
+  /// The box without this share of the weight at either end of each axis; within a bin, weight is evenly spread.
   Sides without(double share) const {
     Sides out = box_;
     const auto outside = static_cast<std::uint64_t>(share * static_cast<double>(weight_));
     for (std::size_t k = 0; k < 3; ++k) {
+      // Bins from an end to where the weight is reached. Nothing is cut off an end whose first bin has it.
+      const auto cut = [outside](const std::uint64_t* bin, std::ptrdiff_t next) {
+        int n = 0;
+        std::uint64_t before = 0;
+        for (; before + *bin <= outside; bin += next, ++n) before += *bin;
+        return n == 0 ? 0 : n + static_cast<double>(outside - before) / static_cast<double>(*bin);
+      };
       const std::uint64_t* bins = &bins_[k * kBins];
-      std::size_t low = 0, high = kBins - 1;
-      for (std::uint64_t below = bins[low]; below <= outside; below += bins[low]) ++low;
-      for (std::uint64_t above = bins[high]; above <= outside; above += bins[high]) --high;
-      const double bin = (box_.high[k] - box_.low[k]) / kBins;
-      out.low[k] = box_.low[k] + static_cast<double>(low) * bin;
-      out.high[k] = high == kBins - 1 ? box_.high[k] : box_.low[k] + static_cast<double>(high + 1) * bin;
+      const double width = (box_.high[k] - box_.low[k]) / kBins;
+      out.low[k] = box_.low[k] + cut(bins, 1) * width;
+      out.high[k] = box_.high[k] - cut(bins + kBins - 1, -1) * width;
     }
     return out;
   }

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 get_filename_component(SOURCE_PATH "${CMAKE_CURRENT_LIST_DIR}/../../.." ABSOLUTE)
 vcpkg_check_features(OUT_FEATURE_OPTIONS options FEATURES
-  draco RGS_ENABLE_DRACO
   http RGS_ENABLE_HTTP
   runtime RGS_BUILD_RUNTIME
   tools RGS_PROGRAMS)
