@@ -36,7 +36,9 @@ class Tables:
     dc_centre: NDArray[np.float32]       # [3]
     sh_centre: NDArray[np.float32]       # [Q]
     dc_matrix: NDArray[np.int64]         # [3, 3]
-    dc_weights: NDArray[np.int64]        # [3, 2]
+    dc_weights: NDArray[np.int64]        # [3, 2], in codec 3 [0, 2]
+    sh_unit: NDArray[np.float32]         # [1], in codec 2 [0]
+    smoothing: NDArray[np.uint8]         # [2, 2], in codec 2 [0, 2]: of DC and of the others, recent and kept
     sh_matrix: NDArray[np.int64]         # [Q, Q]
     opacity: NDArray[np.float16]         # [L + 1], in codec 2 [0]
     map: NDArray[np.uint8]               # [X]
@@ -49,11 +51,11 @@ def sh_contexts(classes: int, q: int) -> int:
 
 
 def tables_layout(arch: dict[str, Any], q: int) -> list[tuple[np.dtype[Any], tuple[int, ...]]]:
-    codec, classes = arch["codec"], arch["n_classes"]
-    contexts = MEAN_CONTEXTS + GEOM_CONTEXTS if codec == 3 else 1 + classes * (1 + 1 + 12 + 8 + 128 + 256)
+    classes, old, new = arch["n_classes"], int(arch["codec"] == 2), int(arch["codec"] == 3)
+    contexts = MEAN_CONTEXTS + GEOM_CONTEXTS if new else 1 + classes * (1 + 1 + 12 + 8 + 128 + 256)
     return [(np.dtype(dtype), shape) for dtype, *shape in (
-        ("<f4", 3), ("<f4", q), ("<i2", 3, 3), ("<i2", 3, 2), ("<i2", q, q),
-        ("<f2", arch["opacity_levels"] + 1 if codec == 3 else 0), ("u1", contexts + sh_contexts(classes, q)),
+        ("<f4", 3), ("<f4", q), ("<i2", 3, 3), ("<i2", 3 * old, 2), ("<f4", new), ("u1", 2 * new, 2), ("<i2", q, q),
+        ("<f2", new * (arch["opacity_levels"] + 1)), ("u1", contexts + sh_contexts(classes, q)),
         ("<u2", arch["n_distributions"], TOKENS))]
 
 
@@ -71,6 +73,8 @@ def read_tables(content: bytes, arch: dict[str, Any], q: int) -> Tables:
     t = Tables(*(part.astype(np.int64) if part.dtype.kind == "i" or part.dtype == np.uint16 else part for part in parts))
     for values in (t.dc_centre, t.sh_centre):
         need((np.abs(values) <= 2.0**40).all(), "centres: finite, magnitudes up to 2^40")
+    need(((t.sh_unit >= 2.0**-60) & (t.sh_unit <= 2.0**40)).all(), "the unit of SH: 2^-60 to 2^40")
+    need((t.smoothing.astype(np.int64).sum(1) < 2**8).all(), "recent and kept: below 2^8 together")
     need(((t.opacity > 0) & (t.opacity <= 1)).all(), "an opacity: above 0, at most 1")
     need((t.map < arch["n_distributions"]).all(), "a context's distribution")
     need((t.frequencies.sum(1) == SLOTS).all(), "frequencies of a distribution")
@@ -312,22 +316,28 @@ def sh_values(stream: Stream, arch: dict[str, Any], classes: NDArray[np.int64], 
         codes[plane] = stream.signed(context + (plane * count + classes) * 8 + size)
         h = (13 * h + 128 * np.abs(codes[plane]).clip(None, 255)) // 16
 
-    of = {name: np.array([c[name] for c in arch["classes"]])[classes] for name in ("dc_step", "sh_step")}
+    dc_step, sh_step = (np.array([c[name] for c in arch["classes"]])[classes] for name in ("dc_step", "sh_step"))
+    if arch["codec"] == 3:
+        unit = tables.sh_unit
+        dc = smoothed(codes[:3] * dc_step, tables.smoothing[0], -2**30, 2**30)
+        others = smoothed(codes[3:] * sh_step, tables.smoothing[1], -2**15, 2**15 - 1)
+    else:
+        dc, others, unit = predicted_dc(codes[:3], dc_step, tables.dc_weights), codes[3:], sh_step.astype(np.float32)[:, None]
     value = np.empty((rows, 3 + q), np.float32)
-    before = [(0, 0)] * 3
-    for i in range(rows):
-        step = int(of["dc_step"][i])
-        v = []
-        for m in range(3):
-            near, far = tables.dc_weights[m].tolist()
-            guess = (near * before[m][0] + far * before[m][1]) // 256
-            v.append(min(max((int(codes[m, i]) + (2 * guess + step) // (2 * step)) * step, -2**30), 2**30))
-            before[m] = v[m], before[m][0]
-        value[i, :3] = tables.dc_matrix @ np.array(v) * 2.0**-30 + tables.dc_centre.astype(np.float64)
-    sums = (tables.sh_matrix @ codes[3:]).astype(np.uint32).view(np.int32).astype(np.float32).T
-    factor = of["sh_step"].astype(np.float32) * np.float32(2.0**-14)
-    value[:, 3:] = sums * factor[:, None] + tables.sh_centre
+    value[:, :3] = (tables.dc_matrix @ dc * 2.0**-30).T + tables.dc_centre.astype(np.float64)
+    sums = (tables.sh_matrix @ others).astype(np.uint32).view(np.int32).astype(np.float32).T
+    value[:, 3:] = sums * (unit * np.float32(2.0**-14)) + tables.sh_centre
     return value
+
+
+def smoothed(change: NDArray[np.int64], smoothing: NDArray[np.uint8], least: int, most: int) -> NDArray[np.int64]:
+    """Values from what is added to them row by row, [planes, rows]"""
+    recent, kept = smoothing.tolist()
+    v, t = np.empty_like(change), np.zeros(len(change), np.int64)
+    for i in range(change.shape[1]):
+        v[:, i] = (change[:, i] + (t + 128) // 2**8).clip(least, most)
+        t = recent * v[:, i] + kept * t // 2**8
+    return v
 
 
 def sh_codes(value: NDArray[np.float32], steps: NDArray[np.float32], row_bytes: int) -> bytes:
@@ -339,6 +349,16 @@ def sh_codes(value: NDArray[np.float32], steps: NDArray[np.float32], row_bytes: 
     out = np.zeros((rows, row_bytes), np.int8)
     out[:, :width] = np.rint(ratio.clip(-127, 127))
     return out.tobytes()
+
+
+def predicted_dc(codes: NDArray[np.int64], steps: NDArray[np.int64], weights: NDArray[np.int64]) -> NDArray[np.int64]:
+    """DC of codec 2, [3, rows]"""
+    v, near, far = np.empty_like(codes), np.zeros(3, np.int64), np.zeros(3, np.int64)
+    for i, step in enumerate(steps):
+        guess = (weights[:, 0] * near + weights[:, 1] * far) // 2**8
+        v[:, i] = ((codes[:, i] + (2 * guess + step) // (2 * step)) * step).clip(-2**30, 2**30)
+        near, far = v[:, i], near
+    return v
 
 
 # ---- codec 2: Draco --------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-# rgs_reader.py - an independent reader of .rgs files, written from docs/format/FORMAT.md and docs/format/ARCHIVE.md alone; needs numpy,
-# xxhash, zstandard.
+# rgs_reader.py - an independent reader of .rgs files, written from docs/format/FORMAT.md and docs/format/ARCHIVE.md
+# alone; needs numpy, xxhash, zstandard.
 # SPDX-License-Identifier: Apache-2.0
 """Reads an .rgs file, checks every rule of docs/format/FORMAT.md, and returns every value as a numpy array.
 
@@ -75,7 +75,7 @@ ARCH_CLASS = {
         ("rotation_step", "<f4"), ("scale_step", "<u4"), ("scale_base", "<i4"), ("dc_step", "<u4"), ("sh_step", "<f4"),
         ("bound_rotation", "<f4"), ("bound_scale", "<f4"), ("bound_dc", "<f4"), ("bound_sh", "<f4")]),
     3: np.dtype([
-        ("dc_step", "<u4"), ("sh_step", "<f4"), ("bound_mean", "<f4"), ("bound_covariance", "<f4"), ("bound_dc", "<f4"),
+        ("dc_step", "<u4"), ("sh_step", "<u4"), ("bound_mean", "<f4"), ("bound_covariance", "<f4"), ("bound_dc", "<f4"),
         ("bound_sh", "<f4")])}
 LODS = np.dtype([
     ("n_pages", "<u4"), ("n_levels", "<u4"), ("page_chunks", "<u4"), ("reserved", "<u4"), ("n_stored", "<u8"),
@@ -395,7 +395,7 @@ def read_arch(data: memoryview, h: Record, s: Record, codec: int) -> Record:
         arch["classes"].append(record(data, one_class, at))
         rules(one_class, arch["classes"][-1], at, {
             "rotation_step": within(2.0**-20, 2), "scale_step": within(1, 2**22), "scale_base": within(-2**23, 2**23),
-            "dc_step": within(1, 2**26), "sh_step": within(2.0**-40, 2.0**40)})
+            "dc_step": within(1, 2**26), "sh_step": within(2.0**-40, 2.0**40) if codec == 2 else within(1, 2**15)})
     q = 3 * (h["sh_degree"] + 1) ** 2 - 3
     content = unzip(data[tables:end], tables, rgs_archive.tables_bytes(arch, q))
     try:
