@@ -30,14 +30,12 @@ DepthRange depth_range_from_extent(const Box& robust, DepthMapping mapping);
 enum class Profile : std::uint8_t {
   direct,  ///< as the GPU reads them
   packed,  ///< Codec::planes: about two thirds of the size
-  archive  ///< Codec::archive: lossy within stated bounds, a sixth of the size or less; the same layout once decoded
+  archive  ///< Codec::archive: lossy within stated bounds, a seventh of the size or less; the same layout once decoded
 };
 
-/// Losses that Profile::archive may cause. Steps are for a Gaussian of median importance (opacity^2 times area, over
-/// squared distance where that is large); a Gaussian of x times that importance gets steps x^(-slope / 2) times as
-/// large, x limited to 2^-8 .. 2^8. Defaults are archive_high().
+/// Losses that Profile::archive may cause: docs/user/PROFILES.md. Defaults are archive_high().
 struct ArchiveOptions {
-  float step = 1;        ///< 1/16 to 64: all errors are about in proportion to it; docs/user/PROFILES.md
+  float step = 1;        ///< 1/16 to 64: all errors are about in proportion to it
   unsigned threads = 0;  ///< 0: as many as the machine runs at once; the file does not depend on it
 
   bool operator==(const ArchiveOptions&) const = default;
@@ -87,15 +85,13 @@ struct EncodeOptions {
 EncodeOptions keep_declarations(EncodeOptions options, const Declarations& declared);
 
 /// Whether a scene with this scan can be encoded with these options; an empty scan checks the options alone. Errors:
-/// bad_argument (options out of range), unavailable (Profile::archive in a build without Draco), bad_value
-/// (BadPolicy::refuse), too_many_bad.
+/// bad_argument (options out of range), bad_value (BadPolicy::refuse), too_many_bad.
 Status check_encodable(const SceneScan& scan, const EncodeOptions& options);
 
-/// The file for `splats`. Deterministic (packed and archive: for a version of Zstandard and Draco; archive: also for a
-/// C library's exp() and log() on a kind of processor). Single-threaded except Profile::archive. Errors: bad_argument
-/// (options out of range, contradicting sizes of the view or source_index), bad_value (BadPolicy::refuse; offset is the
-/// Gaussian's index), unavailable (see check_encodable()), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians
-/// to sort); those of SceneWriter::finish().
+/// The file for `splats`. Deterministic (packed and archive: for a version of Zstandard; archive: also for a C library's
+/// exp() and log() on a kind of processor). Single-threaded except Profile::archive. Errors: bad_argument (options out
+/// of range, contradicting sizes of the view or source_index), bad_value (BadPolicy::refuse; offset is the Gaussian's
+/// index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort); those of SceneWriter::finish().
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
 
 }  // namespace rgs
