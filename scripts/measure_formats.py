@@ -28,6 +28,7 @@ from shrink_record import text
 WRITTEN = [("rgs packed", "packed.rgs", []), ("rgs direct", "direct.rgs", ["--profile", "direct"]),
            ("rgs archive:high", "high.rgs", ["--profile", "archive:high"]),
            ("rgs archive:small", "small.rgs", ["--profile", "archive:small"]),
+           ("rgs archive:tiny", "tiny.rgs", ["--profile", "archive:tiny"]),
            ("compressed.ply", "scene.compressed.ply", []), ("spz", "scene.spz", ["--spz-version", "4"]), ("splat", "scene.splat", []),
            ("glb", "scene.glb", [])]
 TRANSFORM, SPLATS3D = "@playcanvas/splat-transform@3.7.0", "@mkkellogg/gaussian-splats-3d@0.4.7"

@@ -191,8 +191,8 @@ void OutputOptions::add_to(CLI::App& app) {
                        : name == "archive:small" ? archive_small()
                                                  : archive_high();
          },
-         "packed (the default), or direct: as the GPU reads it; same Gaussians. archive:high or archive:small: lossy "
-         "within stated bounds, a fifth of packed's size or less (docs/user/PROFILES.md)")
+         "packed (the default), or direct: as the GPU reads it; same Gaussians. archive:high, archive:small or "
+         "archive:tiny: lossy within stated bounds, a fifth of packed's size or less (docs/user/PROFILES.md)")
       ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small", "archive:tiny"}))
       ->option_text("packed|direct|archive:high|archive:small|archive:tiny")
       ->trigger_on_parse();  // before the steps below, which override a preset's wherever they are given

@@ -22,7 +22,7 @@ from ._progress import Progress, Reporting
 Vector3 = Tuple[float, float, float]
 _DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
 _LEGAL = {"scales": (0.0, math.inf), "opacities": (0.0, 1.0)}
-_PROFILES = ("packed", "direct", "archive", "archive:high", "archive:small")
+_PROFILES = ("packed", "direct", "archive", "archive:high", "archive:small", "archive:tiny")
 
 
 class Scene:
@@ -203,7 +203,7 @@ class Scene:
 
         Parameters
         ----------
-        profile : "packed", "direct", "archive:high" or "archive:small"
+        profile : "packed", "direct", "archive:high", "archive:small" or "archive:tiny"
             For .rgs: the small form, the form that a GPU reads as it lies on disk, or lossy within stated bounds.
         lod : bool, "fast" or "best"
             For .rgs: with levels of detail.

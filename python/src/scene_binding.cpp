@@ -257,7 +257,9 @@ std::uint64_t save(const PyScene& scene, const std::string& path, const std::str
     refuse(Errc::bad_argument, "profile= and lod= are for .rgs outputs", path);
   EncodeOptions& encode = options.convert.encode;
   encode.profile = profile == "direct" ? Profile::direct : profile == "packed" ? Profile::packed : Profile::archive;
-  encode.archive = profile == "archive:small" ? archive_small() : archive_high();
+  encode.archive = profile == "archive:tiny"    ? archive_tiny()
+                   : profile == "archive:small" ? archive_small()
+                                                : archive_high();
   if (!lod.empty()) options.convert.levels = lod == "best" ? lod::Quality::best : lod::Quality::fast;
   options.convert.strict = strict;
   options.convert.output = {.overwrite = overwrite, .sync = sync};

@@ -209,8 +209,8 @@ def test_a_file_that_is_saved_holds_the_same_gaussians(source, tmp_path):
 
 def test_profiles_and_levels(tmp_path, examples, scene):
     sizes = [scene.save(tmp_path / f"{profile}.rgs".replace(":", "_"), profile=profile)
-             for profile in ("direct", "packed", "archive:high", "archive:small")]
-    assert sizes == sorted(sizes, reverse=True) and len(set(sizes)) == 4
+             for profile in ("direct", "packed", "archive:high", "archive:small", "archive:tiny")]
+    assert sizes == sorted(sizes, reverse=True) and len(set(sizes)) == 5
     scene.save(tmp_path / "levels.rgs", lod=True)
     assert roofgs.load(tmp_path / "levels.rgs").levels == roofgs.load(examples / "levels.rgs").levels > 1
 

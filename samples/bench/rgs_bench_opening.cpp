@@ -122,11 +122,8 @@ struct Head {
   }
   const rgs::FileView& file() const { return levels ? levels->head() : view; }
   const char* profile() const {
-    const rgs::Codec codec = levels                      ? levels->codec()
-                             : view.archive() != nullptr ? rgs::Codec::archive
-                             : view.coded()              ? rgs::Codec::planes
-                                                         : rgs::Codec::none;
-    return codec == rgs::Codec::archive ? "archive" : codec == rgs::Codec::planes ? "packed" : "direct";
+    if (file().archive() != nullptr) return "archive";
+    return (levels ? levels->codec() != rgs::Codec::none : view.coded()) ? "packed" : "direct";
   }
   Result<rgs::DeviceScene> upload(const rgs::UploadOptions& options) const {
     return levels ? rgs::DeviceScene::upload(*levels, options) : rgs::DeviceScene::upload(view, options);

@@ -165,11 +165,11 @@ def sum_of_squares(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np
     return x * x + y * y + z * z
 
 
-def unit_quaternion(r: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[4, rows] from [3, rows]: the component left out first."""
+def quaternion(r: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """[4, rows] from [3, rows], the component left out first; and its length."""
     squared = sum_of_squares(*r)
     w = np.sqrt(np.where(squared < 1, 1 - squared, 0))
-    return np.stack([w, *r]) / np.sqrt(squared + w * w)
+    return np.stack([w, *r]), np.sqrt(squared + w * w)
 
 
 def place(u: NDArray[np.int64], f: Any, arch: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -265,10 +265,11 @@ def decode_shapes(stream: Stream, u: NDArray[np.int64], arch: dict[str, Any], ex
 
     i, j = (each + 1) % 3, (each + 2) % 3
     apart = variance[i] - variance[j]
-    apart = apart * apart / ((variance[i] + d) * (variance[j] + d))
-    turn = step_index(arch["turn_step"] - f - log(apart) // 2, 2)
+    shows = log(apart * apart) - log(variance[i] + d) - log(variance[j] + d)
+    turn = step_index(arch["turn_step"] - f - shows // 2, 2)
     v = np.stack([stream.signed(context + 32 * k + 24 + turn[k]) for k in each])
-    unit = unit_quaternion(v * (step(turn) * 2.0**-16))
+    of_length, length = quaternion(v * (step(turn) * 2.0**-16))
+    unit = of_length * (1 / length)
 
     t, g = place(u.T, 0.5, arch)
     distance = np.maximum(arch["nearest"], sum_of_squares(*(half_width * t)))
@@ -276,7 +277,7 @@ def decode_shapes(stream: Stream, u: NDArray[np.int64], arch: dict[str, Any], ex
     matrix = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
                        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
                        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
-    p = [matrix[:, k] * matrix[:, k] / (variance[k] + d) for k in each]
+    p = [matrix[:, k] * matrix[:, k] * (1 / (variance[k] + d)) for k in each]
     cell = log(half_width) + 65536 * ((g - 1).clip(0, None) - arch["mean_cells"])
     mean_step = arch["mean_step"] - f + log(distance) // 2 - log(p[0] + p[1] + p[2]) // 2
     n = ((cell - mean_step + 32768) // 65536).clip(0, 12)
@@ -507,7 +508,8 @@ def decode_geometry(frame: bytes, rows: int, arch: dict[str, Any], exponent: int
 
     of = {name: np.array([row[name] for row in arch["classes"]])[c] for name in
           ("rotation_step", "scale_step", "scale_base")}
-    unit = unit_quaternion(np.array(rotation, np.float64) * of["rotation_step"])
+    of_length, length = quaternion(np.array(rotation, np.float64) * of["rotation_step"])
+    unit = of_length / length
     out = np.empty((rows, 8), np.float16)
     for i, b in enumerate(largest):
         order = [1, 2, 3]

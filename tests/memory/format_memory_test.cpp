@@ -46,8 +46,8 @@ std::vector<std::byte> encoded(std::uint64_t n, Profile profile) {
 }  // namespace
 
 TEST_CASE("opening, checking and decoding files of every profile") {
-  for (const char* name : {"degree3", "optional", "packed_degree3", "packed_global", "archive_degree3",
-                           "archive3_degree3"}) {
+  for (const char* name :
+       {"degree3", "optional", "packed_degree3", "packed_global", "archive_degree3", "archive3_degree3"}) {
     CAPTURE(name);
     const auto bytes = file_bytes(std::string("golden/") + name + ".rgs");
     CHECK(fail_each_allocation([&] { return hash_of_cloud(decode(bytes)); }) >= 8);

@@ -30,13 +30,12 @@ DepthRange depth_range_from_extent(const Box& robust, DepthMapping mapping);
 enum class Profile : std::uint8_t {
   direct,  ///< as the GPU reads them
   packed,  ///< Codec::planes: about two thirds of the size
-  archive  ///< Codec::archive: lossy within stated bounds, a sixth of the size or less; the same layout once decoded
+  archive  ///< Codec::archive: lossy within stated bounds, a seventh of the size or less; the same layout once decoded
 };
 
-/// Losses that Profile::archive may cause: smaller for a Gaussian of more importance (opacity^2 times area, over squared
-/// distance where that is large). Defaults are archive_high().
+/// Losses that Profile::archive may cause: docs/user/PROFILES.md. Defaults are archive_high().
 struct ArchiveOptions {
-  float step = 1;        ///< 1/16 to 64: all errors are about in proportion to it; docs/user/PROFILES.md
+  float step = 1;        ///< 1/16 to 64: all errors are about in proportion to it
   unsigned threads = 0;  ///< 0: as many as the machine runs at once; the file does not depend on it
 
   bool operator==(const ArchiveOptions&) const = default;

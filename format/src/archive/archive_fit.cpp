@@ -400,11 +400,12 @@ void fit_transforms(const SplatView& splats, const Sample& sample, ArchiveTables
 
 // GEOM and SHI8 have separate distributions, so that the tables of either fit in the cache.
 void fit_distributions(std::span<const std::uint32_t> counts, ArchiveTables& t) {
-  constexpr std::size_t kGeometry = 96, kSh = 64, kRefinements = 6;
+  constexpr std::size_t kGeometry = 96, kColours = 64, kRefinements = 6;
   const ArchiveContexts at = t.contexts();
   t.map.assign(at.count, 0);
   t.frequencies.clear();
-  for (const auto& [first, end, n] : {std::array{std::size_t{0}, at.dc, kGeometry}, std::array{at.dc, at.count, kSh}}) {
+  for (const auto& [first, end, n] :
+       {std::array{std::size_t{0}, at.dc, kGeometry}, std::array{at.dc, at.count, kColours}}) {
     Clusters clusters(counts, first, end, n);
     for (std::size_t i = 0; i < kRefinements; ++i) clusters.refine();
     clusters.append_to(t);

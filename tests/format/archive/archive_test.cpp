@@ -194,13 +194,13 @@ TEST_CASE("verification refuses a source beyond the bounds, and bounds below the
 
 TEST_CASE("a range of chunks of an archive equals that part of the whole file") {
   SplitMix random{104};
-  Bytes bytes = encode_archive_file(plausible_cloud(70000, 0, random), archive_options());
+  Bytes bytes = encode_archive_file(plausible_cloud(18000, 0, random), archive_options());
   const auto view = FileView::open(bytes);
   REQUIRE(view);
   REQUIRE(view->frames(SectionType::means).frames.size() == 3);
   const auto whole = load_direct(*view);
   REQUIRE(whole);
-  for (const std::uint64_t first : {0u, 127u, 128u, 273u}) {
+  for (const std::uint64_t first : {0u, 31u, 32u, 70u}) {
     const auto part = read_chunks(*view, first, 1);
     REQUIRE(part);
     const std::uint64_t at = first * 256;
@@ -213,7 +213,7 @@ TEST_CASE("a range of chunks of an archive equals that part of the whole file") 
     const CodedFrame frame = view->frames(type).frames[1];
     std::byte& byte = bytes[frame.offset + frame.stored_bytes / 2];
     byte ^= std::byte{1};
-    CHECK(read_chunks(*view, 0, 128));
+    CHECK(read_chunks(*view, 0, 32));
     const auto damaged = load_direct(*view, {true, 2});
     REQUIRE_FALSE(damaged);
     CHECK(damaged.error().code == Errc::checksum_mismatch);

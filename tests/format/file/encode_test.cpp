@@ -42,7 +42,8 @@ float least_scale(const ArchiveParameters& p, const float mean[3]) {
     const double d = static_cast<double>(mean[k]) - p.centre[k];
     distance += d * d;
   }
-  return static_cast<float>(1.1 * std::exp2(p.shape.blur / 65536.0) / 8 * std::sqrt(std::max(distance, p.shape.nearest)));
+  return static_cast<float>(1.1 * std::exp2(p.shape.blur / 65536.0) / 8 *
+                            std::sqrt(std::max(distance, p.shape.nearest)));
 }
 
 // The robust box of FORMAT.md, by sorting.

@@ -702,6 +702,8 @@ TEST_CASE("a damaged beginning is refused with the error of the whole file") {
       CAPTURE(name);
       CAPTURE(at);
       REQUIRE_FALSE(whole);
+      // A beginning does not have the padding behind the pages.
+      if (whole.error().code == Errc::section_gap && whole.error().offset > pages) continue;
       CHECK(std::string(errc_name(beginning.error().code)) == errc_name(whole.error().code));
       CHECK(beginning.error().offset == whole.error().offset);
       ++n_refused;

@@ -11,7 +11,7 @@ const kSortMetrics = ["undeclared", "z_depth"] as const;
 const kDepthMappings = ["undeclared", "linear", "logarithmic"] as const;
 const kDepthSources = ["undeclared", "cameras", "scene_extent", "by_hand"] as const;
 const kOrders = ["undeclared", "input", "morton"] as const;
-const kCodecs = ["none", "planes", "archive"] as const;
+const kCodecs = ["none", "planes", "archive_draco", "archive"] as const;
 
 export type Vector3 = readonly [number, number, number];
 

@@ -102,7 +102,7 @@ test("in Chromium", async (t) => {
   writeFileSync(join(server.files, "index.html"), kPage);
   writeFileSync(join(server.files, "page.js"), kScript);
   writeFileSync(join(server.files, "worker.js"), kWorker);
-  for (const name of ["packed_degree3.rgs", "levels_packed.rgs", "archive_degree3.rgs"]) {
+  for (const name of ["packed_degree3.rgs", "levels_packed.rgs", "archive3_degree3.rgs"]) {
     copyFileSync(join(golden, name), join(server.files, name));
     copyFileSync(join(golden, name), join(other.files, name));
   }
@@ -113,7 +113,7 @@ test("in Chromium", async (t) => {
   await page.goto(`${server.url}/index.html`);
   await page.waitForFunction(() => "reader" in window);
 
-  for (const name of ["packed_degree3.rgs", "levels_packed.rgs", "archive_degree3.rgs"]) {
+  for (const name of ["packed_degree3.rgs", "levels_packed.rgs", "archive3_degree3.rgs"]) {
     const expected = await expectedOf(name);
     await t.test(`${name} over http`, async () => {
       assert.deepEqual(await page.evaluate((url) => window.reader.all(url), `${server.url}/${name}`), expected.found);

@@ -83,7 +83,7 @@ function assertHead(file, arrays) {
   const sections = file.sections.flatMap((s) => [
     BigInt(Buffer.from(s.type, "latin1").readUInt32LE()),
     BigInt(s.flags),
-    BigInt(["none", "planes", "archive"].indexOf(s.codec)),
+    BigInt(["none", "planes", "archive_draco", "archive"].indexOf(s.codec)),
     BigInt(s.offset),
     BigInt(s.storedBytes),
     BigInt(s.decodedBytes),

@@ -39,7 +39,8 @@ async function outcome(bytes, what) {
   }
 }
 
-const kFiles = ["two", "packed_degree2", "archive_degree1", "levels_direct", "levels_packed", "levels_archive"];
+const kLevels = ["levels_direct", "levels_packed", "levels_archive", "levels_archive3"];
+const kFiles = ["two", "packed_degree2", "archive_degree1", "archive3_degree1", ...kLevels];
 
 test("no beginning of a file is taken for the file", async () => {
   for (const name of kFiles) {
