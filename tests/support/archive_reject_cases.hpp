@@ -118,6 +118,10 @@ inline void reject_archive(RejectMaker& m, std::uint32_t n) {
   large("opacity3_large", geometry, kOpacityContext);
   m.set("stream3_state", corrupt_data, geometry, geometry + 3, std::uint8_t{0x5A});
   m.change("stream3_odd", corrupt_data, geometry, [&](Bytes& b) { grow_frame(b, m.entry("GEOM"), 1); });
+  m.change("stream3_none", corrupt_data, geometry, [&](Bytes& b) {
+    set_frame(b, "SHI8", {});
+    set_frame(b, "GEOM", {});
+  });
   cut("stream3_short", "GEOM", std::span(shapes).first(30));
   cut("stream3_early", "GEOM", std::span(shapes).first(shapes.size() - 2));
   m.change("stream3_late", corrupt_data, sh, [&](Bytes& b) { grow_frame(b, m.entry("SHI8"), 2); });

@@ -27,10 +27,10 @@ portable=$(sed -nE '/^set\(RGS_FORMAT_PORTABLE/,/^\)/s/^ +(src.*\.cpp)$/\1/p' "$
 stand_ins=$(sed -nE 's/^set\(RGS_FORMAT_STAND_INS (.*)\)$/\1/p' "$root/format/CMakeLists.txt")
 # The package's size is limited: what decodes Gaussians is compiled for speed, all else for size, and what opens files and chooses pages
 # for the least.
-fast=" src/archive/archive_decode.cpp src/archive/archive_kernels.cpp src/archive/point_decode.cpp src/archive/rans.cpp \
-src/file/row_kernels.cpp src/packed/codec_kernels.cpp src/packed/codec_sh.cpp src/packed/frame_decoder.cpp src/packed/inflater.cpp "
-small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/open.cpp src/file/result.cpp src/file/splat_cloud.cpp \
-src/file/subject_box.cpp src/levels/page.cpp src/levels/paged_file.cpp src/packed/frames.cpp "
+fast=" src/archive/archive_kernels.cpp src/archive/point_decode.cpp src/archive/rans.cpp src/file/row_kernels.cpp \
+src/packed/codec_kernels.cpp src/packed/codec_sh.cpp src/packed/frame_decoder.cpp src/packed/inflater.cpp "
+small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/load_direct.cpp src/file/open.cpp src/file/result.cpp \
+src/file/splat_cloud.cpp src/file/subject_box.cpp src/levels/page.cpp src/levels/page_table.cpp src/levels/paged_file.cpp src/packed/frames.cpp "
 decoder="common/debug common/entropy_common common/error_private common/fse_decompress common/xxhash common/zstd_common
   decompress/huf_decompress decompress/zstd_ddict decompress/zstd_decompress_block decompress/zstd_decompress"
 
@@ -58,12 +58,12 @@ rule link
   command = wasm-ld-19 --no-entry --gc-sections --strip-all -O2 --global-base=1024 --export=_initialize -z stack-size=262144 $
     --max-memory=4294967296 -L/usr/lib/wasm32-wasi -L$llvm/lib/wasm32-wasi /usr/lib/wasm32-wasi/crt1-reactor.o \$in $
     -lc++ -lc++abi -lc $llvm/lib/clang/19/lib/wasi/libclang_rt.builtins-wasm32.a $
-    -o $build/linked.wasm && wasm-opt -O3 --low-memory-unused --enable-simd --enable-bulk-memory --enable-nontrapping-float-to-int $
+    -o $build/linked.wasm && wasm-opt -O3 -ocimfs 100 --low-memory-unused --enable-simd --enable-bulk-memory --enable-nontrapping-float-to-int $
     --enable-sign-ext $build/linked.wasm -o \$out"
   objects=
   for source in $portable $stand_ins; do
     echo "build $build/$source.o: cxx $root/format/$source"
-    case $fast in *" $source "*) echo "  size = -O3" ;; esac
+    case $fast in *" $source "*) echo "  size = -O2" ;; esac
     case $small in *" $source "*) echo "  size = -Oz" ;; esac
     objects="$objects $build/$source.o"
   done

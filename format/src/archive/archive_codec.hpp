@@ -30,9 +30,9 @@ struct ColourCodes {
 /// Of geometry with Codec::archive_draco.
 struct GeometryCodes {
   std::size_t n = 0;
-  std::vector<std::uint8_t> classes, largest;  ///< [n]
-  std::vector<std::uint16_t> opacity;          ///< [n]
-  std::vector<std::int16_t> rotation, scale;   ///< [3, n]
+  std::vector<std::uint8_t> classes;            ///< [n]
+  std::vector<std::uint16_t> opacity, largest;  ///< [n]
+  std::vector<std::int16_t> rotation, scale;    ///< [3, n]
 
   void resize(std::size_t n_rows);
 };
@@ -123,14 +123,14 @@ std::vector<std::int16_t> paired_matrix(const ArchiveTables& t);
 void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, const ColourCodes& f,
               std::span<const std::int32_t> dc, std::size_t first, std::size_t count, ShBlock& block);
 
-/// The streams of a frame's MEAN, GEOM and SHI8, and their offsets in the file. A page of Codec::archive is one stream:
-/// `means`, the others empty.
+/// The streams of a frame's MEAN, GEOM and SHI8, and their offsets in the file.
 struct FrameStreams {
   struct Stream {
     std::span<const std::byte> bytes;
     std::uint64_t offset = 0;
   };
   Stream means, geometry, sh;
+  bool one = false;  ///< a page of Codec::archive, all in `means`
 };
 
 /// Decodes frames, one at a time. Safe on untrusted bytes. Errors: corrupt_data at the stream's offset.
@@ -150,8 +150,7 @@ class ArchiveDecoder {
   std::span<const std::uint8_t> classes() const { return colours_.classes; }
 
  private:
-  Status draco_codes(const FrameStreams& streams, std::size_t n, const GridPoint& corner);
-  Status shape_codes(const FrameStreams& streams, std::size_t n, int level, const GridPoint& corner);
+  Status tree_codes(FrameStreams::Stream means, RansReader& reader);
   void draco_geometry(int scale_exponent, std::span<std::byte> out);
   void store_block(std::size_t first, std::size_t count, std::size_t stride, std::span<std::byte> out);
 
@@ -159,10 +158,9 @@ class ArchiveDecoder {
   std::vector<std::int16_t> matrix_;
   ColourCodes colours_;
   CodeSizes sizes_;
-  ShapeCodes shapes_;
+  ShapeCodes shapes_;  // archive_draco: points alone
   PointTree tree_;
-  GeometryCodes geometry_;         // archive_draco
-  std::vector<GridPoint> points_;  // likewise
+  GeometryCodes geometry_;  // archive_draco
   std::vector<float> means_;
   std::vector<std::uint16_t> geometry_rows_;
   std::vector<std::int32_t> dc_;

@@ -121,13 +121,13 @@ void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, cons
 
 namespace {
 
-template <class Walk>
-Status read_stream(const ArchiveTables& t, const FrameStreams::Stream& stream, const Walk& walk) {
-  RansReader reader(t.rans, t.map);
+Status begin(RansReader& reader, const FrameStreams::Stream& stream) {
   if (!reader.begin(stream.bytes)) return make_error(Errc::corrupt_data, stream.offset, "a stream is incomplete");
-  if (Status s = walk(reader); !s) return s;
-  if (!reader.ok() || !reader.finished())
-    return make_error(Errc::corrupt_data, stream.offset, "a stream does not decode");
+  return {};
+}
+
+Status end(const RansReader& reader, std::uint64_t offset) {
+  if (!reader.ok() || !reader.finished()) return make_error(Errc::corrupt_data, offset, "a stream does not decode");
   return {};
 }
 
@@ -147,68 +147,55 @@ Status move_to(const GridPoint& corner, std::uint32_t bits, std::uint64_t offset
 }  // namespace
 
 Status ArchiveDecoder::codes(const FrameStreams& streams, std::size_t n, int level, const GridPoint& corner) {
+  const ArchiveParameters& p = tables_.parameters;
+  const bool shaped = p.codec == Codec::archive;
+  const bool one = streams.one;
+  const std::uint64_t offset = streams.means.offset;
+  RansReader reader(tables_.rans, tables_.map);
   colours_.resize(n, tables_.n_sh);
-  return tables_.parameters.codec == Codec::archive ? shape_codes(streams, n, level, corner)
-                                                    : draco_codes(streams, n, corner);
+  shapes_.points.resize(n);
+  if (shaped) {
+    shapes_.resize(n, level);
+    if (Status s = tree_codes(streams.means, reader); !s) return s;
+    if (Status s = one ? Status{} : end(reader, offset); !s) return s;
+  } else {
+    if (Status s = decode_points(streams.means.bytes, offset, p.mean_bits, shapes_.points); !s) return s;
+    geometry_.resize(n);
+  }
+  if (Status s = move_to(corner, p.mean_bits, offset, shapes_.points); !s) return s;
+
+  if (Status s = one ? Status{} : begin(reader, streams.geometry); !s) return s;
+  if (shaped) {
+    shapes_.find_distances(p);
+    walk_shapes(shapes_, tables_, reader);
+  } else {
+    walk_geometry(geometry_, tables_, reader);
+  }
+  colours_.classes = shaped ? shapes_.classes : geometry_.classes;
+  if (Status s = one ? Status{} : end(reader, streams.geometry.offset); !s) return s;
+
+  if (Status s = one ? Status{} : begin(reader, streams.sh); !s) return s;
+  walk_sh(colours_, tables_, sizes_, reader);
+  if (shaped) smooth_sh(tables_, colours_);
+  return end(reader, one ? offset : streams.sh.offset);
 }
 
-Status ArchiveDecoder::shape_codes(const FrameStreams& streams, std::size_t n, int level, const GridPoint& corner) {
-  const std::uint64_t offset = streams.means.offset;
-  const std::uint32_t mean_bits = tables_.parameters.mean_bits;
-  shapes_.resize(n, level);
+Status ArchiveDecoder::tree_codes(FrameStreams::Stream means, RansReader& reader) {
   std::array<std::uint8_t, 3> bits{};
-  FrameStreams::Stream means = streams.means;
-  if (means.bytes.size() < 4) return make_error(Errc::corrupt_data, offset, "a frame of means has no bit lengths");
+  if (means.bytes.size() < 4) {
+    return make_error(Errc::corrupt_data, means.offset, "a frame of means has no bit lengths");
+  }
   std::memcpy(bits.data(), means.bytes.data(), bits.size());
-  if (std::ranges::any_of(bits, [=](std::uint8_t b) { return b > mean_bits; }) || means.bytes[3] != std::byte{0}) {
-    return make_error(Errc::corrupt_data, offset, "the bit lengths of a frame of means are not those of its grid");
+  if (std::ranges::max(bits) > tables_.parameters.mean_bits || means.bytes[3] != std::byte{0}) {
+    return make_error(Errc::corrupt_data, means.offset,
+                      "the bit lengths of a frame of means are not those of its grid");
   }
   means.bytes = means.bytes.subspan(4);
-  const auto walk_means = [&](RansReader& reader) -> Status {
-    if (!tree_.walk(shapes_.points, bits, reader))
-      return make_error(Errc::corrupt_data, offset, "a frame of means has a cell of more points than there are");
-    if (Status s = move_to(corner, mean_bits, offset, shapes_.points); !s) return s;
-    shapes_.find_distances(tables_.parameters);
-    return {};
-  };
-  const auto walk_geometry = [&](RansReader& reader) -> Status {
-    walk_shapes(shapes_, tables_, reader);
-    colours_.classes = shapes_.classes;
-    return {};
-  };
-  const auto walk_colours = [&](RansReader& reader) -> Status {
-    walk_sh(colours_, tables_, sizes_, reader);
-    smooth_sh(tables_, colours_);
-    return {};
-  };
-  if (streams.geometry.bytes.empty() && streams.sh.bytes.empty()) {
-    return read_stream(tables_, means, [&](RansReader& reader) -> Status {
-      if (Status s = walk_means(reader); !s) return s;
-      if (Status s = walk_geometry(reader); !s) return s;
-      return walk_colours(reader);
-    });
+  if (Status s = begin(reader, means); !s) return s;
+  if (!tree_.walk(shapes_.points, bits, reader)) {
+    return make_error(Errc::corrupt_data, means.offset, "a frame of means has a cell of more points than there are");
   }
-  if (Status s = read_stream(tables_, means, walk_means); !s) return s;
-  if (Status s = read_stream(tables_, streams.geometry, walk_geometry); !s) return s;
-  return read_stream(tables_, streams.sh, walk_colours);
-}
-
-Status ArchiveDecoder::draco_codes(const FrameStreams& streams, std::size_t n, const GridPoint& corner) {
-  const ArchiveParameters& p = tables_.parameters;
-  points_.resize(n);
-  if (Status s = decode_points(streams.means.bytes, streams.means.offset, p.mean_bits, points_); !s) return s;
-  if (Status s = move_to(corner, p.mean_bits, streams.means.offset, points_); !s) return s;
-  geometry_.resize(n);
-  const Status geometry = read_stream(tables_, streams.geometry, [this](RansReader& reader) -> Status {
-    walk_geometry(geometry_, tables_, reader);
-    colours_.classes = geometry_.classes;
-    return {};
-  });
-  if (!geometry) return geometry;
-  return read_stream(tables_, streams.sh, [this](RansReader& reader) -> Status {
-    walk_sh(colours_, tables_, sizes_, reader);
-    return {};
-  });
+  return {};
 }
 
 void ArchiveDecoder::rows(int scale_exponent, std::span<std::byte> means, std::span<std::byte> geometry) {
@@ -221,8 +208,8 @@ void ArchiveDecoder::rows(int scale_exponent, std::span<std::byte> means, std::s
     std::memcpy(geometry.data(), geometry_rows_.data(), n * kGeometryBytes);
   } else {
     for (std::size_t k = 0; k < 3; ++k) {
-      archive_kernels().means({p.mean_bits, p.mean_cells, p.centre[k], p.half_width[k]}, points_[0].data() + k, n, 3,
-                              means_.data() + k);
+      archive_kernels().means({p.mean_bits, p.mean_cells, p.centre[k], p.half_width[k]}, shapes_.points[0].data() + k,
+                              n, 3, means_.data() + k);
     }
     draco_geometry(scale_exponent, geometry);
   }

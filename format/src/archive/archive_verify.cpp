@@ -188,7 +188,8 @@ Status verify_page(const PagedFile& file, const SplatView& splats, std::span<con
   if (!rows) return tl::unexpected(rows.error());
   if (Status s = check_page_values(file, page, *rows); !s) return s;
   const auto level = static_cast<int>(file.pages()[page].level);
-  if (Status s = decoder.codes({{stored_bytes, 0}, {}, {}}, rows->n, level, file.stored(page).corner); !s) return s;
+  if (Status s = decoder.codes({{stored_bytes, 0}, {}, {}, true}, rows->n, level, file.stored(page).corner); !s)
+    return s;
   float step[48] = {}, slack[48] = {};
   for (std::uint32_t i = 0; i < rows->n; ++i) {
     if (i % h.chunk_size == 0) {

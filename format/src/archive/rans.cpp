@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cstring>
 #include <numeric>
 
 namespace rgs::detail {
@@ -32,6 +33,81 @@ bool RansReader::begin(std::span<const std::byte> stream) {
   at_ = stream.data() + sizeof states_;
   end_ = stream.data() + stream.size();
   return true;
+}
+
+template <bool kAmple>
+void RansReader::refill(std::uint32_t& x) {
+  if constexpr (kAmple) {  // no branch: which state needs a word is unpredictable
+    std::uint16_t word;
+    std::memcpy(&word, at_, sizeof word);
+    const bool low = x < kRansLow;
+    x = low ? x << 16 | word : x;
+    at_ += low ? 2 : 0;
+  } else if (x < kRansLow) {
+    std::uint16_t word = 0;
+    if (at_ != end_) {
+      std::memcpy(&word, at_, sizeof word);
+      at_ += 2;
+    } else {
+      bad_ = true;
+    }
+    x = x << 16 | word;
+  }
+}
+
+template <bool kAmple>
+std::uint32_t RansReader::next(std::uint32_t& x, std::size_t context) {
+  const RansTables::Distribution& d = distributions_[map_[context]];
+  const std::uint32_t slot = x & (kRansTotal - 1), token = d.token[slot], frequency = d.frequency[token];
+  x = (frequency & 0xFFFF) * (x >> 12) + slot - (frequency >> 16);
+  refill<kAmple>(x);
+  if (token < 32) [[likely]]
+    return token;
+  const std::uint32_t n_bits = (token - 32) / 4 + 3;
+  const std::uint32_t z = (4 + token % 4) << n_bits | (x & ((1u << n_bits) - 1));
+  x >>= n_bits;
+  refill<kAmple>(x);
+  return z;
+}
+
+void RansReader::numbers(std::size_t first, std::size_t n, std::uint16_t* contexts) {
+  std::array<std::uint32_t, kRansStates> x = states_;
+  std::size_t i = 0;
+  for (; i + kRansStates <= n && end_ - at_ >= std::ptrdiff_t{4 * kRansStates}; i += kRansStates) {
+    for (std::size_t lane = 0; lane < kRansStates; ++lane) {
+      contexts[i + lane] = static_cast<std::uint16_t>(next<true>(x[lane], contexts[i + lane]));
+    }
+  }
+  states_ = x;
+  for (; i < n; ++i)
+    contexts[i] = static_cast<std::uint16_t>(next<false>(states_[(first + i) % kRansStates], contexts[i]));
+}
+
+template <class T>
+void RansReader::read(std::size_t first, std::size_t n, std::uint16_t* contexts, T* values, std::uint32_t limit) {
+  numbers(first, n, contexts);
+  for (std::size_t i = 0; i < n; ++i) {
+    const std::uint16_t z = contexts[i];
+    if constexpr (std::is_signed_v<T>) {
+      values[i] = unfold_code(z);
+    } else {
+      bad_ |= z > limit;
+      values[i] = z > limit ? T{0} : static_cast<T>(z);
+    }
+  }
+}
+
+template void RansReader::read(std::size_t, std::size_t, std::uint16_t*, std::int16_t*, std::uint32_t);
+template void RansReader::read(std::size_t, std::size_t, std::uint16_t*, std::uint16_t*, std::uint32_t);
+template void RansReader::read(std::size_t, std::size_t, std::uint16_t*, std::uint8_t*, std::uint32_t);
+
+void RansReader::bits(std::size_t n, std::uint16_t* values, const std::uint8_t* widths) {
+  for (std::size_t i = 0; i < n; ++i) {
+    std::uint32_t& x = states_[i % kRansStates];
+    values[i] = static_cast<std::uint16_t>(x & ((1u << widths[i]) - 1));
+    x >>= widths[i];
+    refill<false>(x);
+  }
 }
 
 bool RansReader::finished() const {

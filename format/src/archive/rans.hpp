@@ -5,11 +5,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <bit>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
 #include <span>
 #include <type_traits>
 #include <vector>
@@ -63,36 +63,21 @@ class RansReader {
   /// False if the stream is shorter than its states or has half a word.
   bool begin(std::span<const std::byte> stream);
 
-  /// Reads values[i] for i < n, in order, so that context(i) may use earlier ones. Unsigned numbers above `limit`
-  /// become 0 and ok() false.
+  /// Reads values[i] for i < n. Contexts of bytes may use those before, others may not: many are found at once. Unsigned
+  /// numbers above `limit` become 0 and ok() false.
   template <class T, class Context>
-  void plane(std::size_t n, T* values, [[maybe_unused]] std::uint32_t limit, Context context) {
-    std::array<std::uint32_t, kRansStates> x = states_;
-    const auto take = [&](std::size_t i, std::uint32_t z) {
-      if constexpr (std::is_signed_v<T>) {
-        values[i] = unfold_code(z);
-      } else {
-        bad_ |= z > limit;
-        values[i] = z > limit ? T{0} : static_cast<T>(z);
-      }
-    };
-    std::size_t i = 0;
-    for (; i + kRansStates <= n && end_ - at_ >= std::ptrdiff_t{4 * kRansStates}; i += kRansStates) {
-      for (std::size_t lane = 0; lane < kRansStates; ++lane) take(i + lane, next<true>(x[lane], context(i + lane)));
+  void plane(std::size_t n, T* values, std::uint32_t limit, Context context) {
+    constexpr std::size_t kAtOnce = sizeof(T) == 1 ? 1 : 512;
+    std::array<std::uint16_t, kAtOnce> contexts;
+    for (std::size_t first = 0; first < n; first += kAtOnce) {
+      const std::size_t count = std::min(kAtOnce, n - first);
+      for (std::size_t i = 0; i < count; ++i) contexts[i] = static_cast<std::uint16_t>(context(first + i));
+      read(first, count, contexts.data(), values + first, limit);
     }
-    for (; i < n; ++i) take(i, next<false>(x[i % kRansStates], context(i)));
-    states_ = x;
   }
 
   /// Reads values[i] of widths[i] bits each, at most 12.
-  void bits(std::size_t n, std::uint16_t* values, const std::uint8_t* widths) {
-    for (std::size_t i = 0; i < n; ++i) {
-      std::uint32_t& x = states_[i % kRansStates];
-      values[i] = static_cast<std::uint16_t>(x & ((1u << widths[i]) - 1));
-      x >>= widths[i];
-      refill<false>(x);
-    }
-  }
+  void bits(std::size_t n, std::uint16_t* values, const std::uint8_t* widths);
   static constexpr bool kReads = true;
 
   bool ok() const { return !bad_; }
@@ -100,39 +85,14 @@ class RansReader {
   bool finished() const;
 
  private:
+  // Numbers first to first + n - 1 of a plane replace their contexts; several only from multiples of kRansStates on.
+  void numbers(std::size_t first, std::size_t n, std::uint16_t* contexts);
+  template <class T>
+  void read(std::size_t first, std::size_t n, std::uint16_t* contexts, T* values, std::uint32_t limit);
   template <bool kAmple>
-  std::uint32_t next(std::uint32_t& x, std::size_t context) {
-    const RansTables::Distribution& d = distributions_[map_[context]];
-    const std::uint32_t slot = x & (kRansTotal - 1), token = d.token[slot], frequency = d.frequency[token];
-    x = (frequency & 0xFFFF) * (x >> 12) + slot - (frequency >> 16);
-    refill<kAmple>(x);
-    if (token < 32) [[likely]]
-      return token;
-    const std::uint32_t n_bits = (token - 32) / 4 + 3;
-    const std::uint32_t z = (4 + token % 4) << n_bits | (x & ((1u << n_bits) - 1));
-    x >>= n_bits;
-    refill<kAmple>(x);
-    return z;
-  }
+  std::uint32_t next(std::uint32_t& x, std::size_t context);
   template <bool kAmple>
-  void refill(std::uint32_t& x) {
-    if constexpr (kAmple) {  // no branch: which state needs a word is unpredictable
-      std::uint16_t word;
-      std::memcpy(&word, at_, sizeof word);
-      const bool low = x < kRansLow;
-      x = low ? x << 16 | word : x;
-      at_ += low ? 2 : 0;
-    } else if (x < kRansLow) {
-      std::uint16_t word = 0;
-      if (at_ != end_) {
-        std::memcpy(&word, at_, sizeof word);
-        at_ += 2;
-      } else {
-        bad_ = true;
-      }
-      x = x << 16 | word;
-    }
-  }
+  void refill(std::uint32_t& x);
 
   const RansTables::Distribution* distributions_;
   std::span<const std::uint8_t> map_;

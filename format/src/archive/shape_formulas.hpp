@@ -91,7 +91,8 @@ inline void world_precision(const double q[4], const double variance[3], double 
 
 /// Unit quaternion w x y z from the last three components, w not negative.
 inline void quaternion_of(double x, double y, double z, double q[4]) {
-  const double s = (x * x + y * y) + z * z, w = std::sqrt((1 - s) * (s < 1 ? 1.0 : 0.0)), scale = 1 / std::sqrt(s + w * w);
+  const double s = (x * x + y * y) + z * z, w = std::sqrt((1 - s) * (s < 1 ? 1.0 : 0.0)),
+               scale = 1 / std::sqrt(s + w * w);
   q[0] = w * scale, q[1] = x * scale, q[2] = y * scale, q[3] = z * scale;
 }
 

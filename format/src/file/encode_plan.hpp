@@ -21,7 +21,7 @@ struct EncodePlan {
   Header header;          ///< file_bytes and n_sections still 0
   Declarations declarations;
   bool mends = false;                  ///< the scan has repaired Gaussians
-  std::uint32_t archive_rows = 8192;  ///< preferred frame length of Profile::archive
+  std::uint32_t archive_rows = 8192;   ///< preferred frame length of Profile::archive
   ShStepSet file_steps;                ///< the only set, unless chunks have their own
   std::vector<SectionEntry> sections;  ///< in file order; stored_bytes: upper bounds; hashes and offsets 0
 

@@ -73,8 +73,9 @@ Status PageDecoder::State::lossy(std::uint32_t page, std::span<const std::byte> 
   const Header& h = file.head().header();
   const StoredPage& stored = file.stored(page);
   const std::uint32_t n = file.pages()[page].count;
-  FrameStreams streams{{bytes, stored.offset}, {{}, stored.offset}, {{}, stored.offset}};
+  FrameStreams streams{{bytes, stored.offset}, {{}, stored.offset}, {{}, stored.offset}, true};
   if (file.codec() == Codec::archive_draco) {
+    streams.one = false;
     ByteReader in(bytes);
     const std::uint32_t mean_bytes = in.u32(), geometry_bytes = in.u32();
     streams.means.bytes = in.bytes(mean_bytes), streams.geometry.bytes = in.bytes(geometry_bytes);
