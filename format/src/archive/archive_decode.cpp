@@ -57,6 +57,7 @@ std::int64_t expected_dc(const std::int16_t weights[2], std::int64_t before, std
 }
 
 void smooth_sh(const ArchiveTables& t, ColourCodes& f) {
+  if (t.n_sh == 0) return;
   std::int32_t state[kShMaxCodes] = {}, steps[kShLanes];
   for (std::size_t first = 0; first < f.n; first += kShLanes) {
     const std::size_t count = std::min<std::size_t>(kShLanes, f.n - first);

@@ -266,7 +266,9 @@ TEST_CASE("points, and scenes of subnormal size, can be archived") {
     SplatCloud cloud = base;
     std::ranges::fill(cloud.mean, place);
     const Bytes bytes = encoded(cloud, 64);
-    for (const ArchiveClass& c : FileView::open(bytes)->archive()->classes) CHECK(c.bound_mean == 0);
+    const auto view = FileView::open(bytes);
+    REQUIRE(view);
+    for (const ArchiveClass& c : view->archive()->classes) CHECK(c.bound_mean == 0);
     CHECK(decode(bytes)->mean == cloud.mean);
     for (std::size_t i = 0; i < cloud.size(); ++i) cloud.mean[3 * i + 2] = base.mean[3 * i + 2];
     const SplatCloud line = decode(encoded(cloud, 64)).value();
