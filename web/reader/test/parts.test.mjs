@@ -8,7 +8,7 @@ import { open, RgsError, subjectBox } from "@roofgs/reader";
 import { filesIn, golden, scenes } from "./dump.mjs";
 
 // By the number of parts: 16,384 Gaussians a group, in an archive 32,768.
-const plain = new Map([["packed.rgs", 3], ["direct.rgs", 3], ["low.rgs", 2]].map(([name, n]) => [join(scenes(), name), n]));
+const plain = new Map([["packed.rgs", 3], ["direct.rgs", 3], ["low.rgs", 3]].map(([name, n]) => [join(scenes(), name), n]));
 
 /** Bytes as a source that counts what it gives; `hold(offset)` is waited for. */
 function counted(bytes, hold = async () => undefined) {
