@@ -266,7 +266,8 @@ TEST_CASE("points, and scenes of subnormal size, can be archived") {
     SplatCloud cloud = base;
     std::ranges::fill(cloud.mean, place);
     const Bytes bytes = encoded(cloud, 64);
-    for (const ArchiveClass& c : FileView::open(bytes)->archive()->classes) CHECK(c.bound_mean == 0);
+    const ArchiveParameters p = *FileView::open(bytes)->archive();
+    for (const ArchiveClass& c : p.classes) CHECK(c.bound_mean == 0);
     CHECK(decode(bytes)->mean == cloud.mean);
     for (std::size_t i = 0; i < cloud.size(); ++i) cloud.mean[3 * i + 2] = base.mean[3 * i + 2];
     const SplatCloud line = decode(encoded(cloud, 64)).value();
