@@ -250,6 +250,8 @@ class Encoder {
     std::vector<std::byte> bytes;
     auto written = pages_ != nullptr ? assemble_pages(bytes, source_index) : assemble(bytes, source_index);
     if (!written) return written;
+    frames_ = {};
+    means_ = {};
     const Status verified = pages_ != nullptr ? verify_archive_levels(bytes, splats_, order_, n_threads())
                                               : verify_archive(bytes, splats_, order_, n_threads());
     if (const Status& s = verified; !s) {
