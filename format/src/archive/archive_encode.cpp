@@ -74,6 +74,7 @@ struct FrameCodes {
 
 // One thread's sums over chunks.
 struct Totals {
+  SceneScan scan{0};  // of the leaves' means
   ValueCounts counts;
   ShMagnitudes magnitudes;
 };
@@ -204,8 +205,7 @@ class Encoder {
         splats_(splats),
         first_leaf_(splats.n - plan.header.n_gaussians),
         degree_(plan.header.sh_degree),
-        order_(splats.n),
-        means_(3 * splats.n) {
+        order_(splats.n) {
     std::iota(order_.begin(), order_.end(), 0u);
     tables_.n_sh = archive_sh_count(degree_);
     if (pages_ != nullptr) {
@@ -251,7 +251,6 @@ class Encoder {
     auto written = pages_ != nullptr ? assemble_pages(bytes, source_index) : assemble(bytes, source_index);
     if (!written) return written;
     frames_ = {};
-    means_ = {};
     const Status verified = pages_ != nullptr ? verify_archive_levels(bytes, splats_, order_, n_threads())
                                               : verify_archive(bytes, splats_, order_, n_threads());
     if (const Status& s = verified; !s) {
@@ -603,11 +602,14 @@ class Encoder {
     if (!done) return done;
     for (unsigned w = 1; w < n_workers; ++w) {
       errors[0].merge(errors[w]);
+      totals[0].scan.merge(totals[w].scan);
       totals[0].counts.add(totals[w].counts);
       totals[0].magnitudes.merge(totals[w].magnitudes);
     }
     errors[0].state(tables_.parameters);
     scene_.counts = totals[0].counts;
+    plan_.declarations.full = totals[0].scan.full();
+    plan_.declarations.robust = totals[0].scan.robust();
     plan_.file_steps = totals[0].magnitudes.steps();
     if (!steps_explain_bounds()) {
       return make_error(Errc::internal, Error::kNone, "an archive's errors are larger than its steps explain");
@@ -641,8 +643,9 @@ class Encoder {
     smooth_sh(tables_, codes.colours);
     const auto block = std::make_unique<ShBlock>();
     std::vector<StoredSplat> stored(plan_.header.chunk_size);
+    std::vector<float> means(3 * f.count);
     std::vector<std::uint16_t> geometry(8 * f.count);
-    codes.shapes.write_rows(tables_, f.scale_exponent, &means_[3 * f.first], geometry.data());
+    codes.shapes.write_rows(tables_, f.scale_exponent, means.data(), geometry.data());
     ExtentBox extent;
     ShMagnitudes of_frame;
     for (std::uint64_t at = 0; at < f.count; at += plan_.header.chunk_size) {
@@ -655,7 +658,7 @@ class Encoder {
         }
       }
       for (std::size_t i = 0; i < count; ++i) {
-        std::copy_n(&means_[3 * (f.first + at + i)], 3, stored[i].mean);
+        std::copy_n(&means[3 * (at + i)], 3, stored[i].mean);
         std::copy_n(&geometry[8 * (at + i)], 8, stored[i].geometry);
         const std::uint32_t source = order_[f.first + at + i];
         const SplatErrors e = splat_errors(tables_.parameters, f.scale_exponent, codes.shapes.level, degree_,
@@ -663,6 +666,11 @@ class Encoder {
         // Turned by the least step, something that long and thin is nowhere near where it was.
         if (!(std::max(e.mean, e.covariance) <= std::numeric_limits<float>::max())) return too_large(source);
         errors.add(codes.colours.classes[at + i], e);
+        if (f.level == 0) {
+          Splat decoded;
+          std::ranges::copy(stored[i].mean, decoded.mean);
+          totals.scan.add(decoded);
+        }
         if (pages_ == nullptr) continue;
         extent.add(extent_of(reinterpret_cast<const std::byte*>(stored[i].mean),
                              reinterpret_cast<const std::byte*>(stored[i].geometry), f.scale_exponent));
@@ -705,20 +713,7 @@ class Encoder {
     }
   }
 
-  // Boxes of the decoded means.
-  void describe_scene() {
-    SceneScan scan(0);
-    for (std::uint64_t i = first_leaf_; i < splats_.n; ++i) {
-      Splat splat;
-      std::copy_n(&means_[3 * i], 3, splat.mean);
-      scan.add(splat);
-    }
-    plan_.declarations.full = scan.full();
-    plan_.declarations.robust = scan.robust();
-  }
-
   Result<WrittenScene> assemble(std::vector<std::byte>& bytes, std::span<const std::uint32_t> source_index) {
-    describe_scene();
     const std::vector<std::byte> parameters = write_archive_tables(tables_);
     std::vector<std::uint32_t> permutation(order_.size());
     std::ranges::transform(order_, permutation.begin(), [&](std::uint32_t i) { return source_index[i]; });
@@ -746,7 +741,6 @@ class Encoder {
 
   // Pages, and the tables outside them that readers cannot compute from decoded rows.
   Result<WrittenScene> assemble_pages(std::vector<std::byte>& bytes, std::span<const std::uint32_t> source_index) {
-    describe_scene();
     LevelsFile file(bytes, plan_, *pages_, write_archive_tables(tables_));
     for (const Frame& f : frames_) {
       const auto n_sets = static_cast<std::uint32_t>(chunks_of(f.count, plan_.header.chunk_size));
@@ -771,7 +765,6 @@ class Encoder {
   const std::vector<CubeRotation> cube_rotations_ = cube_rotations();
   std::vector<Frame> frames_;
   std::vector<std::uint32_t> order_;  // position in splats_ of each Gaussian of the file
-  std::vector<float> means_;          // [n, 3] decoded, in file order
   SceneTables scene_;
 };
 

@@ -15,7 +15,7 @@
 namespace rgs::detail {
 
 /// Writes the whole file. `splats`: the plan's Gaussians, sound and in Morton order (frames are cut along it);
-/// `source_index` [n]: their positions in the source. Frames have an order of their own. Takes about 80 bytes
+/// `source_index` [n]: their positions in the source. Frames have an order of their own. Takes about 70 bytes
 /// a Gaussian on top. The result has been decoded and compared with `splats`: see verify_archive(). Errors: bad_value (a
 /// value too large for the requested steps; `found` is the Gaussian's source_index), those of verify_archive() and the
 /// sink.
