@@ -381,7 +381,7 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   if (scan.n_kept() == 0) {
     return nothing_for_levels();
   }
-  // About 400 bytes a Gaussian besides the Gaussians, see LevelsWriter.
+  // Besides the Gaussians of the finest level: what LevelsWriter takes for each, and those of levels.
   const std::uint64_t all_bytes =
       scan.n_kept() * (400 + 16 * static_cast<std::uint64_t>(sh_coefficients(scan.sh_degree())));
   if (encode.profile == Profile::archive && all_bytes > options.memory_bytes) {

@@ -52,7 +52,7 @@ struct WrittenScene {
 ///   4. Batches, filled on threads of their own if you like, and add()ed in order.                (second pass)
 ///   5. finish().
 /// encode() does this in a single thread. The bytes do not depend on threads. Memory: 100 bytes a chunk for tables, and
-/// batches; Profile::archive takes the whole scene and about 400 bytes a Gaussian on top.
+/// batches; Profile::archive takes the whole scene and about 70 bytes a Gaussian on top.
 class SceneWriter {
  public:
   class Batch;

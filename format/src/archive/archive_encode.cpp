@@ -1,8 +1,9 @@
 // archive_encode.cpp - encodes Gaussians as a file of Codec::archive, frames side by side on all threads.
 //
-// Order: the cells of means decide the order of each frame.
 // Fit:   steps and transforms from a sample of the scene.
-// Codes: each frame's attributes, in the order in which a reader learns what they mean.
+// Order: the cells of means decide the order of each frame.
+// Codes: each frame's attributes, in the order in which a reader learns what they mean. They are found twice, since
+//        those of a whole scene take more memory than its Gaussians: first to count them, then to write them.
 // Tables and streams: distributions of all frames together, then each frame's bytes.
 // Rows:  what a reader will decode; they give the step sets, the chunk table and the stated bounds.
 // Finally the file is decoded and compared with its source.
@@ -58,15 +59,22 @@ struct Frame {
   GridPoint corner{};                          // of a page
   Box extent;                                  // of a page
   std::vector<std::byte> means, geometry, sh;  // streams; of a page `means` alone
-  std::vector<GridPoint> cells;                // of means, from the corner
-  std::array<std::uint8_t, 3> bits{};          // of their coordinates
+  float min_scale = std::numeric_limits<float>::max(), max_scale = 0;
+};
+
+// Codes of the frame that a thread works on.
+struct FrameCodes {
+  std::vector<GridPoint> cells;        // of means, from the corner
+  std::array<std::uint8_t, 3> bits{};  // of their coordinates
   ShapeCodes shapes;
   ColourCodes colours;
-  float min_scale = std::numeric_limits<float>::max(), max_scale = 0;
+  CodeSizes sizes;
+  PointTree tree;
 };
 
 // One thread's sums over chunks.
 struct Totals {
+  SceneScan scan{0};  // of the leaves' means
   ValueCounts counts;
   ShMagnitudes magnitudes;
 };
@@ -197,8 +205,7 @@ class Encoder {
         splats_(splats),
         first_leaf_(splats.n - plan.header.n_gaussians),
         degree_(plan.header.sh_degree),
-        order_(splats.n),
-        means_(3 * splats.n) {
+        order_(splats.n) {
     std::iota(order_.begin(), order_.end(), 0u);
     tables_.n_sh = archive_sh_count(degree_);
     if (pages_ != nullptr) {
@@ -228,21 +235,22 @@ class Encoder {
       }
     }
     fit();
-    if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) {
+    if (Status s = count_codes(); !s) {
       // The largest coefficient is to blame, even if the transforms that it bent fail for another Gaussian first.
       const auto of_leaves = leaves().sh;
       const auto largest = std::ranges::max_element(of_leaves, {}, [](float x) { return std::abs(x); });
       s.error().found = source_index[static_cast<std::size_t>(largest - of_leaves.begin()) / stride];
       return tl::unexpected(s.error());
     }
-    fit_tables();
-    if (Status s = reconstruct(); !s) {
+    choose_exponents();
+    if (Status s = encode_frames(); !s) {
       if (s.error().code == Errc::bad_value) s.error().found = name_in_source(source_index, s.error().found);
       return tl::unexpected(s.error());
     }
     std::vector<std::byte> bytes;
     auto written = pages_ != nullptr ? assemble_pages(bytes, source_index) : assemble(bytes, source_index);
     if (!written) return written;
+    frames_ = {};
     const Status verified = pages_ != nullptr ? verify_archive_levels(bytes, splats_, order_, n_threads())
                                               : verify_archive(bytes, splats_, order_, n_threads());
     if (const Status& s = verified; !s) {
@@ -276,11 +284,6 @@ class Encoder {
     return view;
   }
 
-  template <class Job>
-  Status each_frame(const Job& job) {
-    return run_jobs(frames_.size(), n_threads(), [&](unsigned, std::uint64_t i) { return job(frames_[i]); });
-  }
-
   void fit() {
     ArchiveParameters& p = tables_.parameters;
     Box full = plan_.declarations.full;  // of all levels
@@ -300,7 +303,7 @@ class Encoder {
   }
 
   // The frame's cells of means, and its order. Points in one cell keep the source's order.
-  void order_frame(Frame& f) {
+  void order_frame(Frame& f, FrameCodes& codes) {
     const ArchiveParameters& p = tables_.parameters;
     std::vector<GridPoint> points(f.count);
     for (std::size_t i = 0; i < f.count; ++i) {
@@ -314,23 +317,24 @@ class Encoder {
         for (std::size_t k = 0; k < 3; ++k) f.corner[k] = std::min(f.corner[k], point[k]);
       }
     }
+    codes.bits = {};
     for (GridPoint& point : points) {
       for (std::size_t k = 0; k < 3; ++k) {
         point[k] -= f.corner[k];
-        f.bits[k] = std::max(f.bits[k], static_cast<std::uint8_t>(std::bit_width(point[k])));
+        codes.bits[k] = std::max(codes.bits[k], static_cast<std::uint8_t>(std::bit_width(point[k])));
       }
     }
     std::vector<std::uint32_t> order(f.count);
     std::iota(order.begin(), order.end(), 0u);
     std::ranges::stable_sort(order, [&](std::uint32_t a, std::uint32_t b) { return tree_less(points[a], points[b]); });
-    f.shapes.resize(f.count, static_cast<int>(f.level));
-    f.cells.resize(f.count);
+    codes.shapes.resize(f.count, static_cast<int>(f.level));
+    codes.cells.resize(f.count);
     for (std::size_t i = 0; i < f.count; ++i) {
       order_[f.first + i] = static_cast<std::uint32_t>(f.first + order[i]);
-      f.cells[i] = points[order[i]];
-      for (std::size_t k = 0; k < 3; ++k) f.shapes.points[i][k] = f.cells[i][k] + f.corner[k];
+      codes.cells[i] = points[order[i]];
+      for (std::size_t k = 0; k < 3; ++k) codes.shapes.points[i][k] = codes.cells[i][k] + f.corner[k];
     }
-    f.shapes.find_distances(p);
+    codes.shapes.find_distances(p);
   }
 
   // ---- codes -------------------------------------------------------------------------------------------------------
@@ -350,18 +354,19 @@ class Encoder {
     return true;
   }
 
-  Status quantise(Frame& f) {
-    order_frame(f);
-    quantise_shapes(f);
-    f.colours.resize(f.count, tables_.n_sh);
-    f.colours.classes = f.shapes.classes;
+  // All codes of a frame: the same whenever it is called.
+  Status quantise(Frame& f, FrameCodes& codes) {
+    order_frame(f, codes);
+    quantise_shapes(f, codes.shapes);
+    codes.colours.resize(f.count, tables_.n_sh);
+    codes.colours.classes = codes.shapes.classes;
     ColourState state;
     for (std::size_t i = 0; i < f.count; ++i) {
       const std::uint32_t source = order_[f.first + i];
       const Splat s = splats_.splat(source);
-      const ArchiveClass& c = tables_.parameters.classes[f.colours.classes[i]];
-      const float share = pass_on(state, f.shapes, i);
-      if (!quantise_dc(s, c, i, state, f.colours) || !quantise_sh(s, c, i, share, state, f.colours))
+      const ArchiveClass& c = tables_.parameters.classes[codes.colours.classes[i]];
+      const float share = pass_on(state, codes.shapes, i);
+      if (!quantise_dc(s, c, i, state, codes.colours) || !quantise_sh(s, c, i, share, state, codes.colours))
         return too_large(source);
     }
     return {};
@@ -393,10 +398,9 @@ class Encoder {
     return static_cast<std::int16_t>(std::clamp(std::nearbyint(value), -32767.0, 32767.0));
   }
 
-  void quantise_shapes(Frame& f) {
+  void quantise_shapes(Frame& f, ShapeCodes& codes) {
     const ArchiveParameters& p = tables_.parameters;
     const ShapeParameters& shape = p.shape;
-    ShapeCodes& codes = f.shapes;
     const std::size_t n = f.count;
     std::vector<Quaternion> rotations(n);
     std::vector<double> blurred(3 * n);
@@ -521,39 +525,42 @@ class Encoder {
 
   // ---- tables and streams --------------------------------------------------------------------------------------------
 
-  void fit_tables() {
+  // Distributions, from the codes of all frames.
+  Status count_codes() {
     const unsigned n_workers = worker_count(frames_.size(), n_threads());
     std::vector<RansCounter> counters(n_workers, RansCounter(tables_.contexts().count));
-    std::vector<CodeSizes> sizes(n_workers);
-    std::vector<PointTree> trees(n_workers);
-    static_cast<void>(run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) -> Status {
-      Frame& f = frames_[i];
-      trees[worker].walk(f.cells, f.bits, counters[worker]);
-      walk_shapes(f.shapes, tables_, counters[worker]);
-      walk_sh(f.colours, tables_, sizes[worker], counters[worker]);
+    std::vector<FrameCodes> codes(n_workers);
+    const Status done = run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) -> Status {
+      FrameCodes& c = codes[worker];
+      if (Status s = quantise(frames_[i], c); !s) return s;
+      c.tree.walk(c.cells, c.bits, counters[worker]);
+      walk_shapes(c.shapes, tables_, counters[worker]);
+      walk_sh(c.colours, tables_, c.sizes, counters[worker]);
       return {};
-    }));
+    });
+    if (!done) return done;
     std::vector<std::uint32_t>& counts = counters[0].counts();
     for (unsigned w = 1; w < n_workers; ++w) {
       std::ranges::transform(counts, counters[w].counts(), counts.begin(), std::plus<>());
     }
     fit_distributions(counts, tables_);
-    static_cast<void>(run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) -> Status {
-      RansWriter writer(tables_.frequencies, tables_.map);
-      Frame& f = frames_[i];
-      for (const std::uint8_t bits : f.bits) f.means.push_back(std::byte{bits});
-      f.means.push_back(std::byte{0});
-      const auto append = [](std::vector<std::byte>& to, const std::vector<std::byte>& stream) {
-        to.insert(to.end(), stream.begin(), stream.end());
-      };
-      trees[worker].walk(f.cells, f.bits, writer);
-      if (pages_ == nullptr) append(f.means, writer.finish());
-      walk_shapes(f.shapes, tables_, writer);
-      if (pages_ == nullptr) f.geometry = writer.finish();
-      walk_sh(f.colours, tables_, sizes[worker], writer);
-      append(pages_ == nullptr ? f.sh : f.means, writer.finish());
-      return {};
-    }));
+    return {};
+  }
+
+  void write_streams(Frame& f, FrameCodes& c) {
+    RansWriter writer(tables_.frequencies, tables_.map);
+    for (const std::uint8_t bits : c.bits) f.means.push_back(std::byte{bits});
+    f.means.push_back(std::byte{0});
+    const auto append = [](std::vector<std::byte>& to, const std::vector<std::byte>& stream) {
+      to.reserve(to.size() + stream.size());
+      to.insert(to.end(), stream.begin(), stream.end());
+    };
+    c.tree.walk(c.cells, c.bits, writer);
+    if (pages_ == nullptr) append(f.means, writer.finish());
+    walk_shapes(c.shapes, tables_, writer);
+    if (pages_ == nullptr) f.geometry = writer.finish();
+    walk_sh(c.colours, tables_, c.sizes, writer);
+    append(pages_ == nullptr ? f.sh : f.means, writer.finish());
   }
 
   // ---- rows --------------------------------------------------------------------------------------------------------
@@ -574,8 +581,8 @@ class Encoder {
     }
   }
 
-  Status reconstruct() {
-    choose_exponents();
+  // Streams and rows of all frames.
+  Status encode_frames() {
     const std::size_t n_classes = tables_.parameters.classes.size();
     if (pages_ == nullptr) {
       scene_.chunks.resize(plan_.header.n_chunks);
@@ -584,18 +591,25 @@ class Encoder {
     const unsigned n_workers = worker_count(frames_.size(), n_threads());
     std::vector<ErrorMaxima> errors(n_workers, ErrorMaxima(n_classes));
     std::vector<Totals> totals(n_workers);
+    std::vector<FrameCodes> codes(n_workers);
     const std::vector<std::int16_t> matrix = paired_matrix(tables_);
     const Status done = run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) {
-      return reconstruct_frame(frames_[i], matrix, errors[worker], totals[worker]);
+      Frame& f = frames_[i];
+      if (Status s = quantise(f, codes[worker]); !s) return s;
+      write_streams(f, codes[worker]);
+      return reconstruct_frame(f, codes[worker], matrix, errors[worker], totals[worker]);
     });
     if (!done) return done;
     for (unsigned w = 1; w < n_workers; ++w) {
       errors[0].merge(errors[w]);
+      totals[0].scan.merge(totals[w].scan);
       totals[0].counts.add(totals[w].counts);
       totals[0].magnitudes.merge(totals[w].magnitudes);
     }
     errors[0].state(tables_.parameters);
     scene_.counts = totals[0].counts;
+    plan_.declarations.full = totals[0].scan.full();
+    plan_.declarations.robust = totals[0].scan.robust();
     plan_.file_steps = totals[0].magnitudes.steps();
     if (!steps_explain_bounds()) {
       return make_error(Errc::internal, Error::kNone, "an archive's errors are larger than its steps explain");
@@ -622,34 +636,41 @@ class Encoder {
     return explained;
   }
 
-  Status reconstruct_frame(Frame& f, std::span<const std::int16_t> matrix, ErrorMaxima& errors, Totals& totals) {
+  Status reconstruct_frame(Frame& f, FrameCodes& codes, std::span<const std::int16_t> matrix, ErrorMaxima& errors,
+                           Totals& totals) {
     std::vector<std::int32_t> dc;
-    dc_values(tables_, f.colours, dc);
-    smooth_sh(tables_, f.colours);
+    dc_values(tables_, codes.colours, dc);
+    smooth_sh(tables_, codes.colours);
     const auto block = std::make_unique<ShBlock>();
     std::vector<StoredSplat> stored(plan_.header.chunk_size);
+    std::vector<float> means(3 * f.count);
     std::vector<std::uint16_t> geometry(8 * f.count);
-    f.shapes.write_rows(tables_, f.scale_exponent, &means_[3 * f.first], geometry.data());
+    codes.shapes.write_rows(tables_, f.scale_exponent, means.data(), geometry.data());
     ExtentBox extent;
     ShMagnitudes of_frame;
     for (std::uint64_t at = 0; at < f.count; at += plan_.header.chunk_size) {
       const std::uint64_t count = std::min<std::uint64_t>(plan_.header.chunk_size, f.count - at);
       for (std::size_t first = 0; first < count; first += kShLanes) {
         const std::size_t lanes = std::min<std::size_t>(kShLanes, count - first);
-        sh_block(tables_, matrix, f.colours, dc, at + first, lanes, *block);
+        sh_block(tables_, matrix, codes.colours, dc, at + first, lanes, *block);
         for (std::size_t i = 0; i < lanes; ++i) {
           for (std::size_t k = 0; k < 3 + tables_.n_sh; ++k) stored[first + i].sh[k] = block->value[k][i];
         }
       }
       for (std::size_t i = 0; i < count; ++i) {
-        std::copy_n(&means_[3 * (f.first + at + i)], 3, stored[i].mean);
+        std::copy_n(&means[3 * (at + i)], 3, stored[i].mean);
         std::copy_n(&geometry[8 * (at + i)], 8, stored[i].geometry);
         const std::uint32_t source = order_[f.first + at + i];
-        const SplatErrors e = splat_errors(tables_.parameters, f.scale_exponent, f.shapes.level, degree_,
+        const SplatErrors e = splat_errors(tables_.parameters, f.scale_exponent, codes.shapes.level, degree_,
                                            splats_.splat(source), stored[i]);
         // Turned by the least step, something that long and thin is nowhere near where it was.
         if (!(std::max(e.mean, e.covariance) <= std::numeric_limits<float>::max())) return too_large(source);
-        errors.add(f.colours.classes[at + i], e);
+        errors.add(codes.colours.classes[at + i], e);
+        if (f.level == 0) {
+          Splat decoded;
+          std::ranges::copy(stored[i].mean, decoded.mean);
+          totals.scan.add(decoded);
+        }
         if (pages_ == nullptr) continue;
         extent.add(extent_of(reinterpret_cast<const std::byte*>(stored[i].mean),
                              reinterpret_cast<const std::byte*>(stored[i].geometry), f.scale_exponent));
@@ -692,20 +713,7 @@ class Encoder {
     }
   }
 
-  // Boxes of the decoded means.
-  void describe_scene() {
-    SceneScan scan(0);
-    for (std::uint64_t i = first_leaf_; i < splats_.n; ++i) {
-      Splat splat;
-      std::copy_n(&means_[3 * i], 3, splat.mean);
-      scan.add(splat);
-    }
-    plan_.declarations.full = scan.full();
-    plan_.declarations.robust = scan.robust();
-  }
-
   Result<WrittenScene> assemble(std::vector<std::byte>& bytes, std::span<const std::uint32_t> source_index) {
-    describe_scene();
     const std::vector<std::byte> parameters = write_archive_tables(tables_);
     std::vector<std::uint32_t> permutation(order_.size());
     std::ranges::transform(order_, permutation.begin(), [&](std::uint32_t i) { return source_index[i]; });
@@ -733,7 +741,6 @@ class Encoder {
 
   // Pages, and the tables outside them that readers cannot compute from decoded rows.
   Result<WrittenScene> assemble_pages(std::vector<std::byte>& bytes, std::span<const std::uint32_t> source_index) {
-    describe_scene();
     LevelsFile file(bytes, plan_, *pages_, write_archive_tables(tables_));
     for (const Frame& f : frames_) {
       const auto n_sets = static_cast<std::uint32_t>(chunks_of(f.count, plan_.header.chunk_size));
@@ -758,7 +765,6 @@ class Encoder {
   const std::vector<CubeRotation> cube_rotations_ = cube_rotations();
   std::vector<Frame> frames_;
   std::vector<std::uint32_t> order_;  // position in splats_ of each Gaussian of the file
-  std::vector<float> means_;          // [n, 3] decoded, in file order
   SceneTables scene_;
 };
 

@@ -15,7 +15,7 @@
 namespace rgs::detail {
 
 /// Writes the whole file. `splats`: the plan's Gaussians, sound and in Morton order (frames are cut along it);
-/// `source_index` [n]: their positions in the source. Frames have an order of their own. Takes about 400 bytes
+/// `source_index` [n]: their positions in the source. Frames have an order of their own. Takes about 70 bytes
 /// a Gaussian on top. The result has been decoded and compared with `splats`: see verify_archive(). Errors: bad_value (a
 /// value too large for the requested steps; `found` is the Gaussian's source_index), those of verify_archive() and the
 /// sink.
@@ -29,7 +29,7 @@ Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, con
 
 /// Opens and decodes `file`, of Profile::archive, and checks Gaussian i against Gaussian order[i] of `splats` by the
 /// bounds that the file states. Errors: internal (a bound does not hold; the offset is the Gaussian's index in the
-/// file), those of FileView::open() and load_direct().
+/// file), those of FileView::open() and validate().
 Status verify_archive(std::span<const std::byte> file, const SplatView& splats, std::span<const std::uint32_t> order,
                       unsigned threads = 0);
 /// The same for a file with levels.

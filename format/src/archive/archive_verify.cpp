@@ -12,8 +12,11 @@
 #include "archive/archive_codec.hpp"
 #include "archive/archive_errors.hpp"
 #include "file/layout_io.hpp"
+#include "file/value_checks.hpp"
 #include "file/workers.hpp"
+#include "packed/frame_codec.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/frame_content.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/quantize.hpp"
 
@@ -143,36 +146,62 @@ Status outside(std::uint64_t index) {
   return make_error(Errc::internal, index, "a decoded Gaussian is outside the bounds that its archive states");
 }
 
-// Verifies frame `index` of `data`, the whole file.
-Status verify_frame(const DirectData& data, const SplatView& splats, std::span<const std::uint32_t> order,
-                    std::uint64_t index, ArchiveDecoder& decoder) {
-  const FileView& view = data.file();
+// What a thread needs to verify one frame at a time.
+struct FrameVerifier {
+  explicit FrameVerifier(const FileView& view) : decoder(*archive_tables(view)) {}
+  ArchiveDecoder decoder;
+  std::vector<std::byte> means, geometry, sh;
+  std::vector<ShStepSet> steps;  // of the frame's chunks
+  ValueTotals totals;            // of all its frames
+};
+
+// Decodes and verifies frame `index` of the file.
+Status verify_frame(const FileView& view, const SplatView& splats, std::span<const std::uint32_t> order,
+                    std::uint64_t index, FrameVerifier& v) {
   const Header& h = view.header();
   const std::uint64_t rows = view.frames(SectionType::geometry).rows;
-  const std::uint64_t first = index * rows, end = std::min(h.n_gaussians, first + rows);
-  const auto stream = [&](SectionType type) -> FrameStreams::Stream {
+  const std::uint64_t first = index * rows, n = std::min(h.n_gaussians - first, rows);
+  FrameStreams streams;
+  for (const auto& [type, stream] : {std::pair(SectionType::means, &streams.means),
+                                     {SectionType::geometry, &streams.geometry},
+                                     {SectionType::sh, &streams.sh}}) {
     const CodedFrame& frame = view.frames(type).frames[index];
-    return {view.bytes().subspan(frame.offset, frame.stored_bytes), frame.offset};
-  };
-  const FrameStreams streams{stream(SectionType::means), stream(SectionType::geometry), stream(SectionType::sh)};
-  if (Status s = decoder.codes(streams, end - first); !s) return s;
-  float step[48] = {}, slack[48] = {};
-  std::uint64_t loaded = ~std::uint64_t{0};  // chunk of the current steps
-  for (std::uint64_t i = first; i < end; ++i) {
-    if (i / h.chunk_size != loaded) {
-      loaded = i / h.chunk_size;
-      const auto steps = view.chunk_steps(loaded);
-      if (!steps) return tl::unexpected(steps.error());
-      for (int k = 0; k < 3 * sh_coefficients(h.sh_degree); ++k) {
-        step[k] = steps->of_value(k);
-        slack[k] = sh_slack(step[k]);
-      }
+    const auto bytes = frame_bytes(view, frame);
+    if (!bytes) return tl::unexpected(bytes.error());
+    *stream = {*bytes, frame.offset};
+  }
+  const std::uint64_t first_chunk = first / h.chunk_size, n_chunks = chunks_of(n, h.chunk_size);
+  if (Status s = frame_steps(view, first_chunk, n_chunks, v.steps); !s) return s;
+  if (Status s = v.decoder.codes(streams, n); !s) return s;
+  v.means.resize(n * kMeanBytes);
+  v.geometry.resize(n * kGeometryBytes);
+  v.sh.resize(n * sh_bytes(h.sh_degree));
+  v.decoder.rows(h.scale_exponent, v.means, v.geometry);
+  v.decoder.sh(h.sh_degree, h.chunk_size, v.steps, v.sh);
+  for (std::uint64_t chunk = 0; chunk < n_chunks; ++chunk) {
+    const auto entry = view.chunk(first_chunk + chunk);
+    if (!entry) return tl::unexpected(entry.error());
+    const std::uint64_t at = chunk * h.chunk_size, end = std::min<std::uint64_t>(n, at + h.chunk_size);
+    const auto place = [&](SectionType type, std::uint64_t i, std::uint64_t byte) {
+      return view.place(type, type == SectionType::chunks ? first_chunk + chunk : first + at + i, byte);
+    };
+    const ChunkRows decoded{&v.means[at * kMeanBytes],
+                            &v.geometry[at * kGeometryBytes],
+                            &v.sh[at * sh_bytes(h.sh_degree)],
+                            h.sh_degree,
+                            h.scale_exponent,
+                            place};
+    if (Status s = check_chunk_rows(decoded, *entry, v.steps[chunk], v.totals); !s) return s;
+    float step[48] = {}, slack[48] = {};
+    for (int k = 0; k < 3 * sh_coefficients(h.sh_degree); ++k) {
+      step[k] = v.steps[chunk].of_value(k);
+      slack[k] = sh_slack(step[k]);
     }
-    const StoredSplat stored = stored_splat(data.means(), data.geometry(), data.sh(), i, h.sh_degree, step);
-    const Splat source = splats.splat(order[i]);
-    const auto errors = splat_errors(*view.archive(), h.scale_exponent, 0, h.sh_degree, source, stored, slack);
-    if (!within_bounds(*view.archive(), decoder.classes()[i - first], errors)) {
-      return outside(i);
+    for (std::uint64_t i = at; i < end; ++i) {
+      const StoredSplat stored = stored_splat(v.means, v.geometry, v.sh, i, h.sh_degree, step);
+      const auto errors = splat_errors(*view.archive(), h.scale_exponent, 0, h.sh_degree,
+                                       splats.splat(order[first + i]), stored, slack);
+      if (!within_bounds(*view.archive(), v.decoder.classes()[i], errors)) return outside(first + i);
     }
   }
   return {};
@@ -240,16 +269,17 @@ Status verify_archive(std::span<const std::byte> file, const SplatView& splats, 
   if (view->archive() == nullptr || view->header().n_gaussians != splats.n) {
     return make_error(Errc::internal, Error::kNone, "not an archive of these Gaussians");
   }
-  const auto data = load_direct(*view, {.validate = true, .threads = threads});
-  if (!data) return tl::unexpected(data.error());
+  if (Status s = validate_tables(*view, threads); !s) return s;
   const std::uint64_t n_frames = view->frames(SectionType::geometry).frames.size();
-  std::vector<ArchiveDecoder> decoders;
-  for (unsigned i = worker_count(n_frames, threads); i > 0; --i) {
-    decoders.emplace_back(*archive_tables(*view));
-  }
-  return run_jobs(n_frames, threads, [&](unsigned worker, std::uint64_t index) {
-    return verify_frame(*data, splats, order, index, decoders[worker]);
+  std::vector<FrameVerifier> verifiers;
+  for (unsigned i = worker_count(n_frames, threads); i > 0; --i) verifiers.emplace_back(*view);
+  const Status verified = run_jobs(n_frames, threads, [&](unsigned worker, std::uint64_t index) {
+    return verify_frame(*view, splats, order, index, verifiers[worker]);
   });
+  if (!verified) return verified;
+  ValueTotals totals;
+  for (const FrameVerifier& v : verifiers) totals.add(v.totals);
+  return check_declarations(*view, totals);
 }
 
 }  // namespace rgs::detail
