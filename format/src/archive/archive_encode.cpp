@@ -185,12 +185,16 @@ void turn_codes(const Quaternion& q, const double shows[3], const double step[3]
         ra -= shows[k] * turn.by[k][a] * turn.half[k];
         rb -= shows[k] * turn.by[k][b] * turn.half[k];
       }
+      // Where no turn shows, there is nothing to solve.
+      const auto turn_by = [&x](std::size_t i, double numerator, double divisor) {
+        if (divisor > 0) x[i] = std::clamp(x[i] + numerator / divisor, -1.0, 1.0);
+      };
       if (t == 1) {
-        x[b] += rb / bb;
+        turn_by(b, rb, bb);
       } else {
         const double determinant = aa * bb - ab * ab;
-        x[a] += (ra * bb - ab * rb) / determinant;
-        x[b] += (aa * rb - ab * ra) / determinant;
+        turn_by(a, ra * bb - ab * rb, determinant);
+        turn_by(b, aa * rb - ab * ra, determinant);
       }
     }
   }
