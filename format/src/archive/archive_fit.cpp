@@ -15,9 +15,9 @@
 namespace rgs::detail {
 namespace {
 
-constexpr int kClasses = 17;                   // of an octave of importance each
-constexpr std::size_t kSample = 1u << 17;      // Gaussians that transforms are fitted to
-constexpr std::size_t kMinForTransform = 512;  // fewer do not determine 45 directions
+constexpr int kClasses = 17, kMiddleClass = 8;  // of an octave of importance each
+constexpr std::size_t kSample = 1u << 17;       // Gaussians that transforms are fitted to
+constexpr std::size_t kMinForTransform = 512;   // fewer do not determine 45 directions
 
 double median(std::vector<double> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>((values.size() - 1) / 2);
@@ -362,14 +362,14 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& 
   const float largest_dc = largest_sh(splats, t.n_sh, true), largest = largest_sh(splats, t.n_sh, false);
   p.classes.resize(kClasses);
   for (int c = 0; c < kClasses; ++c) {
-    const double factor = step * std::exp2(-kShSlope / 2 * (middle + (c - kClasses / 2) - kImportance));
+    const double factor = step * std::exp2(-kShSlope / 2 * (middle + (c - kMiddleClass) - kImportance));
     ArchiveClass& out = p.classes[static_cast<std::size_t>(c)];
     out.dc_step = static_cast<std::uint32_t>(
         std::clamp(std::nearbyint(std::max(kDc * factor, least_step(largest_dc)) * 65536), 1.0, 0x1p26));
     out.sh_step = static_cast<float>(std::max(kSh * factor, least_step(largest)));
   }
   // Small enough for the finest steps, if that leaves room for the largest values.
-  t.sh_unit = std::clamp(largest / 8000, p.classes.back().sh_step / 8, p.classes[kClasses / 2].sh_step / 4);
+  t.sh_unit = std::clamp(largest / 8000, p.classes.back().sh_step / 8, p.classes[kMiddleClass].sh_step / 4);
   for (ArchiveClass& c : p.classes) {
     c.sh_units = static_cast<std::uint32_t>(std::clamp(std::nearbyint(c.sh_step / t.sh_unit), 1.f, 32768.f));
     c.sh_step = static_cast<float>(c.sh_units) * t.sh_unit;
@@ -389,7 +389,7 @@ void fit_transforms(const SplatView& splats, const Sample& sample, ArchiveTables
   const Transform dc = fit_transform(splats, weights, stride, 0, 3);
   std::ranges::copy(dc.centre, t.dc_centre.begin());
   std::ranges::copy(dc.matrix, t.dc_matrix.begin());
-  const ArchiveClass& middle = t.parameters.classes[kClasses / 2];
+  const ArchiveClass& middle = t.parameters.classes[kMiddleClass];
   t.dc_smoothing = fit_smoothing(splats, 0, t.dc_centre, t.dc_matrix, middle.dc_step / 65536.0);
   if (t.n_sh == 0) return;
   Transform sh = fit_transform(splats, weights, stride, 3, t.n_sh);
