@@ -98,7 +98,7 @@ struct StreamFacts {
   std::function<std::uint64_t(std::uint64_t i)> row_offset = [](std::uint64_t) { return Error::kNone; };
 };
 /// Converts a stream to .rgs with levels, in about options.memory_bytes whatever its size, plus 200 bytes a page and 4
-/// bytes a Gaussian with keep_permutation; Profile::archive takes the scene into memory. The leaves are those of
+/// bytes a Gaussian with keep_permutation; Profile::archive takes at least 80 bytes a Gaussian. The leaves are those of
 /// convert_to_rgs(). The bytes depend on neither threads nor memory.
 /// Errors: the stream's, convert_to_rgs()'s, those of stream_levels.hpp.
 Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const StreamFacts& facts,

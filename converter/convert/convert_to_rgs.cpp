@@ -381,14 +381,13 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   if (scan.n_kept() == 0) {
     return nothing_for_levels();
   }
-  // Besides the Gaussians of the finest level: what LevelsWriter takes for each, and those of levels.
-  const std::uint64_t all_bytes =
-      scan.n_kept() * (400 + 16 * static_cast<std::uint64_t>(sh_coefficients(scan.sh_degree())));
-  if (encode.profile == Profile::archive && all_bytes > options.memory_bytes) {
+  // What LevelsWriter takes, with those above the leaves.
+  const std::uint64_t archive_bytes = 80 * scan.n_kept();
+  if (encode.profile == Profile::archive && archive_bytes > options.memory_bytes) {
     return make_error(Errc::limit_exceeded, Error::kNone,
-                      "archive with levels takes all Gaussians into memory; raise --memory to so many bytes, or "
-                      "choose --profile packed",
-                      options.memory_bytes, all_bytes);
+                      "archive with levels takes 80 bytes of memory a Gaussian; raise --memory to so many, or choose "
+                      "--profile packed",
+                      options.memory_bytes, archive_bytes);
   }
   std::vector<float> sample;
   if (!options.cameras.empty()) {

@@ -198,7 +198,7 @@ void OutputOptions::add_to(CLI::App& app) {
       ->trigger_on_parse();  // before the steps below, which override a preset's wherever they are given
   app.add_option(
       "--archive-step", e.archive.step,
-      "archive: size of all steps, 1/16 to 64: twice as large, errors are twice as large [1; small 2; tiny 4]");
+      "archive: size of all steps, 1/16 to 64: twice as large, errors are twice as large [1; small 2.2; tiny 5]");
   app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: higher is slower to write and a little smaller")
       ->check(CLI::Range(1, kMaxLevel));
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");

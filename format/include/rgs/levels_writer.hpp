@@ -25,7 +25,7 @@ namespace RGS_API rgs {
 ///   4. Pages 0, 1, ...: encoded by a LevelsWriter::Encoder, on a thread of its own if you like, and add()ed in order.
 ///   5. finish().
 /// write_levels() does this for levels in memory. The bytes do not depend on threads. Memory: 190 bytes a page, and
-/// encoders; Profile::archive takes all Gaussians at once and about 70 bytes each on top, as SceneWriter does.
+/// encoders; Profile::archive as SceneWriter.
 class LevelsWriter {
  public:
   class Encoder;

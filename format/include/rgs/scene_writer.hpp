@@ -18,6 +18,7 @@
 namespace RGS_API rgs {
 
 class AtomicFile;
+class MappedFile;
 
 /// Where a file's bytes go: a file on disk, which the caller commits, or memory. A view: its target must outlive it.
 class Sink {
@@ -30,6 +31,8 @@ class Sink {
   Status write_at(std::uint64_t offset, std::span<const std::byte> bytes);
   /// Reads written bytes back. Errors: read_failed.
   Status read_at(std::uint64_t offset, std::span<std::byte> bytes) const;
+  /// All bytes, until they are written again; `mapped` keeps a file's. Errors: MappedFile::map()'s.
+  Result<std::span<const std::byte>> view(MappedFile& mapped) const;
   /// Sets the output's size. Errors: write_failed.
   Status truncate(std::uint64_t size);
 
@@ -52,7 +55,7 @@ struct WrittenScene {
 ///   4. Batches, filled on threads of their own if you like, and add()ed in order.                (second pass)
 ///   5. finish().
 /// encode() does this in a single thread. The bytes do not depend on threads. Memory: 100 bytes a chunk for tables, and
-/// batches; Profile::archive takes the whole scene and about 70 bytes a Gaussian on top.
+/// batches; Profile::archive about 50 bytes a Gaussian, and until its end room in the sink for all their values.
 class SceneWriter {
  public:
   class Batch;

@@ -163,7 +163,7 @@ struct Turn {
 // make up for what those have turned.
 void turn_codes(const Quaternion& q, const double shows[3], const double step[3], const bool coded[3],
                 std::int16_t codes[3]) {
-  // What shows little may turn far, so that one step of Newton's method is not enough (docs/format/ARCHIVE.md "Rotation").
+  // What shows little may turn far, so that one step of Newton's method is not enough.
   constexpr int kSteps = 3;
   double x[3] = {q[1], q[2], q[3]};
   std::size_t order[3] = {0, 1, 2};
@@ -254,7 +254,6 @@ class Encoder {
     std::vector<std::byte> bytes;
     auto written = pages_ != nullptr ? assemble_pages(bytes, source_index) : assemble(bytes, source_index);
     if (!written) return written;
-    frames_ = {};
     const Status verified = pages_ != nullptr ? verify_archive_levels(bytes, splats_, order_, n_threads())
                                               : verify_archive(bytes, splats_, order_, n_threads());
     if (const Status& s = verified; !s) {
@@ -344,10 +343,10 @@ class Encoder {
   // ---- codes -------------------------------------------------------------------------------------------------------
 
   static tl::unexpected<Error> too_large(std::uint64_t index) {
-    return make_error(
-        Errc::bad_value, Error::kNone,
-        "a Gaussian's scale or SH is too large for archive: use larger steps, --profile packed, or drop it",
-        Error::kNone, index);
+    return make_error(Errc::bad_value, Error::kNone,
+                      "a Gaussian's SH is too large for archive, or it is too long and thin: raise --archive-step, use "
+                      "--profile packed, or drop it",
+                      Error::kNone, index);
   }
 
   // The nearest code, if it is in range.
@@ -724,7 +723,7 @@ class Encoder {
     scene_.archive = parameters;
     scene_.source_index = permutation;
 
-    const auto stream = [](const Frame& f, SectionType type) -> std::span<const std::byte> {
+    const auto stream = [](Frame& f, SectionType type) -> std::vector<std::byte>& {
       return type == SectionType::means ? f.means : type == SectionType::geometry ? f.geometry : f.sh;
     };
     for (SectionEntry& entry : plan_.sections) {
@@ -732,12 +731,14 @@ class Encoder {
       if (type == SectionType::archive) entry.stored_bytes = entry.decoded_bytes = parameters.size();
       if (!archive_type(type)) continue;
       entry.stored_bytes = frame_table_bytes(frames_.size());
-      for (const Frame& f : frames_) entry.stored_bytes += stream(f, type).size();
+      for (Frame& f : frames_) entry.stored_bytes += stream(f, type).size();
     }
     SectionWriter file(bytes, plan_.sections, frames_.size());
+    bytes.reserve(file.largest_file_bytes());
     for (const SectionType type : {SectionType::means, SectionType::geometry, SectionType::sh}) {
-      for (const Frame& f : frames_) {
-        if (Status s = file.grow(type, stream(f, type), xxh3(stream(f, type))); !s) return tl::unexpected(s.error());
+      for (Frame& f : frames_) {
+        const std::vector<std::byte> from = std::move(stream(f, type));  // not held twice
+        if (Status s = file.grow(type, from, xxh3(from)); !s) return tl::unexpected(s.error());
       }
     }
     return finish_file(file, plan_, scene_);
@@ -746,9 +747,10 @@ class Encoder {
   // Pages, and the tables outside them that readers cannot compute from decoded rows.
   Result<WrittenScene> assemble_pages(std::vector<std::byte>& bytes, std::span<const std::uint32_t> source_index) {
     LevelsFile file(bytes, plan_, *pages_, write_archive_tables(tables_));
-    for (const Frame& f : frames_) {
+    for (Frame& f : frames_) {
       const auto n_sets = static_cast<std::uint32_t>(chunks_of(f.count, plan_.header.chunk_size));
-      if (Status s = file.add({f.means, xxh3(f.means), n_sets, f.scale_exponent, f.corner, f.extent}); !s)
+      const std::vector<std::byte> from = std::move(f.means);  // not held twice
+      if (Status s = file.add({from, xxh3(from), n_sets, f.scale_exponent, f.corner, f.extent}); !s)
         return tl::unexpected(s.error());
     }
     Declarations d = plan_.declarations;

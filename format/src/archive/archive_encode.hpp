@@ -1,4 +1,4 @@
-// archive_encode.hpp - writes files of Profile::archive, which needs the whole scene at once.
+// archive_encode.hpp - writes files of Profile::archive, which goes through its Gaussians several times.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -15,10 +15,10 @@
 namespace rgs::detail {
 
 /// Writes the whole file. `splats`: the plan's Gaussians, sound and in Morton order (frames are cut along it);
-/// `source_index` [n]: their positions in the source. Frames have an order of their own. Takes about 70 bytes
-/// a Gaussian on top. The result has been decoded and compared with `splats`: see verify_archive(). Errors: bad_value (a
-/// value too large for the requested steps; `found` is the Gaussian's source_index), those of verify_archive() and the
-/// sink.
+/// `source_index` [n]: their positions in the source. Frames have an order of their own. Takes about 50 bytes a Gaussian;
+/// `splats` may lie in the sink, which is written last. The result has been decoded and compared with `splats`: see
+/// verify_archive(). Errors: bad_value (a value too large for the requested steps; `found` is the Gaussian's
+/// source_index), those of verify_archive() and the sink.
 Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const SplatView& splats,
                                    std::span<const std::uint32_t> source_index);
 

@@ -78,6 +78,7 @@ constexpr std::size_t archive_sh_count(int degree) {
 
 std::uint64_t memory_bytes(const ArchiveTables& tables);
 
+/// Of Codec::archive, the only one that is written.
 std::vector<std::byte> write_archive_tables(const ArchiveTables& tables);
 /// `offset`: of the section in the file. Safe on untrusted bytes. Errors: size_mismatch, reserved_bits, bad_value,
 /// corrupt_data.

@@ -52,7 +52,7 @@ constexpr std::size_t tree_context(std::uint32_t n) {
   return n < 16 ? n : 11 + static_cast<std::size_t>(std::bit_width(n));
 }
 
-/// Codes points [n], sorted by tree_less() where they are written, as the counts of a tree of halved cells: of each
+/// Codes points [n], at least one, sorted by tree_less() where they are written, as the counts of a tree of halved cells: of each
 /// cell of several points how many lie in its lower half, by half of all first; then the lower bits of those that were
 /// alone. `bits`: of each axis. False if a count is impossible.
 class PointTree {
@@ -60,7 +60,6 @@ class PointTree {
   template <class Coder>
   bool walk(std::vector<GridPoint>& points, const std::array<std::uint8_t, 3>& bits, Coder& coder) {
     const auto n = static_cast<std::uint32_t>(points.size());
-    bits_ = bits;
     cells_.assign(1, {0, n, {}});
     left_.assign(3 * std::size_t{n}, 0);
     settle<Coder>(points, bits);
@@ -150,7 +149,6 @@ class PointTree {
     }
   }
 
-  std::array<std::uint8_t, 3> bits_{};
   std::vector<Cell> cells_, halves_;
   std::vector<std::uint16_t> numbers_;
   std::vector<std::uint8_t> left_, widths_;

@@ -5,6 +5,8 @@
 // The compiler vectorises formulas for single numbers: operations are rounded one by one, so every instruction set
 // gives the same bits.
 
+// As in codec_kernels.cpp.
+#define HWY_DISABLED_TARGETS (HWY_SSE4 | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "archive/shape_kernels.cpp"  // NOLINT
 #include <hwy/foreach_target.h>

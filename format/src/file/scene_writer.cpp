@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "archive/archive_encode.hpp"
+#include "archive/archive_rows.hpp"
 #include "file/chunk_summary.hpp"
 #include "file/encode_plan.hpp"
 #include "file/encode_rows.hpp"
@@ -49,7 +50,7 @@ struct SceneWriter::State {
   detail::EncodePlan plan;
   detail::SectionWriter file;
   detail::SceneTables tables;
-  SplatCloud scene;  // Profile::archive; batches fill their parts side by side
+  std::optional<detail::ArchiveRows> rows;  // Profile::archive; batches fill their parts side by side
   std::uint64_t batch_rows = 0;
   std::uint64_t n_added = 0;  // batches
   Status status;              // of the first add() that failed; the file is then useless
@@ -86,7 +87,11 @@ Result<SceneWriter> SceneWriter::create(Sink sink, const SceneScan& scan, const 
     } else {
       state->batch_rows = state->plan.frame_rows();
     }
-    if (state->plan.options.profile == Profile::archive) state->scene.resize(h.n_gaussians, h.sh_degree);
+    if (state->plan.options.profile == Profile::archive) {
+      auto rows = detail::ArchiveRows::create(sink, h.n_gaussians, h.sh_degree);
+      if (!rows) return tl::unexpected(rows.error());
+      state->rows = *std::move(rows);
+    }
     return SceneWriter(std::move(state));
   });
 }
@@ -126,7 +131,9 @@ Result<WrittenScene> SceneWriter::finish() {
   }
   return detail::guard_memory([&]() -> Result<WrittenScene> {
     if (state_->plan.options.profile == Profile::archive) {
-      return detail::write_archive(state_->sink, state_->plan, state_->scene.view(), state_->tables.source_index);
+      const auto splats = state_->rows->view();
+      if (!splats) return tl::unexpected(splats.error());
+      return detail::write_archive(state_->sink, state_->plan, *splats, state_->tables.source_index);
     }
     if (!same_box(state_->tables.chunks, state_->plan.declarations.full))
       return tl::unexpected(detail::source_changed().error());
@@ -191,11 +198,9 @@ void SceneWriter::Batch::encode_chunk() {
       if (defects != 0 && !(plan.mends && repair(s, defects))) return detail::source_changed();
     }
     if (plan.options.profile == Profile::archive) {
-      for (Splat& s : chunk) {
-        for (float& value : s.log_scale) value = std::max(value, -kMaxLogScale);  // codes cannot hold -inf
-        writer_->scene.set(b.first + b.done++, s);
-      }
-      return {};
+      const std::uint64_t first = b.first + b.done;
+      b.done += chunk.size();
+      return writer_->rows->set(first, chunk);
     }
     b.steps.push_back(plan.file_steps);
     if (plan.options.chunk_step_sets) {

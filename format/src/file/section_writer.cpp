@@ -38,6 +38,14 @@ Status Sink::read_at(std::uint64_t offset, std::span<std::byte> bytes) const {
   return {};
 }
 
+Result<std::span<const std::byte>> Sink::view(MappedFile& mapped) const {
+  if (file_ == nullptr) return *memory_;
+  auto map = MappedFile::map(file_->descriptor());
+  if (!map) return tl::unexpected(map.error());
+  mapped = *std::move(map);
+  return mapped.bytes();
+}
+
 Status Sink::truncate(std::uint64_t size) {
   if (file_ != nullptr) return file_->truncate(size);
   return detail::guard_memory([&]() -> Status {

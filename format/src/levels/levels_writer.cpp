@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "archive/archive_encode.hpp"
+#include "archive/archive_rows.hpp"
 #include "file/byte_reader.hpp"
 #include "file/byte_writer.hpp"
 #include "file/encode_rows.hpp"
@@ -203,9 +204,9 @@ Status read_record(std::span<const std::byte> record, const lod::Page& page, Enc
 struct LevelsWriter::State {
   Sink sink;
   EncodePlan plan;
-  PageTable table;                 // Profile::archive, until it is written
-  std::optional<LevelsFile> file;  // other profiles
-  SplatCloud scene;                // Profile::archive
+  PageTable table;                  // Profile::archive, until it is written
+  std::optional<LevelsFile> file;   // other profiles
+  std::optional<ArchiveRows> rows;  // Profile::archive
   ValueTotals leaves;
   std::size_t n_added = 0;
   Status status;  // of the first add() that failed
@@ -265,7 +266,9 @@ Result<LevelsWriter> LevelsWriter::create(Sink sink, const SceneScan& leaves, co
     table.quality_db = quality_db;
     table.page_chunks = most_chunks(table.pages, options.chunk_size);
     if (state->archive()) {
-      state->scene.resize(first, state->plan.header.sh_degree);
+      auto rows = ArchiveRows::create(sink, first, state->plan.header.sh_degree);
+      if (!rows) return tl::unexpected(rows.error());
+      state->rows = *std::move(rows);
       state->table = std::move(table);
     } else {
       state->file.emplace(sink, state->plan, std::move(table), std::span<const std::byte>());
@@ -319,7 +322,11 @@ Result<WrittenScene> LevelsWriter::finish() {
     const bool is_numbered = s.archive() || (o.keep_permutation && o.source_index.empty());
     std::vector<std::uint32_t> given(is_numbered ? s.plan.header.n_gaussians : 0);
     std::iota(given.begin(), given.end(), 0u);
-    if (s.archive()) return write_archive_levels(s.sink, s.plan, s.scene.view(), s.table, given);
+    if (s.archive()) {
+      const auto splats = s.rows->view();
+      if (!splats) return tl::unexpected(splats.error());
+      return write_archive_levels(s.sink, s.plan, *splats, s.table, given);
+    }
     Declarations d = s.plan.declarations;
     if (s.leaves.full.min != d.full.min || s.leaves.full.max != d.full.max) {
       return tl::unexpected(source_changed().error());
@@ -344,12 +351,7 @@ Status LevelsWriter::Encoder::encode(std::uint32_t page, const SplatView& splats
            const lod::Page& p = writer_->pages()[page];
            state_->page = page;
            if (Status s = take_splats(plan, p, splats, b); !s) return s;
-           if (!writer_->archive()) return encode_page(plan, p, b);
-           for (std::uint64_t i = 0; i < splats.n; ++i) {
-             for (float& value : b.splats[i].log_scale) value = std::max(value, -kMaxLogScale);
-             writer_->scene.set(p.first + i, b.splats[i]);
-           }
-           return {};
+           return writer_->archive() ? writer_->rows->set(p.first, b.splats) : encode_page(plan, p, b);
          });
 }
 

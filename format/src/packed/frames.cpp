@@ -34,9 +34,11 @@ Result<FrameTable> parse_frame_table(std::span<const std::byte> bytes, const Sec
   const std::uint32_t n_frames = in.u32();
   if (!in.ok()) return make_error(Errc::size_mismatch, s.offset, "a coded section ends inside its frame table");
   const std::uint32_t most = s.codec == static_cast<std::uint32_t>(Codec::archive) ? kMaxArchiveRows : kMaxFrameRows;
-  if (table.rows == 0 || table.rows > most || table.rows % rows_multiple != 0) {
-    return make_error(Errc::bad_value, s.offset, "rows a frame are not whole chunks, or more than its codec allows",
-                      most, table.rows);
+  if (table.rows > most) {
+    return make_error(Errc::bad_value, s.offset, "more rows a frame than its codec allows", most, table.rows);
+  }
+  if (table.rows == 0 || table.rows % rows_multiple != 0) {
+    return make_error(Errc::bad_value, s.offset, "rows a frame are not whole chunks", rows_multiple, table.rows);
   }
   const std::uint64_t expected = n / table.rows + (n % table.rows != 0 ? 1 : 0);
   if (n_frames != expected) {
