@@ -1,43 +1,47 @@
 #!/usr/bin/python3
-# measure_formats.py - size and rendered quality of a scene in each format that rgs-convert writes or reads.
+# measure_formats.py - size and rendered quality of scenes in each format that rgs-convert writes or reads.
 # SPDX-License-Identifier: Apache-2.0
-"""Converts a PLY to each format, renders the test views of all at half size with rgs-render (FP32 pictures), and prints
-bytes per Gaussian and PSNR against the PLY's pictures as a table; --json writes the record that docs/records keeps.
+"""Converts a scene, and houses and a town that rgs-make-scene makes, to each format; rgs-audit compares their pictures with the PLY's
+(CPU, the test views at half size). Writes the record that docs/records keeps and, with --svg, scripts/plot_formats.py's picture of it.
 
-  measure_formats.py scene.ply cameras.json [--bin build/release/bin] [--work FOLDER] [--json OUT] [--peers] [NAME=FILE...]
+  measure_formats.py [SCENE.ply CAMERAS.json] --json RECORD.json [--svg PICTURE.svg] [--bin build/release/bin] [--work FOLDER]
+                     [--peers [--sog]]
 
---peers adds files of other programs: PlayCanvas's splat-transform (compressed.ply, spz, sog) and
-GaussianSplats3D (ksplat, at most SH degree 2), fetched by npm into --work. Their files are made once: clustering for SOG takes
-hours without a GPU. NAME=FILE adds further files. scripts/plot_formats.py draws the record.
+--peers adds files of other programs: PlayCanvas's splat-transform (compressed.ply, spz, sog) and GaussianSplats3D (ksplat, at most SH
+degree 2), by npm, and Qualcomm's L-GSC, by git and CMake. They are made in --work once. SOG needs --sog as well: it takes hours
+without a GPU. What the record has of other formats stays in it, with its date.
 """
 import argparse
 import datetime
 import json
 import pathlib
 import platform
-import struct
 import subprocess
 import sys
-import zlib
 
-import numpy as np
-
+import plot_formats
 from shrink_record import text
 
+# name, options of rgs-make-scene
+SCENES = [("houses", ["--gaussians", "150k"]), ("town", ["--town", "--gaussians", "300k"])]
+STEPS = (("", 0.5), (":high", 1), ("", 1.5), (":small", 2.2), ("", 3.3), (":tiny", 5))
 # format, name of the file, options
-WRITTEN = [("rgs packed", "packed.rgs", []), ("rgs direct", "direct.rgs", ["--profile", "direct"]),
-           ("rgs archive:high", "high.rgs", ["--profile", "archive:high"]),
-           ("rgs archive:small", "small.rgs", ["--profile", "archive:small"]),
-           ("rgs archive:tiny", "tiny.rgs", ["--profile", "archive:tiny"]),
-           ("compressed.ply", "scene.compressed.ply", []), ("spz", "scene.spz", ["--spz-version", "4"]), ("splat", "scene.splat", []),
-           ("glb", "scene.glb", [])]
+WRITTEN = [("rgs packed", "packed.rgs", []), ("rgs direct", "direct.rgs", ["--profile", "direct"])]
+WRITTEN += [(f"rgs archive{preset}, step {step}", f"step{step}.rgs", ["--profile", "archive", "--archive-step", str(step)])
+            for preset, step in STEPS]
+WRITTEN += [("compressed.ply", "scene.compressed.ply", [])]
+WRITTEN += [(f"spz {version}", f"scene{version}.spz", ["--spz-version", str(version)]) for version in (2, 3, 4)]
+WRITTEN += [("splat", "scene.splat", [])]
 TRANSFORM, SPLATS3D = "@playcanvas/splat-transform@3.7.0", "@mkkellogg/gaussian-splats-3d@0.4.7"
+LGSC, LGSC_COMMIT = "https://github.com/qualcomm/lite-3Dgsplat-codec.git", "a78ee6e"
 # format, writer, name of the file, command
 PEERS = [(kind, "splat-transform 3.7.0", f"peer.{kind}",
           ["npx", "--yes", TRANSFORM, "-q", "-w", "-g", "cpu", "{input}", "{output}"])
          for kind in ("compressed.ply", "spz", "sog")]
 PEERS += [(f"ksplat, level {level}", "GaussianSplats3D 0.4.7", f"peer{level}.ksplat",
            ["node", "{work}/write_ksplat.mjs", "{input}", "{output}", str(level)]) for level in range(3)]
+PEERS += [(f"L-GSC, level {level}", "L-GSC 1.0", f"peer{level}.lgsc",
+           ["{work}/lgsc/build/source/lgsc-api-example1", "-c", "{output}.cfg"]) for level in range(3)]
 WRITE_KSPLAT = """import fs from 'node:fs';
 globalThis.window = globalThis;
 globalThis.self = globalThis;
@@ -57,101 +61,62 @@ def run(*command):
     return result.stdout
 
 
-def read_exr(path):
-    """[height, width, channels] of an OpenEXR scanline file of 32-bit floats with ZIP compression."""
-    data = path.read_bytes()
-    at, attributes = 8, {}
-    while data[at] != 0:
-        name, kind = (part.decode() for part in data[at:].split(b"\0", 2)[:2])
-        at += len(name) + len(kind) + 2
-        size = struct.unpack_from("<i", data, at)[0]
-        attributes[name] = data[at + 4:at + 4 + size]
-        at += 4 + size
-    left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
-    width, height = right - left + 1, bottom - top + 1
-    channels = attributes["channels"].count(b"\x02\0\0\0")  # each entry says once that it is a float
-    if attributes["compression"] != b"\x03":
-        sys.exit(f"measure_formats: {path} is not compressed by ZIP")
-    picture = np.empty((height, channels, width), np.float32)
-    for offset in struct.unpack_from(f"<{(height + 15) // 16}Q", data, at + 1):
-        y, size = struct.unpack_from("<2i", data, offset)
-        lines = min(16, bottom + 1 - y)
-        raw_bytes = lines * channels * width * 4
-        block = np.frombuffer(data, np.uint8, size, offset + 8)
-        if size < raw_bytes:  # differences of bytes, the even ones before the odd ones
-            codes = np.frombuffer(zlib.decompress(block.tobytes()), np.uint8).astype(np.int64)
-            codes[1:] -= 128
-            block = (np.cumsum(codes) & 255).astype(np.uint8)
-            halves = block[:(raw_bytes + 1) // 2], block[(raw_bytes + 1) // 2:]
-            block = np.stack(halves, 1).reshape(-1)
-        picture[y - top:y - top + lines] = np.frombuffer(block.tobytes(), "<f4").reshape(lines, channels, width)
-    return picture.transpose(0, 2, 1)
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("ply", type=pathlib.Path)
-    parser.add_argument("cameras", type=pathlib.Path)
-    parser.add_argument("others", nargs="*", metavar="NAME=FILE")
-    parser.add_argument("--bin", type=pathlib.Path, default=pathlib.Path("build/release/bin"))
-    parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("build/formats"))
-    parser.add_argument("--json", type=pathlib.Path)
-    parser.add_argument("--peers", action="store_true")
-    arguments = parser.parse_intermixed_args()
-    arguments.work.mkdir(parents=True, exist_ok=True)
-    cameras = [camera for camera in json.loads(arguments.cameras.read_text()) if camera.get("split", "test") == "test"]
-    size = f"{cameras[0]['width'] // 2}x{cameras[0]['height'] // 2}"
-
-    def render(scene, name):
-        folder = arguments.work / f"{name.replace(' ', '_')}_views"
-        run(arguments.bin / "rgs-render", scene, "--cameras", arguments.cameras, "--split", "test", "--size", size,
-            "--format", "exr", "--out", f"{folder}/", "--overwrite", "--quiet")
-        return [read_exr(path).astype(np.float64) for path in sorted(folder.glob("*.exr"))]
-
-    reference = render(arguments.ply, "ply")
-    n = None
-    files = [("ply", "", arguments.ply)]
-    for kind, name, options in WRITTEN:
-        path = arguments.work / name
-        summary = json.loads(run(arguments.bin / "rgs-convert", *options, "--json", "--quiet", "--overwrite",
-                                 arguments.ply, path))
-        n = summary["source"]["gaussians"]
-        files.append((kind, "rgs-convert", path))
+def measure(name, ply, cameras, made_by, arguments, before):
+    """The scene's part of the record; `before` is that of an earlier record, or {}."""
+    work = arguments.work / name
+    work.mkdir(exist_ok=True)
+    camera = json.loads(cameras.read_text())[0]
+    size = f"{camera['width'] // 2}x{camera['height'] // 2}"
+    files = []  # format, writer, file, what to draw for it
+    for kind, file, options in WRITTEN:
+        run(arguments.bin / "rgs-convert", *options, "--quiet", "--overwrite", ply, work / file)
+        files.append((kind, "rgs-convert", work / file, work / file))
+    n = json.loads(run(arguments.bin / "rgs-info", "--json", work / "packed.rgs"))["header"]["n_gaussians"]
     if arguments.peers:
-        files += write_as_peers(arguments.ply, arguments.work)
-    files += [(name, "", pathlib.Path(path)) for name, path in (other.split("=", 1) for other in arguments.others)]
-    entries = []
-    for kind, writer, path in files:
-        entry = {"format": kind, "writer": writer, "bytes": path.stat().st_size,
-                 "bytes_per_gaussian": round(path.stat().st_size / n, 2), "psnr_db": None, "worst_psnr_db": None}
-        if kind != "ply":
-            pictures = render(path, path.name)
-            psnr = [-10 * np.log10(max(np.mean((a - b) ** 2), 1e-20)) for a, b in zip(reference, pictures, strict=True)]
-            entry |= {"psnr_db": round(float(np.mean(psnr)), 2), "worst_psnr_db": round(float(min(psnr)), 2)}
-        entries.append(entry)
-    record = {"schema": "rgs-formats/2", "date": datetime.date.today().isoformat(), "renderer": "CPU, FP32",
-              "device": cpu_name(), "scene": arguments.ply.name, "gaussians": n, "views": len(reference), "size": size,
-              "psnr": "mean and least over views, float pictures, against the PLY", "entries": entries}
-    print("| file | written by | bytes per Gaussian | PSNR | worst view |\n|---|---|---|---|---|")
-    for entry in entries:
-        psnr, worst = ("-" if value is None else f"{value:.1f} dB" for value in (entry["psnr_db"], entry["worst_psnr_db"]))
-        print(f"| {entry['format']} | {entry['writer']} | {entry['bytes_per_gaussian']:.1f} | {psnr} | {worst} |")
-    if arguments.json:
-        arguments.json.write_text(text(record) + "\n")
+        files += write_as_peers(ply, work, arguments.sog)
+    report = work / "audit.json"
+    run(arguments.bin / "rgs-audit", ply, files[0][3], *(f"--also={drawn}" for *_, drawn in files[1:]), "--cameras", cameras,
+        "--split", "test", "--size", size, "--no-attribution", "--no-distances", "--quiet", "--overwrite", "--json", report)
+    audit = json.loads(report.read_text())
+    scores = [audit["rendered"], *audit["also"]]
+    entries = [{"format": kind, "writer": writer, "bytes": file.stat().st_size,
+                "bytes_per_gaussian": round(file.stat().st_size / n, 2), "psnr_db": round(score["psnr"], 2),
+                "worst_psnr_db": round(score["worst_psnr"], 2), "ssim": round(score["ssim"], 5)}
+               for (kind, writer, file, _), score in zip(files, scores, strict=True)]
+    found = {entry["format"] for entry in entries}
+    entries += [{"date": before["date"], **entry} for entry in before.get("entries", []) if entry["format"] not in found]
+    return {"scene": name, "made_by": made_by, "date": datetime.date.today().isoformat(),
+            "commit": run("git", "rev-parse", "--short=8", "HEAD").strip(), "gaussians": n, "views": audit["rendered"]["n_views"],
+            "size": size, "entries": entries}
 
 
-def write_as_peers(ply, work):
-    """[format, writer, path] of the files of other programs."""
-    work = work.resolve()
-    (work / "write_ksplat.mjs").write_text(WRITE_KSPLAT)
+def write_as_peers(ply, work, sog):
+    """[format, writer, path, what to draw for it] of the files of other programs."""
+    work, tools = work.resolve(), work.resolve().parent
+    (tools / "write_ksplat.mjs").write_text(WRITE_KSPLAT)
     files = []
     for kind, writer, name, command in PEERS:
-        path = work / name
-        if not path.exists():
-            if command[0] == "node" and not (work / "node_modules").exists():
-                run("npm", "install", "--silent", "--prefix", work, SPLATS3D)
-            run(*(word.format(input=ply.resolve(), output=path, work=work) for word in command))
-        files.append((kind, writer, path))
+        path = drawn = work / name
+        if kind == "sog" and not (sog or path.exists()):
+            continue
+        settings = [""]
+        if writer.startswith("L-GSC"):
+            drawn = path.with_suffix(".lgsc.ply")  # its program reads a file of settings, once to encode and once to decode
+            if not (tools / "lgsc").exists():
+                run("git", "clone", "--quiet", LGSC, tools / "lgsc")
+                run("git", "-C", tools / "lgsc", "checkout", "--quiet", LGSC_COMMIT)
+                run("cmake", "-S", tools / "lgsc", "-B", tools / "lgsc/build", "-DCMAKE_BUILD_TYPE=Release")
+                run("cmake", "--build", tools / "lgsc/build")
+            settings = [f"mode=0\nuncompressedDataPath={ply.resolve()}\ncompressedStreamPath={path}\ncompLevel={kind[-1]}\n",
+                        f"mode=1\nreconstructedDataPath={drawn}\ncompressedStreamPath={path}\noutputBinaryPly=1\n"]
+        if not drawn.exists():
+            if command[0] == "node" and not (tools / "node_modules/@mkkellogg").exists():
+                run("npm", "install", "--silent", "--prefix", tools, SPLATS3D)
+            for words in settings:
+                if words:
+                    pathlib.Path(f"{path}.cfg").write_text(words)
+                run(*(word.format(input=ply.resolve(), output=path, work=tools) for word in command))
+        files.append((kind, writer, path, drawn))
     return files
 
 
@@ -162,4 +127,33 @@ def cpu_name():
     return platform.machine()
 
 
-main()
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("ply", type=pathlib.Path, nargs="?")
+    parser.add_argument("cameras", type=pathlib.Path, nargs="?")
+    parser.add_argument("--bin", type=pathlib.Path, default=pathlib.Path("build/release/bin"))
+    parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("build/formats"))
+    parser.add_argument("--json", type=pathlib.Path, required=True)
+    parser.add_argument("--svg", type=pathlib.Path)
+    parser.add_argument("--peers", action="store_true")
+    parser.add_argument("--sog", action="store_true")
+    arguments = parser.parse_args()
+    arguments.work.mkdir(parents=True, exist_ok=True)
+    before = json.loads(arguments.json.read_text())["scenes"] if arguments.json.exists() else []
+    scenes = [(arguments.ply.stem, arguments.ply, arguments.cameras, None)] if arguments.cameras else []
+    for name, options in SCENES:
+        ply, cameras = arguments.work / f"{name}.ply", arguments.work / f"{name}.json"
+        run(arguments.bin / "rgs-make-scene", *options, "--cameras", cameras, "--quiet", "--overwrite", ply)
+        scenes.append((name, ply, cameras, " ".join(["rgs-make-scene", *options, "--cameras", cameras.name, ply.name])))
+    measured = [measure(*scene, arguments, next((old for old in before if old["scene"] == scene[0]), {})) for scene in scenes]
+    kept = [old for old in before if old["scene"] not in [scene[0] for scene in scenes]]
+    record = {"schema": "rgs-formats/3", "renderer": "CPU, FP32", "device": cpu_name(),
+              "quality": "rgs-audit's PSNR (mean, least) and mean SSIM of views against the PLY", "scenes": kept + measured}
+    arguments.json.write_text(text(record) + "\n")
+    if arguments.svg:
+        arguments.svg.write_text(plot_formats.svg(record))
+    print(plot_formats.table(record), end="")
+
+
+if __name__ == "__main__":
+    main()

@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """formats_record_test.py SOURCE_FOLDER
 
-docs/images/formats.svg is scripts/plot_formats.py's picture of docs/records/interchange_south.json; docs/records/MEASUREMENTS.md has its
+docs/images/formats.svg is scripts/plot_formats.py's picture of docs/records/formats.json; docs/records/MEASUREMENTS.md has its
 table; texts stay inside the picture and do not overlap.
 """
 import itertools
@@ -36,7 +36,7 @@ def check(ok, words):
 
 
 failures = []
-record = json.loads((root / "docs/records/interchange_south.json").read_text())
+record = json.loads((root / "docs/records/formats.json").read_text())
 picture = (root / "docs/images/formats.svg").read_text()
 check(picture == plot_formats.svg(record), "docs/images/formats.svg differs from the record; run plot_formats.py --svg")
 lines = plot_formats.table(record)
@@ -47,6 +47,6 @@ for words, (left, top, right, bottom) in boxes(picture):
 for (a, box), (b, other) in itertools.combinations(boxes(picture), 2):
     check(not plot_formats.overlap(box, other), f"'{a}' and '{b}' overlap")
 worse = json.loads(json.dumps(record))
-worse["entries"][1]["psnr_db"] -= 1
+worse["scenes"][0]["entries"][1]["psnr_db"] -= 1
 check(plot_formats.svg(worse) != picture and plot_formats.table(worse) != plot_formats.table(record), "the points do not move")
 sys.exit(1 if failures else 0)
