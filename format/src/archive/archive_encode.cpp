@@ -76,8 +76,12 @@ struct FrameCodes {
 struct Totals {
   SceneScan scan{0};  // of the leaves' means
   ValueCounts counts;
-  ShMagnitudes magnitudes;
+  ShMagnitudes magnitudes, sources;  // of decoded and of given SH
 };
+
+float largest_of(const ShStepSet& magnitudes) {
+  return *std::max_element(magnitudes.step[0], std::end(magnitudes.step[3]));
+}
 
 // Cell of a mean on one axis, from the centre.
 std::int64_t grid_cell(const ArchiveParameters& p, std::size_t axis, float mean) {
@@ -229,21 +233,16 @@ class Encoder {
   }
 
   Result<WrittenScene> run(Sink sink, std::span<const std::uint32_t> source_index) {
-    // Leaves first: pages above take over their values, and have no position in the source.
-    const std::size_t stride = 3 + tables_.n_sh;
-    const auto is_huge = [](float x) { return !(std::abs(x) <= kLargestSh); };
-    for (const auto& sh : {splats_.sh.subspan(stride * first_leaf_), splats_.sh.first(stride * first_leaf_)}) {
-      if (const auto huge = std::ranges::find_if(sh, is_huge); huge != sh.end()) {
-        const auto value = static_cast<std::size_t>(&*huge - splats_.sh.data());
-        return too_large(name_in_source(source_index, value / stride));
-      }
-    }
+    // The largest coefficient is to blame, even if the transforms that it bends fail for another Gaussian first.
+    const auto with_largest_sh = [&] {
+      const auto sh = leaves().sh;
+      const auto largest = std::ranges::max_element(sh, {}, [](float x) { return std::abs(x); });
+      return source_index[static_cast<std::size_t>(largest - sh.begin()) / (3 + tables_.n_sh)];
+    };
+    if (!(largest_of(plan_.largest_sh) <= kLargestSh)) return too_large(with_largest_sh());
     fit();
     if (Status s = count_codes(); !s) {
-      // The largest coefficient is to blame, even if the transforms that it bent fail for another Gaussian first.
-      const auto of_leaves = leaves().sh;
-      const auto largest = std::ranges::max_element(of_leaves, {}, [](float x) { return std::abs(x); });
-      s.error().found = source_index[static_cast<std::size_t>(largest - of_leaves.begin()) / stride];
+      s.error().found = with_largest_sh();
       return tl::unexpected(s.error());
     }
     choose_exponents();
@@ -295,12 +294,14 @@ class Encoder {
       full.max[i % 3] = std::max(full.max[i % 3], splats_.mean[i]);
     }
     fit_grid(plan_.declarations.robust, full, p);
-    fit_steps(plan_.options.archive, leaves(), tables_);
+    fit_steps(plan_.options.archive, leaves(), plan_.largest_sh, tables_);
     fit_transforms(leaves(), sample_importance(leaves(), p), tables_);
     std::uint64_t largest = 0;
-    for (std::size_t i = 0; i < splats_.mean.size(); ++i) {
-      const std::int64_t cell = grid_cell(p, i % 3, splats_.mean[i]);
-      largest = std::max(largest, static_cast<std::uint64_t>(cell < 0 ? -1 - cell : cell));
+    for (std::size_t k = 0; k < 3; ++k) {
+      for (const float mean : {full.min[k], full.max[k]}) {
+        const std::int64_t cell = grid_cell(p, k, mean);
+        largest = std::max(largest, static_cast<std::uint64_t>(cell < 0 ? -1 - cell : cell));
+      }
     }
     p.mean_bits = static_cast<std::uint32_t>(std::bit_width(largest)) + 1;
   }
@@ -608,13 +609,14 @@ class Encoder {
       totals[0].scan.merge(totals[w].scan);
       totals[0].counts.add(totals[w].counts);
       totals[0].magnitudes.merge(totals[w].magnitudes);
+      totals[0].sources.merge(totals[w].sources);
     }
     errors[0].state(tables_.parameters);
     scene_.counts = totals[0].counts;
     plan_.declarations.full = totals[0].scan.full();
     plan_.declarations.robust = totals[0].scan.robust();
     plan_.file_steps = totals[0].magnitudes.steps();
-    if (!steps_explain_bounds()) {
+    if (!steps_explain_bounds(largest_of(totals[0].sources.max_abs()))) {
       return make_error(Errc::internal, Error::kNone, "an archive's errors are larger than its steps explain");
     }
     return {};
@@ -622,13 +624,12 @@ class Encoder {
 
   // The stated bounds are measured; checking them against half a step, and what a Gaussian of any class passes on, catches
   // mistakes in what is measured.
-  bool steps_explain_bounds() const {
+  bool steps_explain_bounds(float largest_sh) const {
     const ArchiveParameters& p = tables_.parameters;
     const auto coarsest = std::ranges::max(p.classes, {}, &ArchiveClass::sh_step).sh_step;
     const double passed_on = static_cast<double>(kPassedOn * coarsest) / 2;
-    float largest_sh = 1;
-    for (const float x : splats_.sh) largest_sh = std::max(largest_sh, std::abs(x));
-    const double rounding = static_cast<double>(largest_sh) * 0x1p-11, side = std::sqrt(0.75);  // matrices have 14 bits
+    // Matrices have 14 bits.
+    const double rounding = static_cast<double>(std::max(largest_sh, 1.f)) * 0x1p-11, side = std::sqrt(0.75);
     bool explained = p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11;
     for (const ArchiveClass& c : p.classes) {
       explained = explained && c.bound_dc <= c.dc_step / 65536.0 * side + rounding &&
@@ -664,8 +665,10 @@ class Encoder {
         std::copy_n(&means[3 * (at + i)], 3, stored[i].mean);
         std::copy_n(&geometry[8 * (at + i)], 8, stored[i].geometry);
         const std::uint32_t source = order_[f.first + at + i];
-        const SplatErrors e = splat_errors(tables_.parameters, f.scale_exponent, codes.shapes.level, degree_,
-                                           splats_.splat(source), stored[i]);
+        const Splat splat = splats_.splat(source);
+        totals.sources.add(splat.sh, degree_);
+        const SplatErrors e =
+            splat_errors(tables_.parameters, f.scale_exponent, codes.shapes.level, degree_, splat, stored[i]);
         // Turned by the least step, something that long and thin is nowhere near where it was.
         if (!(std::max(e.mean, e.covariance) <= std::numeric_limits<float>::max())) return too_large(source);
         errors.add(codes.colours.classes[at + i], e);

@@ -286,14 +286,6 @@ double squared_distance(const SplatView& splats, const ArchiveParameters& p, std
   return squared;
 }
 
-float largest_sh(const SplatView& splats, std::size_t n_sh, bool of_degree_0) {
-  float largest = 0;
-  for (std::size_t i = 0; i < splats.sh.size(); ++i) {
-    if ((i % (3 + n_sh) < 3) == of_degree_0) largest = std::max(largest, std::abs(splats.sh[i]));
-  }
-  return largest;
-}
-
 // Finer steps of SH show in no code of SHI8, and leave no codes for large values where Gaussians fill the view.
 double least_step(float largest) {
   return std::clamp(static_cast<double>(largest) / 2000, 0x1p-11, 0x1p-6);
@@ -333,7 +325,7 @@ std::vector<double> importance(const SplatView& splats, const ArchiveParameters&
 
 }  // namespace
 
-void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& t) {
+void fit_steps(const ArchiveOptions& o, const SplatView& splats, const ShStepSet& largest_sh, ArchiveTables& t) {
   ArchiveParameters& p = t.parameters;
   const double step = static_cast<double>(o.step), coarser = std::log2(step);
   p.step = o.step;
@@ -359,7 +351,8 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, ArchiveTables& 
     const double root = std::max(static_cast<double>(level), 0.35) / p.opacity_levels;
     t.opacity.push_back(half_from_float(static_cast<float>(root * root)));
   }
-  const float largest_dc = largest_sh(splats, t.n_sh, true), largest = largest_sh(splats, t.n_sh, false);
+  const float largest_dc = *std::max_element(largest_sh.step[0], std::end(largest_sh.step[0])),
+              largest = *std::max_element(largest_sh.step[1], std::end(largest_sh.step[3]));
   p.classes.resize(kClasses);
   for (int c = 0; c < kClasses; ++c) {
     const double factor = step * std::exp2(-kShSlope / 2 * (middle + (c - kMiddleClass) - kImportance));

@@ -15,8 +15,10 @@ namespace rgs::detail {
 /// The contracted grid of means: centre and half width of the robust box, such that every mean of `full` has a cell.
 void fit_grid(const Box& robust, const Box& full, ArchiveParameters& parameters);
 
-/// Everything of `tables` that is not fitted to SH or to codes; `splats` has the Gaussians of the finest level.
-void fit_steps(const ArchiveOptions& options, const SplatView& splats, ArchiveTables& tables);
+/// Everything of `tables` that is not fitted to SH or to codes; `splats` has the Gaussians of the finest level, `largest_sh`
+/// their magnitudes by degree and channel.
+void fit_steps(const ArchiveOptions& options, const SplatView& splats, const ShStepSet& largest_sh,
+               ArchiveTables& tables);
 
 /// log2 of the importance of each of a sample of Gaussians, relative to the middle class, limited to +-8: how much they
 /// are seen. Every `stride`-th.

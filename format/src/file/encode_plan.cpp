@@ -193,6 +193,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
                                                                               scale_from_log(scan.max_log_scale())));
   plan.declarations = declare(scan, options);
   plan.file_steps = scan.sh_magnitudes().steps();
+  plan.largest_sh = scan.sh_magnitudes().max_abs();
 
   // Small sections first: a client that fetches chunks needs them before anything else.
   plan.sections = {section(SectionType::declarations, kDeclarationBytes),

@@ -23,6 +23,7 @@ struct EncodePlan {
   bool mends = false;                  ///< the scan has repaired Gaussians
   std::uint32_t archive_rows = 8192;   ///< preferred frame length of Profile::archive
   ShStepSet file_steps;                ///< the only set, unless chunks have their own
+  ShStepSet largest_sh;                ///< magnitudes, by degree and channel
   std::vector<SectionEntry> sections;  ///< in file order; stored_bytes: upper bounds; hashes and offsets 0
 
   /// Gaussians a coded frame of MEAN, GEOM and SHI8: whole chunks, at least one.
