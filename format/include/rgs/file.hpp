@@ -59,6 +59,7 @@ class AtomicFile {
     bool overwrite = false;  ///< replace an existing file; otherwise create() and commit() fail with output_exists
     bool sync = true;        ///< fsync file and folder before commit() returns
     std::vector<const MappedFile*> inputs = {};  ///< commit() first calls check_unchanged() of each
+    AtomicFile* hold = nullptr;  ///< commit() moves the complete file here instead; a second commit() gives it its name
   };
   /// Errors: output_exists, output_unusable (a directory), write_failed.
   static Result<AtomicFile> create(const std::string& path, const Options& options);

@@ -445,6 +445,10 @@ Result<double> AtomicFile::finish() {
   for (const MappedFile* input : options_.inputs) {
     if (const Status s = input->check_unchanged(); !s) return tl::unexpected(s.error());
   }
+  if (AtomicFile* const held = std::exchange(options_.hold, nullptr)) {
+    *held = std::move(*this);
+    return 0.0;
+  }
   if (path_ == kStdout) {
     const Status copied = copy_to_stdout();
     discard();

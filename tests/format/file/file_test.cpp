@@ -150,6 +150,27 @@ TEST_CASE("an output appears on commit and not before; without commit nothing st
   });
 }
 
+TEST_CASE("a held output appears when its holder commits it, and the one held before is gone") {
+  with_and_without_unnamed_files([](bool unnamed) {
+    const TemporaryFolder folder;
+    const std::string path = folder.file("out");
+    {
+      AtomicFile held;
+      for (const char* text : {"first", "second"}) {
+        auto file = AtomicFile::create(path, {.hold = &held});
+        REQUIRE(file);
+        REQUIRE(file->write_at(0, as_bytes(text)));
+        REQUIRE(file->commit());
+        CHECK_FALSE(fs::exists(path));
+      }
+      CHECK(entries(folder.path()) == (unnamed ? 0 : 1));
+      REQUIRE(held.commit());
+    }
+    CHECK(contents(path) == "second");
+    CHECK(entries(folder.path()) == 1);
+  });
+}
+
 TEST_CASE("an existing output is kept unless overwriting is requested, also when it appears late") {
   with_and_without_unnamed_files([](bool) {
     const TemporaryFolder folder;
