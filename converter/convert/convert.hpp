@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "archive_target.hpp"
 #include "build_levels.hpp"
 #include "rgs/camera.hpp"
 #include "rgs/decode.hpp"
@@ -69,7 +70,8 @@ struct ConvertSummary {
   Origin origin = kNoOrigin;     ///< of the output
   double position_rounding = 0;  ///< largest rounding of a coordinate, world units, by reading, merging and writing:
                                  ///< see rgs::position_rounding()
-  WriteReport clamped;           ///< for formats other than .rgs; its counts are in `declarations`
+  std::optional<ArchiveSearch> search;  ///< of an archive with a target; `seconds` are of the kept pass
+  WriteReport clamped;                  ///< for formats other than .rgs; its counts are in `declarations`
 };
 
 /// Whether a file can hold so many Gaussians. Errors: limit_exceeded.

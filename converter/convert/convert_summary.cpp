@@ -166,6 +166,15 @@ std::string summary_text(const ConvertSummary& s) {
   }
   if (!s.lost.empty()) line("  lost       not in the {} file: {}", s.output_format, fmt::join(s.lost, ", "));
   for (const std::string& note : s.notes) line("  note       {}", note);
+  if (s.search) {
+    line("  target     {}", s.search->target.psnr ? fmt::format("at least {} dB", *s.search->target.psnr)
+                                                  : fmt::format("at most {}", format_bytes(*s.search->target.bytes)));
+    for (const ArchivePass& p : s.search->passes) {
+      line("    step {:<8.4g} {:>10}{}{}", p.step, format_bytes(p.bytes),
+           p.psnr ? fmt::format("  {:.2f} dB", *p.psnr) : "",
+           &p == &s.search->passes[s.search->kept] ? "  written" : "");
+    }
+  }
   std::string stages;
   for (const auto& [stage, seconds] : s.seconds) {
     stages += fmt::format("{}{} {}", stages.empty() ? "" : ", ", stage, tool::format_seconds(seconds));
@@ -231,6 +240,16 @@ std::string summary_json(const ConvertSummary& s) {
                      {"far", d.z_far},
                      {"mapping", depth_mapping_name(d.depth_mapping)},
                      {"source", depth_source_name(d.depth_source)}};
+  }
+  if (s.search) {
+    ordered_json passes = ordered_json::array();
+    for (const ArchivePass& p : s.search->passes) {
+      passes.push_back({{"step", decimal_of(p.step)}, {"bytes", p.bytes}});
+      if (p.psnr) passes.back()["psnr"] = *p.psnr;
+    }
+    json["target"] = {{"step", decimal_of(s.search->passes[s.search->kept].step)}, {"passes", std::move(passes)}};
+    if (s.search->target.psnr) json["target"]["psnr"] = *s.search->target.psnr;
+    if (s.search->target.bytes) json["target"]["bytes"] = *s.search->target.bytes;
   }
   if (s.output_format != "rgs") json["clamped"] = clamped_json(s.clamped);
   ordered_json seconds = ordered_json::object();

@@ -50,6 +50,8 @@ tl::expected<BatchPlan, int> plan(const ConvertArguments& arguments, const std::
   const auto usage = [](const std::string& message) { return tl::unexpected(tool::report_usage(message)); };
   if (arguments.scene.merge) return usage("--merge takes files; each scene of a folder has its own output");
   if (arguments.audit) return usage("--audit takes one scene; run rgs-audit on the two folders afterwards");
+  if (const char* option = arguments.output.target.option())
+    return usage(std::string(option) + " takes one scene; convert each on its own");
   if (list.empty() && to == SplatFormat::unknown)
     return usage(files.front() + " is a folder; pass --to rgs, ply, spz, ... to convert all scenes in it");
   if (list.empty() && files.size() < 2) return usage(files.front() + " is a folder; name the output folder after it");

@@ -196,9 +196,23 @@ void OutputOptions::add_to(CLI::App& app) {
       ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small", "archive:tiny"}))
       ->option_text("packed|direct|archive:high|archive:small|archive:tiny")
       ->trigger_on_parse();  // before the steps below, which override a preset's wherever they are given
-  app.add_option(
+  auto* step = app.add_option(
       "--archive-step", e.archive.step,
       "archive: size of all steps, 1/16 to 64: twice as large, errors are twice as large [1; small 2.2; tiny 5]");
+  auto* psnr = app.add_option("--target-psnr", target.psnr,
+                              "archive: find the step of the smallest file with this PSNR, dB, that rgs-audit measures "
+                              "at --cameras or at its own views; three conversions at most")
+                   ->check(CLI::Range(1.0, 150.0))
+                   ->excludes(step)
+                   ->option_text("DB");
+  app.add_option(
+         "--target-size", target.bytes,
+         "archive: find the step of the best file of at most this size (MB: 10^6, MiB: 2^20); three conversions "
+         "at most")
+      ->transform(CLI::AsSizeValue(true))
+      ->excludes(step)
+      ->excludes(psnr)
+      ->option_text("BYTES");
   app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: higher is slower to write and a little smaller")
       ->check(CLI::Range(1, kMaxLevel));
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
@@ -229,6 +243,9 @@ void OutputOptions::add_to(CLI::App& app) {
 
 std::optional<std::string> OutputOptions::check() const {
   const std::uint64_t memory = memory_bytes.value_or(lod::kDefaultMemory);
+  if (target.option() != nullptr && convert.encode.profile != Profile::archive)
+    return std::string(target.option()) + " requires --profile archive";
+  if (target.bytes == 0) return "--target-size must be more than 0";
   if (lod_quality && !levels) return "--lod-quality requires --lod";
   if (!levels && memory != lod::kDefaultMemory) return "--memory requires --lod";
   if (!levels && !convert.scratch.empty()) return "--scratch requires --lod";
@@ -369,10 +386,13 @@ int convert_one_scene(ConvertArguments& arguments) {
   if (const auto message = arguments.output.check_format(scene, arguments.output.format_of(scene.output())))
     return tool::report_usage(*message);
   std::string auditor;
+  if (const int code = check_target(arguments, auditor); code != tool::kSuccess) return code;
   if (const int code = check_audit(arguments, auditor); code != tool::kSuccess) return code;
   if (const auto read = arguments.output.read_cameras(); !read) return report_failure(read.error());
-  const auto summary = convert_open(arguments, inputs->scenes, run.progress());
-  if (!summary) return report_failure(summary.error());
+  const auto summary = arguments.output.target.option() != nullptr
+                           ? convert_to_target(arguments, inputs->scenes, auditor)
+                           : convert_open(arguments, inputs->scenes, run.progress()).map_error(report_failure);
+  if (!summary) return summary.error();
   run.print_summary(*summary, scene.output());
   return arguments.audit ? run_audit(arguments, auditor) : tool::kSuccess;
 }

@@ -101,6 +101,7 @@ struct OutputOptions {
   std::optional<std::uint64_t> memory_bytes;
   std::string cameras;
   ConvertOptions convert;
+  ArchiveTarget target;
   std::string rgs_option;  ///< one that was given and is for .rgs outputs
 
   void add_to(CLI::App& app);
@@ -181,8 +182,19 @@ struct SceneInParts {
 void add_audit(CLI::App& app, bool& audit);
 /// "scene.audit.html" for "scene.rgs".
 std::string audit_report(const std::string& output);
-/// Checks before an hour of work that an audit can run: it pairs the Gaussians of two files. Finds the program.
+/// rgs-audit's arguments for the source, this asset, cameras and threads.
+std::vector<std::string> audit_options(const ConvertArguments& arguments, const std::string& asset);
+/// Finds rgs-audit and checks for `option` that it can compare: it pairs the Gaussians of two files.
+int find_auditor(const ConvertArguments& arguments, const std::string& option, std::string& program);
+/// Checks before an hour of work that --audit can run.
 int check_audit(const ConvertArguments& arguments, std::string& program);
 int run_audit(const ConvertArguments& arguments, const std::string& program);
+
+/// The same for --target-psnr, which measures with rgs-audit, and --target-size.
+int check_target(const ConvertArguments& arguments, std::string& auditor);
+/// Converts with the steps of next_step(), and gives the kept file its name. Without one nothing is written and the code
+/// is kGate.
+tl::expected<ConvertSummary, int> convert_to_target(ConvertArguments& arguments, const std::deque<SceneInput>& inputs,
+                                                    const std::string& auditor);
 
 }  // namespace rgs

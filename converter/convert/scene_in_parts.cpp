@@ -88,6 +88,8 @@ std::optional<std::string> check_parts(const ConvertArguments& a, const SceneInP
   if (begins) {
     if (parts.n_ranges == 0)
       return "--lod-partition with inputs requires --ranges N, the number of processes that may build";
+    if (const char* option = a.output.target.option())
+      return std::string(option) + " needs all Gaussians at once; convert in one process with --lod";
     if (a.output.convert.encode.profile == Profile::archive)
       return "--profile archive needs all Gaussians at once; convert in one process with --lod, or choose packed";
     if (a.output.convert.encode.order == Order::input)

@@ -31,12 +31,19 @@ Result<std::string> sibling_program(const std::string& name) {
   });
 }
 
-Result<int> run_program_and_wait(const std::string& path, const std::vector<std::string>& arguments) {
+Result<int> run_program_and_wait(const std::string& path, const std::vector<std::string>& arguments, int output) {
   std::vector<char*> argv{const_cast<char*>(path.c_str())};
   for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
   argv.push_back(nullptr);
   pid_t id = 0;
-  if (const int error = ::posix_spawn(&id, path.c_str(), nullptr, nullptr, argv.data(), environ); error != 0)
+  posix_spawn_file_actions_t actions;
+  int error = ::posix_spawn_file_actions_init(&actions);
+  if (error == 0) {
+    error = ::posix_spawn_file_actions_adddup2(&actions, output, STDOUT_FILENO);
+    if (error == 0) error = ::posix_spawn(&id, path.c_str(), &actions, nullptr, argv.data(), environ);
+    ::posix_spawn_file_actions_destroy(&actions);
+  }
+  if (error != 0)
     return make_error(Errc::internal, Error::kNone, "cannot start the program", Error::kNone, Error::kNone, error);
   int status = 0;
   while (::waitpid(id, &status, 0) < 0) {

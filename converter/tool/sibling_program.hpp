@@ -15,8 +15,8 @@ Result<std::string> program_folder();
 /// Path of program `name` in the folder of the running program. Error: open_failed if it is absent or not executable.
 Result<std::string> sibling_program(const std::string& name);
 
-/// Runs `path` with `arguments`, sharing standard streams, and waits. Returns its exit code, 128 + number if a signal
-/// ended it. Error: internal if it cannot be started.
-Result<int> run_program_and_wait(const std::string& path, const std::vector<std::string>& arguments);
+/// Runs `path` with `arguments`, sharing standard streams, where `output` may replace its standard output, and waits.
+/// Returns its exit code, 128 + number if a signal ended it. Error: internal if it cannot be started.
+Result<int> run_program_and_wait(const std::string& path, const std::vector<std::string>& arguments, int output = 1);
 
 }  // namespace rgs::tool

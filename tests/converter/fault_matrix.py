@@ -34,6 +34,7 @@ def runs(program, inputs):
         ("packed", lambda out: [*convert, scene, f"{out}/a.rgs"], False),
         ("direct", lambda out: [*convert, "--profile", "direct", scene, f"{out}/a.rgs"], False),
         ("archive", lambda out: [*convert, "--profile", "archive:high", scene, f"{out}/a.rgs"], False),
+        ("target", lambda out: [*convert, "--profile", "archive", "--target-size", "12kB", scene, f"{out}/a.rgs"], False),
         ("levels", lambda out: [*convert, "--lod", scene, f"{out}/a.rgs"], False),
         ("to ply", lambda out: [*convert, asset, f"{out}/a.ply"], False),
         ("to spz", lambda out: [*convert, scene, f"{out}/a.spz"], False),

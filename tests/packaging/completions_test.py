@@ -55,6 +55,7 @@ class Completions(unittest.TestCase):
         self.assertEqual(self.bash("rgs-convert", "--profile", ""),
                          ["packed", "direct", "archive:high", "archive:small", "archive:tiny"])
         self.assertEqual(self.bash("rgs-convert", "--profile", "archive:s"), ["small"])
+        self.assertEqual(self.bash("rgs-convert", "--target-"), ["--target-psnr", "--target-size"])
 
     def fish(self, line):
         name = line.split()[0]
