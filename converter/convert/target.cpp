@@ -114,7 +114,7 @@ tl::expected<ConvertSummary, int> convert_to_target(ConvertArguments& arguments,
     }
     if (kept_pass(target, search.passes) != &search.passes.back()) continue;
     search.kept = search.passes.size() - 1;
-    kept = std::move(pass);
+    kept = std::exchange(pass, AtomicFile());
     summary = *std::move(made);
   }
   if (kept.descriptor() < 0) return tl::unexpected(report_missed(arguments, search.passes));
