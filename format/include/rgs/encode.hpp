@@ -89,9 +89,10 @@ EncodeOptions keep_declarations(EncodeOptions options, const Declarations& decla
 Status check_encodable(const SceneScan& scan, const EncodeOptions& options);
 
 /// The file for `splats`. Deterministic (packed and archive: for a version of Zstandard; archive: also for a C library's
-/// exponentials and logarithms on a kind of processor). Single-threaded except Profile::archive. Errors: bad_argument (options out
-/// of range, contradicting sizes of the view or source_index), bad_value (BadPolicy::refuse; offset is the Gaussian's
-/// index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort); those of SceneWriter::finish().
+/// exponentials and logarithms on a kind of processor). Single-threaded except Profile::archive. Errors: bad_argument
+/// (options out of range, contradicting sizes of the view or source_index), bad_value (BadPolicy::refuse; offset is the
+/// Gaussian's index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort); those of
+/// SceneWriter::finish().
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
 
 }  // namespace rgs
