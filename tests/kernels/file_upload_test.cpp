@@ -8,6 +8,7 @@
 
 #include "common/check_values.hpp"
 #include "common/unpack.hpp"
+#include "common/unpack_archive.hpp"
 #include "cuda/device_memory.hpp"
 #include "device_fixture.hpp"
 #include "edit_file.hpp"
@@ -99,7 +100,7 @@ Status refused_by_device(const FileView& file) {
 
 }  // namespace
 
-TEST_CASE("a packed file decodes on the device to the host's bytes") {
+TEST_CASE("packed files and archives decode on the device to the host's bytes") {
   if (!device_answers()) return;
   for (const std::uint64_t n : {1u, 63u, 64u, 65u, 255u, 256u, 257u, 16384u, 16385u, 100001u}) {
     if (small_sizes() && n > 300) continue;
@@ -115,9 +116,32 @@ TEST_CASE("a packed file decodes on the device to the host's bytes") {
         options.chunk_step_sets = chunk_size != 96;
         options.keep_permutation = n == 257;
         check_upload(encoded(random_cloud(n, degree, random), options, Profile::packed));
+        if (chunk_size > kMaxArchiveRows) continue;
+        check_upload(encoded(cloud_of(random_splats(84, static_cast<int>(n)), degree), options, Profile::archive));
       }
     }
   }
+}
+
+TEST_CASE("an archive decodes in as many rounds as memory needs") {
+  if (!device_answers()) return;
+  EncodeOptions options;
+  options.chunk_size = 32768;  // of which frames have one at least
+  const auto bytes = encoded(cloud_of(random_splats(83, small_sizes() ? 33000 : 100000), 0), options, Profile::archive);
+  const auto file = FileView::open(bytes);
+  require_ok(file);
+  struct Memory {
+    std::uint64_t most, refused;
+  } memory{2 * cuda::archive_frame_bytes(file->frames(SectionType::sh).rows, 0), 0};
+  const DeviceAllocator allocator{[](void* user, std::uint64_t size, CudaStream on) -> void* {
+                                    auto& m = *static_cast<Memory*>(user);
+                                    void* place = nullptr;
+                                    if (size > m.most) return ++m.refused, nullptr;
+                                    return cudaMallocAsync(&place, size, on) == cudaSuccess ? place : nullptr;
+                                  },
+                                  [](void*, void* place, std::uint64_t) { cudaFree(place); }, &memory};
+  check_upload(bytes, {.allocator = allocator});
+  CHECK(memory.refused > 0);
 }
 
 TEST_CASE("direct files, archives and files without Gaussians use the same ring") {
@@ -184,12 +208,12 @@ TEST_CASE("the device refuses a damaged file like the host, with the same error 
   if (!device_answers()) return;
   std::uint64_t n_refused = 0, n_sound = 0;
   for (const int degree : {0, 3}) {
-    for (const Profile profile : {Profile::direct, Profile::packed}) {
+    for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
       SplitMix random{87 + static_cast<std::uint64_t>(degree)};
       EncodeOptions options;
       options.chunk_size = 64;
       options.keep_permutation = true;
-      const auto sound = encoded(random_cloud(300, degree, random), options, profile);
+      const auto sound = encoded(cloud_of(random_splats(88, 300), degree), options, profile);
       REQUIRE(agrees_with_host(sound));
       const std::uint64_t begin = section_of(sound, "DECL");
       const int n_changes = small_sizes() ? 20 : 400;

@@ -1,5 +1,6 @@
-// frame_content.hpp - frames of Codec::planes after Zstandard alone, and the checks that remain if someone else checks
-// the Gaussians: for readers that decode on a device. docs/format/FORMAT.md "Coded sections".
+// frame_content.hpp - frames of Codec::planes after Zstandard alone, and of Codec::archive as stored, and the checks that
+// remain if someone else checks the Gaussians: for readers that decode on a device. docs/format/FORMAT.md "Coded
+// sections".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -21,7 +22,7 @@ class Inflater;
 
 /// Rows of frame `frame` of a coded section.
 std::uint32_t rows_of_frame(const FileView& view, SectionType type, std::uint64_t frame);
-/// Bytes of its content: planes, preceded by weights for SH.
+/// Bytes of its content: planes, preceded by weights for SH; the frame itself in an archive.
 std::uint64_t frame_content_bytes(const FileView& view, SectionType type, std::uint64_t frame);
 
 /// Reads contents of frames, one at a time, reusing Zstandard's memory.
@@ -32,8 +33,8 @@ class FrameContents {
   FrameContents& operator=(FrameContents&&) noexcept;
   ~FrameContents();
 
-  /// Decompresses frame `frame` of a Codec::planes section to `out` [frame_content_bytes()]. Safe on untrusted bytes:
-  /// any content of that size decodes to some rows. Errors: checksum_mismatch and corrupt_data at the frame's offset,
+  /// Decompresses frame `frame` of a Codec::planes section to `out` [frame_content_bytes()], or copies one of
+  /// Codec::archive. Safe on untrusted bytes: any content of planes of that size decodes to some rows. Errors: checksum_mismatch and corrupt_data at the frame's offset,
   /// host_out_of_memory.
   Status read(const FileView& view, SectionType type, std::uint64_t frame, std::span<std::byte> out);
 

@@ -25,9 +25,7 @@ RGS_HD inline float float_of(std::uint32_t bits) {
   return value;
 }
 
-/// Bits of
-/// value
-/// , in the order of the magnitudes; infinity and NaN above every number.
+/// Bits of |value|, in the order of the magnitudes; infinity and NaN above every number.
 RGS_HD inline std::int32_t magnitude_bits(float value) {
   return static_cast<std::int32_t>(bits_of(value) & 0x7FFFFFFFu);
 }

@@ -100,10 +100,6 @@ void walk_sh(ColourCodes& f, const ArchiveTables& t, CodeSizes& sizes, Coder& co
 /// (2 g + S) div (2 S) of docs/format/ARCHIVE.md "Rows of SHI8 of codec 2": the predicted code after two values.
 std::int64_t expected_dc(const std::int16_t weights[2], std::int64_t before, std::int64_t before_that,
                          std::int64_t step);
-/// What predicts the next DC value: 256 times an exponential average.
-inline std::int64_t next_dc_state(std::int64_t value, std::int64_t state, const ArchiveTables::Smoothing& by) {
-  return by.recent * value + ((by.kept * state) >> 8);
-}
 /// Codes of SH above degree 0 become values, in units of the file. Codec::archive.
 void smooth_sh(const ArchiveTables& t, ColourCodes& f);
 /// DC values [3, n] in 1/65536.

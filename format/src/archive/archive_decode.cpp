@@ -10,8 +10,8 @@
 #include <limits>
 
 #include "archive/archive_codec.hpp"
-#include "archive/archive_formulas.hpp"
 #include "file/layout_io.hpp"
+#include "rgs/archive_formulas.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs::detail {
@@ -78,8 +78,8 @@ void dc_values(const ArchiveTables& t, const ColourCodes& f, std::vector<std::in
     for (std::size_t m = 0; m < 3; ++m) {  // the three divisions overlap
       std::int64_t value = 0;
       if (shaped) {
-        value = std::clamp(f.dc[m * f.n + i] * step + ((before[m] + 128) >> 8), -kMaxDc, kMaxDc);
-        before[m] = next_dc_state(value, before[m], t.dc_smoothing);
+        value = smoothed_dc_value(f.dc[m * f.n + i], step, before[m]);
+        before[m] = smoothed_dc_state(value, before[m], t.dc_smoothing.recent, t.dc_smoothing.kept);
       } else {
         const std::int64_t expected = expected_dc(&t.dc_weights[2 * m], before[m], before_that[m], step);
         value = std::clamp((f.dc[m * f.n + i] + expected) * step, -kMaxDc, kMaxDc);

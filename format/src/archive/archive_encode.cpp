@@ -494,7 +494,8 @@ class Encoder {
       const std::int64_t expected = (state.dc[m] + 128) >> 8;
       std::int16_t& code = codes.dc[m * codes.n + i];
       if (!code_of((y - static_cast<double>(expected)) / c.dc_step, code)) return false;
-      state.dc[m] = next_dc_state(std::int64_t{code} * c.dc_step + expected, state.dc[m], tables_.dc_smoothing);
+      state.dc[m] = smoothed_dc_state(std::int64_t{code} * c.dc_step + expected, state.dc[m],
+                                      tables_.dc_smoothing.recent, tables_.dc_smoothing.kept);
     }
     return true;
   }

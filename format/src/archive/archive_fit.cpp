@@ -9,8 +9,8 @@
 #include <numbers>
 #include <numeric>
 
-#include "archive/shape_formulas.hpp"
 #include "rgs/quantize.hpp"
+#include "rgs/shape_formulas.hpp"
 
 namespace rgs::detail {
 namespace {

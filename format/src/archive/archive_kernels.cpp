@@ -12,8 +12,8 @@
 //
 #include <hwy/highway.h>
 
-#include "archive/archive_formulas.hpp"
 #include "archive/archive_kernels.hpp"
+#include "rgs/archive_formulas.hpp"
 
 HWY_BEFORE_NAMESPACE();
 namespace rgs::detail {

@@ -35,7 +35,7 @@ struct ArchiveContexts {
     sh = dc + 24 * n_classes;
     count = sh + 8 * n_sh * n_classes;
   }
-  static constexpr std::size_t kTreeContexts = 28, kStepContexts = 32;
+  static constexpr std::size_t kTreeContexts = 28;
   std::size_t opacity = 0, dc = 0, sh = 0, count = 0;
   std::size_t coarse = 0, fine = 0, turn = 0;                                 // Codec::archive
   std::size_t largest = 0, rotation = 0, scale0 = 0, scale1 = 0, scale2 = 0;  // Codec::archive_draco
@@ -57,10 +57,8 @@ struct ArchiveTables {
   std::array<std::int16_t, 6> dc_weights{};  ///< [3, 2], multiplied by 2^8; Codec::archive_draco
   float sh_unit = 1;                         ///< of values above degree 0; this and the next two: Codec::archive
   /// Of the prediction from the Gaussians before, multiplied by 2^8: the share of the last one, and of all before it.
-  struct Smoothing {
-    std::uint8_t recent = 0, kept = 0;
-  };
-  Smoothing dc_smoothing, sh_smoothing;
+  using Smoothing = ArchiveRules::Smoothing;
+  Smoothing dc_smoothing{}, sh_smoothing{};
   std::vector<std::int16_t> sh_matrix;     ///< [n_sh, n_sh]
   std::vector<std::uint16_t> opacity;      ///< [opacity_levels + 1] FP16; Codec::archive
   std::vector<std::uint8_t> map;           ///< [contexts().count]

@@ -14,12 +14,9 @@
 #include <type_traits>
 #include <vector>
 
-namespace rgs::detail {
+#include "rgs/archive_rules.hpp"
 
-inline constexpr std::uint32_t kRansStates = 8;
-inline constexpr std::uint32_t kRansLow = 1u << 16;  ///< lower bound of states between numbers
-inline constexpr std::uint32_t kRansTokens = 76;
-inline constexpr std::uint32_t kRansTotal = 4096;
+namespace rgs::detail {
 
 /// A number as a token and raw bits.
 struct RansToken {
@@ -32,28 +29,22 @@ constexpr RansToken rans_token(std::uint32_t z) {
   return {32 + (n_bits - 3) * 4 + (z >> n_bits) - 4, n_bits, z & ((1u << n_bits) - 1)};
 }
 
-/// Signed codes to numbers, 0 -1 1 -2 2 to 0 1 2 3 4, and back.
+/// Signed codes to numbers: the inverse of unfold_code().
 constexpr std::uint32_t fold_code(std::int16_t code) {
   return static_cast<std::uint16_t>(static_cast<std::uint16_t>(code << 1) ^ static_cast<std::uint16_t>(code >> 15));
 }
-constexpr std::int16_t unfold_code(std::uint32_t z) {
-  return static_cast<std::int16_t>(static_cast<std::uint16_t>(z >> 1 ^ (0u - (z & 1u))));
-}
 
-/// Distributions prepared for decoding: 4.3 KiB each, so that those of a plane stay in the first-level cache.
+/// Distributions prepared for decoding.
 class RansTables {
  public:
   /// frequencies [n, kRansTokens]; false if a row does not sum to kRansTotal.
   bool assign(std::span<const std::uint16_t> frequencies);
-  std::uint64_t memory_bytes() const { return distributions_.capacity() * sizeof(Distribution); }
-  struct Distribution {
-    std::array<std::uint8_t, kRansTotal> token;          ///< of each slot
-    std::array<std::uint32_t, kRansTokens> frequency{};  ///< of each token, and from bit 16 on the sum before it
-  };
-  const Distribution& of(std::uint8_t distribution) const { return distributions_[distribution]; }
+  std::uint64_t memory_bytes() const { return distributions_.capacity() * sizeof(RansDistribution); }
+  const RansDistribution& of(std::uint8_t distribution) const { return distributions_[distribution]; }
+  std::span<const RansDistribution> all() const { return distributions_; }
 
  private:
-  std::vector<Distribution> distributions_;
+  std::vector<RansDistribution> distributions_;
 };
 
 /// Decodes planes of one stream. Counts every word: reading past the end gives zeros and ok() false.
@@ -94,7 +85,7 @@ class RansReader {
   template <bool kAmple>
   void refill(std::uint32_t& x);
 
-  const RansTables::Distribution* distributions_;
+  const RansDistribution* distributions_;
   std::span<const std::uint8_t> map_;
   std::array<std::uint32_t, kRansStates> states_{};
   const std::byte *at_ = nullptr, *end_ = nullptr;

@@ -13,7 +13,7 @@
 
 #include "archive/archive_tables.hpp"
 #include "archive/point_codec.hpp"
-#include "archive/shape_formulas.hpp"
+#include "rgs/shape_formulas.hpp"
 
 namespace rgs::detail {
 
@@ -48,10 +48,6 @@ struct ShapeCodes {
   }
 };
 
-constexpr std::size_t tree_context(std::uint32_t n) {
-  return n < 16 ? n : 11 + static_cast<std::size_t>(std::bit_width(n));
-}
-
 /// Codes points [n], at least one, sorted by tree_less() where they are written, as the counts of a tree of halved cells: of each
 /// cell of several points how many lie in its lower half, by half of all first; then the lower bits of those that were
 /// alone. `bits`: of each axis. False if a count is impossible.
@@ -80,7 +76,6 @@ class PointTree {
   }
 
  private:
-  static constexpr std::uint8_t kMostRaw = 12;
   struct Cell {
     std::uint32_t first, n;
     GridPoint corner;
@@ -135,7 +130,7 @@ class PointTree {
     for (bool more = true; more;) {
       more = false;
       for (std::size_t i = 0; i < n; ++i) {
-        widths_[i] = std::min(left[i], kMostRaw);
+        widths_[i] = std::min(left[i], kMostRawBits);
         left[i] = static_cast<std::uint8_t>(left[i] - widths_[i]);
         more |= left[i] > 0;
         if constexpr (!Coder::kReads) {
@@ -178,13 +173,13 @@ void walk_shapes(ShapeCodes& f, const ArchiveTables& t, Coder& coder) {
   coder.plane(n, c2, 0,
               [&](std::size_t i) { return at.coarse + 272 + (seen(i) * 16 + bucket(c0[i])) * 16 + bucket(c1[i]); });
   f.find_fine_steps(t);
-  constexpr std::size_t kSteps = ArchiveContexts::kStepContexts;
   for (std::size_t k = 0; k < 3; ++k) {
-    coder.plane(n, &f.fine[k * n], 0, [&](std::size_t i) { return at.fine + k * kSteps + f.fine_step[i]; });
+    coder.plane(n, &f.fine[k * n], 0, [&](std::size_t i) { return at.fine + k * kStepContexts + f.fine_step[i]; });
   }
   f.find_turn_steps(t);
   for (std::size_t k = 0; k < 3; ++k) {
-    coder.plane(n, &f.turn[k * n], 0, [&](std::size_t i) { return at.turn + k * kSteps + f.turn_step[k * n + i]; });
+    coder.plane(n, &f.turn[k * n], 0,
+                [&](std::size_t i) { return at.turn + k * kStepContexts + f.turn_step[k * n + i]; });
   }
   f.find_refinement(t.parameters);
   for (std::size_t k = 0; k < 3; ++k) coder.bits(n, &f.refinement[k * n], &f.refinement_bits[k * n]);

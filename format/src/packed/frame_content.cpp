@@ -4,10 +4,13 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cstddef>
+#include <span>
 
+#include "archive/archive_tables.hpp"
 #include "packed/frame_codec.hpp"
 #include "packed/inflater.hpp"
-#include "rgs/checksum.hpp"
+#include "rgs/archive_rules.hpp"
 #include "rgs/guard_memory.hpp"
 
 namespace rgs {
@@ -20,6 +23,7 @@ std::uint32_t rows_of_frame(const FileView& view, SectionType type, std::uint64_
 }
 
 std::uint64_t frame_content_bytes(const FileView& view, SectionType type, std::uint64_t frame) {
+  if (view.archive() != nullptr) return view.frames(type).frames[frame].stored_bytes;
   const std::uint64_t rows = rows_of_frame(view, type, frame);
   switch (type) {
     case SectionType::means: return rows * kMeanBytes;
@@ -43,7 +47,9 @@ Status FrameContents::read(const FileView& view, SectionType type, std::uint64_t
     const auto& entry = view.frames(type).frames[frame];
     const auto stored = detail::frame_bytes(view, entry);
     if (!stored) return tl::unexpected(stored.error());
-    return inflater_->inflate(*stored, entry.offset, out);
+    if (view.archive() == nullptr) return inflater_->inflate(*stored, entry.offset, out);
+    std::ranges::copy(*stored, out.begin());
+    return {};
   });
 }
 
@@ -56,6 +62,45 @@ Result<std::vector<RelativeShSteps>> relative_sh_steps(const FileView& view, std
     if (const Status s = detail::frame_steps(view, first, count, steps); !s) return tl::unexpected(s.error());
     return detail::relative_sh_steps({view.header().sh_degree, chunk_rows, steps});
   });
+}
+
+ArchiveRules archive_rules(const FileView& view, std::vector<std::byte>& block) {
+  const detail::ArchiveTables& t = *detail::archive_tables(view);
+  const ArchiveParameters& p = t.parameters;
+  assert(p.codec == Codec::archive);
+  block.clear();
+  const auto add = [&block](const auto& array) {
+    const auto bytes = std::as_bytes(std::span(array));
+    const std::size_t at = (block.size() + 15) / 16 * 16;
+    block.resize(at + bytes.size());
+    std::ranges::copy(bytes, block.begin() + static_cast<std::ptrdiff_t>(at));
+    return static_cast<std::uint32_t>(at);
+  };
+  ArchiveRules rules{};
+  rules.shape = p.shape;
+  std::ranges::copy(p.centre, rules.centre);
+  std::ranges::copy(p.half_width, rules.half_width);
+  rules.mean_cells = p.mean_cells, rules.mean_bits = p.mean_bits, rules.opacity_levels = p.opacity_levels;
+  rules.n_classes = static_cast<std::uint32_t>(p.classes.size()), rules.n_sh = static_cast<std::uint32_t>(t.n_sh);
+  std::ranges::copy(t.dc_centre, rules.dc_centre);
+  rules.sh_unit = t.sh_unit;
+  std::ranges::copy(t.dc_matrix, rules.dc_matrix);
+  rules.dc_smoothing = t.dc_smoothing, rules.sh_smoothing = t.sh_smoothing;
+  const detail::ArchiveContexts at = t.contexts();
+  const auto context = [](std::size_t first) { return static_cast<std::uint32_t>(first); };
+  rules.context = {context(at.opacity), context(at.coarse), context(at.fine),
+                   context(at.turn),    context(at.dc),     context(at.sh)};
+  std::vector<ArchiveRules::Class> classes;
+  for (const ArchiveClass& c : p.classes) {
+    classes.push_back({static_cast<std::int32_t>(c.dc_step), static_cast<std::int32_t>(c.sh_units)});
+  }
+  rules.distributions = add(t.rans.all());
+  rules.map = add(t.map);
+  rules.classes = add(classes);
+  rules.opacities = add(t.opacity);
+  rules.sh_matrix = add(t.sh_matrix);
+  rules.sh_centre = add(t.sh_centre);
+  return rules;
 }
 
 }  // namespace rgs

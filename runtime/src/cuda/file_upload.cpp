@@ -5,7 +5,7 @@
 // any context will do, queues on one of a few streams the copy to the device and the kernels that decode it to rows.
 // The place is free once copied; the stream and its device memory are free once the rows are made. Decoding a
 // frame's SH keeps only a few threads busy, but for long, on any device; so there are many streams, and frames are
-// decoded side by side.
+// decoded side by side. Frames of an archive need even longer, so they are copied as they are, and decoded all at once.
 //
 // If the device finds damage, the host decodes the file again on its own path and returns its error, which names the
 // place.
@@ -29,6 +29,7 @@
 
 #include "common/check_values.hpp"
 #include "common/unpack.hpp"
+#include "common/unpack_archive.hpp"
 #include "cuda/cuda_objects.hpp"
 #include "cuda/device_memory.hpp"
 #include "cuda/uploader.hpp"
@@ -41,6 +42,8 @@ namespace {
 constexpr std::uint64_t kPieceBytes = std::uint64_t{1} << 20;     // of sections stored as is
 constexpr std::uint64_t kRingBytes = std::uint64_t{32} << 20;     // page-locked, unless two places need more
 constexpr std::uint64_t kStagingBytes = std::uint64_t{96} << 20;  // on the device, unless two streams need more
+constexpr std::uint64_t kArchiveBytes = std::uint64_t{1}
+                                        << 30;  // likewise, to decode an archive, unless a frame needs more
 constexpr std::uint64_t kMaxStreams = 32;
 
 constexpr std::uint64_t align(std::uint64_t bytes) {
@@ -51,7 +54,7 @@ struct Section {
   SectionType type = SectionType::means;
   std::uint64_t row_bytes = 0;
   std::byte* place = nullptr;
-  const FrameTable* table = nullptr;  // of a section with Codec::planes
+  const FrameTable* table = nullptr;  // of a coded section
   std::span<const std::byte> bytes;   // of any other section
 };
 
@@ -153,6 +156,7 @@ class FileUpload {
   Status fill(const Filled& filled, FrameContents& contents) const;
   Status queue(const Filled& filled, const Lane& lane);
   Status unpack(const Part& part, const Lane& lane);
+  Status unpack_archive();
   Status check_tables() const;
   Status check_values();
   void fail(const Status& status);
@@ -161,14 +165,17 @@ class FileUpload {
   const SectionPlaces places_;
   const UploadOptions& options_;
   unsigned n_threads_ = 1;
-  std::optional<DirectData> decoded_;  // of an archive
+  std::optional<DirectData> decoded_;  // of Codec::archive_draco
+  bool is_archive_ = false;
   std::array<Section, 3> sections_;
   std::vector<Group> groups_;  // the slowest first
   std::uint64_t n_jobs_ = 0;
   Uploader ring_;
   std::uint64_t largest_ = 0;  // bytes of a job
   DeviceBuffer staging_;
-  Event ready_;  // the device's memory is allocated
+  DeviceBuffer coded_;                     // all jobs of an archive
+  std::vector<std::uint64_t> job_begins_;  // in it
+  Event ready_;                            // the device's memory is allocated
   std::vector<Lane> lanes_;
   Queue<Uploader::Place> free_places_;  // of largest_ bytes
   Queue<Filled> filled_;
@@ -221,7 +228,7 @@ Job FileUpload::job_at(std::uint64_t index) const {
     } else {
       part.bytes = frame_content_bytes(file_, section->type, index);
       const std::uint64_t rows = rows_of_frame(file_, section->type, index);
-      if (section->type == SectionType::sh) part.n_steps = (rows + chunk_size - 1) / chunk_size;
+      if (section->type == SectionType::sh && !is_archive_) part.n_steps = (rows + chunk_size - 1) / chunk_size;
     }
     part.steps_at = part.at + align(part.bytes);
     job.bytes = part.steps_at + align(part.n_steps * sizeof(RelativeShSteps));
@@ -234,10 +241,16 @@ Status FileUpload::prepare() {
   bool is_coded = false;
   for (const Group& group : groups_) {
     if (group.n_jobs == 0) continue;
-    const std::uint64_t bytes = job_at(first_job).bytes;  // a group's last job may be smaller
+    const std::uint64_t n_sizes = is_archive_ ? group.n_jobs : 1;  // of planes only the last job may be smaller
+    std::uint64_t bytes = 0;
+    for (std::uint64_t i = first_job; i < first_job + n_sizes; ++i) {
+      if (is_archive_) job_begins_.push_back(bytes);
+      const std::uint64_t of_job = job_at(i).bytes;
+      largest_ = std::max(largest_, of_job);
+      bytes += of_job;
+    }
     first_job += group.n_jobs;
-    largest_ = std::max(largest_, bytes);
-    total += bytes * group.n_jobs;
+    total += bytes * (group.n_jobs / n_sizes);
     is_coded = is_coded || group.sections[0]->table != nullptr;
   }
   if (n_jobs_ == 0) return {};
@@ -257,14 +270,16 @@ Status FileUpload::prepare() {
   Status ok = ring_.create(n_places * largest_, n_places);
   if (ok && is_coded) {
     const auto memory = DeviceMemory::create(options_.allocator);
-    ok = memory ? staging_.reserve(lanes_.size() * largest_, *memory, options_.stream) : tl::unexpected(memory.error());
+    if (!memory) return tl::unexpected(memory.error());
+    ok = (is_archive_ ? coded_ : staging_)
+             .reserve(is_archive_ ? total : lanes_.size() * largest_, *memory, options_.stream);
   }
   // The caller's allocator may return memory that is valid only once its stream gets there.
   if (ok) ok = ready_.create();
   if (ok) ok = ready_.record(options_.stream);
   if (ok) ok = reclaim(false);
   for (std::size_t i = 0; i < lanes_.size() && ok; ++i) {
-    if (is_coded) lanes_[i].memory = staging_.as<std::byte>() + i * largest_;
+    if (is_coded && !is_archive_) lanes_[i].memory = staging_.as<std::byte>() + i * largest_;
     ok = lanes_[i].stream.create();
     if (ok) ok = lanes_[i].done.create();
     if (ok) ok = ready_.hold(lanes_[i].stream.get());
@@ -376,13 +391,15 @@ Status FileUpload::queue(const Filled& filled, const Lane& lane) {
   const Job& job = filled.job;
   const Part& first = job.parts[0];
   const bool is_coded = first.section->table != nullptr;
-  std::byte* const to = is_coded ? lane.memory : first.section->place + first.index * kPieceBytes;
+  std::byte* const to = is_archive_ ? coded_.as<std::byte>() + job_begins_[first.index]
+                        : is_coded  ? lane.memory
+                                    : first.section->place + first.index * kPieceBytes;
   Status ok = device_status(cudaMemcpyAsync(to, filled.place.memory, is_coded ? job.bytes : first.bytes,
                                             cudaMemcpyHostToDevice, lane.stream.get()),
                             "a scene could not be copied to the device");
   if (ok) ok = ring_.send(filled.place.ticket, lane.stream.get());
   for (const Part& part : job.all()) {
-    if (ok && is_coded) ok = unpack(part, lane);
+    if (ok && is_coded && !is_archive_) ok = unpack(part, lane);
   }
   if (ok) ok = lane.done.record(lane.stream.get());
   return ok;
@@ -404,6 +421,66 @@ Status FileUpload::unpack(const Part& part, const Lane& lane) {
            file_.header().chunk_size, file_.header().sh_degree, reinterpret_cast<std::uint32_t*>(rows)},
           lane.stream.get());
   }
+}
+
+// Once the device has all frames and the tables are checked.
+Status FileUpload::unpack_archive() {
+  const Header& h = file_.header();
+  cuda::UnpackArchiveArguments a{};
+  std::vector<std::byte> block;
+  a.rules = archive_rules(file_, block);
+  std::vector<cuda::ArchiveFrame> frames;
+  for (std::uint64_t i = 0; i < n_jobs_; ++i) {
+    const auto stream = [&](const Part& part) -> cuda::ArchiveFrame::Stream {
+      return {job_begins_[i] + part.at, part.bytes};
+    };
+    const Job job = job_at(i);
+    frames.push_back({stream(job.parts[2]), stream(job.parts[1]), stream(job.parts[0])});
+  }
+  a.frame_rows = file_.frames(SectionType::sh).rows;
+  const std::uint64_t of_frame = cuda::archive_frame_bytes(a.frame_rows, h.sh_degree);
+  constexpr std::uint64_t kMostBlocks = 65535;  // on the second axis of a grid
+  std::uint64_t n_at_once = std::clamp<std::uint64_t>(kArchiveBytes / of_frame, 1, std::min(n_jobs_, kMostBlocks));
+  const std::uint64_t frames_at = align(block.size()), count_at = frames_at + align(frames.size() * sizeof frames[0]),
+                      memory_at = count_at + align(sizeof(std::uint32_t));
+  const auto memory = DeviceMemory::create(options_.allocator);
+  if (!memory) return tl::unexpected(memory.error());
+  DeviceBuffer buffer;
+  Status ok = buffer.reserve(memory_at + n_at_once * of_frame, *memory, options_.stream);
+  while (!ok && ok.error().code == Errc::device_out_of_memory && n_at_once > 1) {
+    n_at_once = (n_at_once + 1) / 2;
+    ok = buffer.reserve(memory_at + n_at_once * of_frame, *memory, options_.stream);
+  }
+  if (!ok) return ok;
+  std::byte* const to = buffer.as<std::byte>();
+  a.block = to;
+  a.coded = coded_.as<std::byte>();
+  a.frames = reinterpret_cast<const cuda::ArchiveFrame*>(to + frames_at);
+  a.n_damaged = reinterpret_cast<std::uint32_t*>(to + count_at);
+  a.memory = to + memory_at;
+  a.n_at_once = static_cast<std::uint32_t>(n_at_once);
+  a.n = static_cast<std::uint32_t>(h.n_gaussians);
+  a.scale_exponent = h.scale_exponent;
+  a.mean = reinterpret_cast<float*>(places_[0]);
+  a.geometry = reinterpret_cast<std::uint16_t*>(places_[1]);
+  a.sh = reinterpret_cast<std::uint32_t*>(places_[2]);
+  a.sh_steps = reinterpret_cast<const float*>(places_[3]);
+  a.chunks = reinterpret_cast<const std::uint32_t*>(places_[4]);
+  a.chunk_size = h.chunk_size;
+  a.sh_degree = h.sh_degree;
+  const auto copy = [&](void* place, const void* from, std::size_t bytes, cudaMemcpyKind kind) {
+    return device_status(cudaMemcpyAsync(place, from, bytes, kind, options_.stream), "an archive could not be copied");
+  };
+  std::uint32_t n_damaged = 0;
+  ok = copy(to, block.data(), block.size(), cudaMemcpyHostToDevice);
+  if (ok) ok = copy(to + frames_at, frames.data(), frames.size() * sizeof frames[0], cudaMemcpyHostToDevice);
+  if (ok) ok = copy(a.n_damaged, &n_damaged, sizeof n_damaged, cudaMemcpyHostToDevice);
+  if (ok) ok = cuda::launch_unpack_archive(a, options_.stream);
+  if (ok) ok = copy(&n_damaged, a.n_damaged, sizeof n_damaged, cudaMemcpyDeviceToHost);
+  const Status done = device_status(cudaStreamSynchronize(options_.stream), "an archive could not be decoded");
+  if (ok) ok = done;
+  if (ok && n_damaged != 0) ok = make_error(Errc::corrupt_data, Error::kNone, "the device found damaged streams");
+  return ok;
 }
 
 // Values that kernels use as an index are always checked.
@@ -449,7 +526,8 @@ Status FileUpload::run() {
   UploadTimes times;
   const auto since_start = [&] { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); };
 
-  if (file_.archive() != nullptr) {
+  is_archive_ = file_.archive() != nullptr && file_.archive()->codec == Codec::archive;
+  if (file_.archive() != nullptr && !is_archive_) {
     auto data = load_direct(file_, {options_.validate, 0});
     if (!data) return tl::unexpected(data.error());
     decoded_ = std::move(*data);
@@ -482,7 +560,8 @@ Status FileUpload::run() {
       device_status(cudaStreamSynchronize(options_.stream), "a scene could not be copied to the device");
   if (!copied) fail(copied);
   if (!status_) return status_;
-  if (options_.validate && !decoded_) ok = check_values();
+  if (is_archive_) ok = unpack_archive();
+  if (ok && options_.validate && !decoded_) ok = check_values();
   times.device_ms = since_start() - times.host_ms - times.setup_ms;
   if (ok && options_.times != nullptr) *options_.times = times;
   return ok;
