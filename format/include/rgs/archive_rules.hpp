@@ -22,12 +22,6 @@ inline constexpr std::uint32_t kRansTokens = 76;
 inline constexpr std::uint32_t kRansTotal = 4096;
 inline constexpr std::uint8_t kMostRawBits = 12;  ///< of a number in a plane of bits of the tree
 
-/// A distribution prepared for decoding: 4.3 KiB, so that those of a plane stay in the first-level cache.
-struct RansDistribution {
-  std::array<std::uint8_t, kRansTotal> token;          ///< of each slot
-  std::array<std::uint32_t, kRansTokens> frequency{};  ///< of each token, and from bit 16 on the sum before it
-};
-
 /// Numbers 0 1 2 3 4 to signed codes 0 -1 1 -2 2.
 RGS_HD constexpr std::int16_t unfold_code(std::uint32_t z) {
   return static_cast<std::int16_t>(static_cast<std::uint16_t>(z >> 1 ^ (0u - (z & 1u))));
@@ -47,6 +41,12 @@ struct ArchiveRules {
   struct Smoothing {
     std::uint8_t recent, kept;
   };
+  /// Small, so that those of a plane stay near the processor.
+  struct Distribution {
+    static constexpr std::uint32_t kSlots = 64;
+    std::array<std::uint8_t, detail::kRansTotal / kSlots> first;  ///< token of every 64th slot
+    std::array<std::uint32_t, detail::kRansTokens> frequency;  ///< of each token, and from bit 16 on the sum before it
+  };
   struct Class {
     std::int32_t dc_step, sh_units;
   };
@@ -59,7 +59,7 @@ struct ArchiveRules {
   struct {
     std::uint32_t opacity, coarse, fine, turn, dc, sh;
   } context;                    ///< the first of each group of planes
-  std::uint32_t distributions;  ///< detail::RansDistribution [T]
+  std::uint32_t distributions;  ///< Distribution [T]
   std::uint32_t map;            ///< u8 [contexts]
   std::uint32_t classes;        ///< Class [n_classes]
   std::uint32_t opacities;      ///< FP16 [opacity_levels + 1]

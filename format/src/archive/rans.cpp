@@ -15,7 +15,7 @@ bool RansTables::assign(std::span<const std::uint16_t> frequencies) {
   for (std::size_t d = 0; d < n; ++d) {
     const auto row = frequencies.subspan(d * kRansTokens, kRansTokens);
     if (std::accumulate(row.begin(), row.end(), 0u) != kRansTotal) return false;
-    RansDistribution& to = distributions_[d];
+    Distribution& to = distributions_[d];
     std::uint8_t* slot = to.token.data();
     std::uint32_t before = 0;
     for (std::uint32_t token = 0; token < kRansTokens; ++token) {
@@ -57,7 +57,7 @@ void RansReader::refill(std::uint32_t& x) {
 
 template <bool kAmple>
 std::uint32_t RansReader::next(std::uint32_t& x, std::size_t context) {
-  const RansDistribution& d = distributions_[map_[context]];
+  const RansTables::Distribution& d = distributions_[map_[context]];
   const std::uint32_t slot = x & (kRansTotal - 1), token = d.token[slot], frequency = d.frequency[token];
   x = (frequency & 0xFFFF) * (x >> 12) + slot - (frequency >> 16);
   refill<kAmple>(x);

@@ -34,17 +34,21 @@ constexpr std::uint32_t fold_code(std::int16_t code) {
   return static_cast<std::uint16_t>(static_cast<std::uint16_t>(code << 1) ^ static_cast<std::uint16_t>(code >> 15));
 }
 
-/// Distributions prepared for decoding.
+/// Distributions prepared for decoding: 4.3 KiB each, so that those of a plane stay in the first-level cache.
 class RansTables {
  public:
   /// frequencies [n, kRansTokens]; false if a row does not sum to kRansTotal.
   bool assign(std::span<const std::uint16_t> frequencies);
-  std::uint64_t memory_bytes() const { return distributions_.capacity() * sizeof(RansDistribution); }
-  const RansDistribution& of(std::uint8_t distribution) const { return distributions_[distribution]; }
-  std::span<const RansDistribution> all() const { return distributions_; }
+  std::uint64_t memory_bytes() const { return distributions_.capacity() * sizeof(Distribution); }
+  struct Distribution {
+    std::array<std::uint8_t, kRansTotal> token;          ///< of each slot
+    std::array<std::uint32_t, kRansTokens> frequency{};  ///< of each token, and from bit 16 on the sum before it
+  };
+  const Distribution& of(std::uint8_t distribution) const { return distributions_[distribution]; }
+  std::span<const Distribution> all() const { return distributions_; }
 
  private:
-  std::vector<RansDistribution> distributions_;
+  std::vector<Distribution> distributions_;
 };
 
 /// Decodes planes of one stream. Counts every word: reading past the end gives zeros and ok() false.
@@ -85,7 +89,7 @@ class RansReader {
   template <bool kAmple>
   void refill(std::uint32_t& x);
 
-  const RansDistribution* distributions_;
+  const RansTables::Distribution* distributions_;
   std::span<const std::uint8_t> map_;
   std::array<std::uint32_t, kRansStates> states_{};
   const std::byte *at_ = nullptr, *end_ = nullptr;

@@ -94,7 +94,13 @@ ArchiveRules archive_rules(const FileView& view, std::vector<std::byte>& block) 
   for (const ArchiveClass& c : p.classes) {
     classes.push_back({static_cast<std::int32_t>(c.dc_step), static_cast<std::int32_t>(c.sh_units)});
   }
-  rules.distributions = add(t.rans.all());
+  std::vector<ArchiveRules::Distribution> distributions;
+  for (const detail::RansTables::Distribution& d : t.rans.all()) {
+    ArchiveRules::Distribution& to = distributions.emplace_back();
+    for (std::size_t i = 0; i < to.first.size(); ++i) to.first[i] = d.token[i * to.kSlots];
+    to.frequency = d.frequency;
+  }
+  rules.distributions = add(distributions);
   rules.map = add(t.map);
   rules.classes = add(classes);
   rules.opacities = add(t.opacity);

@@ -70,7 +70,7 @@ __device__ const T* array_of(const UnpackArchiveArguments& a, std::uint32_t offs
 class StreamReader {
  public:
   __device__ explicit StreamReader(const UnpackArchiveArguments& a)
-      : distributions_(array_of<RansDistribution>(a, a.rules.distributions)),
+      : distributions_(array_of<ArchiveRules::Distribution>(a, a.rules.distributions)),
         map_(array_of<std::uint8_t>(a, a.rules.map)) {}
 
   __device__ void begin(const std::byte* bytes, std::uint64_t n_bytes) {
@@ -90,8 +90,10 @@ class StreamReader {
     read(
         n, [&](std::uint32_t i) { return std::uint32_t{map_[context(i)]}; },
         [&](std::uint32_t distribution, bool active) {
-          const RansDistribution& d = distributions_[distribution];
-          const std::uint32_t slot = x_ & (kRansTotal - 1), token = d.token[slot], frequency = d.frequency[token];
+          const ArchiveRules::Distribution& d = distributions_[distribution];
+          const std::uint32_t slot = x_ & (kRansTotal - 1);
+          std::uint32_t token = d.first[slot / d.kSlots], frequency = d.frequency[token];
+          while (slot - (frequency >> 16) >= (frequency & 0xFFFF)) frequency = d.frequency[++token];
           std::uint32_t x = (frequency & 0xFFFF) * (x_ >> 12) + slot - (frequency >> 16), z = token;
           const bool refills = active && x < kRansLow, has_bits = active && token >= 32;
           const std::uint32_t n_bits = has_bits ? (token - 32) / 4 + 3 : 0;
@@ -162,7 +164,7 @@ class StreamReader {
     return 0;
   }
 
-  const RansDistribution* distributions_;
+  const ArchiveRules::Distribution* distributions_;
   const std::uint8_t* map_;
   const std::uint16_t* words_ = nullptr;
   std::uint64_t n_words_ = 0;
