@@ -73,7 +73,7 @@ class StreamReader {
       : distributions_(array_of<ArchiveRules::Distribution>(a, a.rules.distributions)),
         map_(array_of<std::uint8_t>(a, a.rules.map)) {}
 
-  __device__ void begin(const std::byte* bytes, std::uint64_t n_bytes) {
+  __device__ void begin(const std::byte* bytes, std::uint32_t n_bytes) {
     const bool whole = n_bytes >= kRansStates * sizeof(std::uint32_t) && n_bytes % 2 == 0;
     bad |= !whole;
     const auto* const states = reinterpret_cast<const std::uint32_t*>(bytes);
@@ -167,7 +167,7 @@ class StreamReader {
   const ArchiveRules::Distribution* distributions_;
   const std::uint8_t* map_;
   const std::uint16_t* words_ = nullptr;
-  std::uint64_t n_words_ = 0;
+  std::uint32_t n_words_ = 0;
   std::uint32_t at_ = 0, x_ = kRansLow;
 };
 

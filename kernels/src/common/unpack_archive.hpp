@@ -16,7 +16,7 @@ namespace rgs::cuda {
 struct ArchiveFrame {
   struct Stream {
     std::uint64_t at;
-    std::uint64_t bytes;
+    std::uint32_t bytes;
   };
   Stream means, geometry, sh;
 };
