@@ -205,14 +205,10 @@ void OutputOptions::add_to(CLI::App& app) {
                    ->check(CLI::Range(1.0, 150.0))
                    ->excludes(step)
                    ->option_text("DB");
-  app.add_option(
-         "--target-size", target.bytes,
-         "archive: find the step of the best file of at most this size (MB: 10^6, MiB: 2^20); three conversions "
-         "at most")
-      ->transform(CLI::AsSizeValue(true))
+  tool::add_bytes(app, "--target-size", target.bytes,
+                  "archive: find the step of the best file of at most this size; three conversions at most")
       ->excludes(step)
-      ->excludes(psnr)
-      ->option_text("BYTES");
+      ->excludes(psnr);
   app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: higher is slower to write and a little smaller")
       ->check(CLI::Range(1, kMaxLevel));
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
@@ -228,9 +224,8 @@ void OutputOptions::add_to(CLI::App& app) {
   app.add_option("--far", convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
 
   app.option_defaults()->group(kLevelsGroup);
-  app.add_option("--memory", memory_bytes, "Memory that --lod may take for inputs in PLY, at least 128MiB [2GiB]")
-      ->transform(CLI::AsSizeValue(false))
-      ->option_text("BYTES");
+  tool::add_bytes(app, "--memory", memory_bytes,
+                  "Memory that --lod may take for inputs in PLY, at least 128MiB [2GiB]");
   app.add_option("--scratch", convert.scratch,
                  "Folder for temporary files of --lod, about 1.2 times the size of a PLY [the output's]");
 

@@ -6,8 +6,6 @@
 #include <cstdlib>
 #include <string_view>
 
-#include "console.hpp"
-
 namespace rgs::tool {
 namespace {
 

@@ -9,6 +9,8 @@
 #include <string>
 #include <type_traits>
 
+#include "console.hpp"
+
 namespace rgs::tool {
 
 /// Formats that every reader of scenes accepts, for --help.
@@ -34,6 +36,18 @@ CLI::Validator one_of(const std::map<std::string, T>& values) {
     return "'" + text + "' is not one of " + names;
   };
   return CLI::Validator(replace, "");
+}
+
+/// Adds an option that takes a size in bytes, see parse_bytes(). `bytes`, a std::uint64_t or an optional one, must live
+/// until the command line is parsed.
+template <class Bytes>
+CLI::Option* add_bytes(CLI::App& app, const std::string& name, Bytes& bytes, const std::string& help) {
+  const auto read = [name, &bytes](const std::string& text) {
+    const auto parsed = parse_bytes(text);
+    if (!parsed) throw CLI::ValidationError(name, std::string(parsed.error().what) + ", not '" + text + "'");
+    bytes = *parsed;
+  };
+  return app.add_option_function<std::string>(name, read, help)->option_text("BYTES");
 }
 
 }  // namespace rgs::tool

@@ -272,6 +272,37 @@ Result<std::uint64_t> parse_count(std::string_view text) {
   return count;
 }
 
+Result<std::uint64_t> parse_bytes(std::string_view text) {
+  const auto refused = make_error(Errc::bad_argument, Error::kNone, "takes a size such as 8GB, below 16EiB");
+  constexpr std::string_view kDigits = "0123456789", kSpaces = " \t\r\n", kPrefixes = "kKmMgGtTpPeE";
+  const auto take = [&text](std::string_view which, std::size_t most = std::string_view::npos) {
+    const std::string_view taken = text.substr(0, std::min(most, text.find_first_not_of(which)));
+    text.remove_prefix(taken.size());
+    return taken;
+  };
+  take(kSpaces);
+  const std::string_view digits = take(kDigits);
+  const bool has_point = !take(".", 1).empty();
+  const std::string_view fraction = has_point ? take(kDigits) : std::string_view();
+  take(kSpaces);
+  std::uint64_t unit = 1;
+  if (const std::string_view prefix = take(kPrefixes, 1); !prefix.empty()) {
+    const std::uint64_t base = take("iI", 1).empty() ? 1000 : 1024;
+    for (std::size_t i = 0; i <= kPrefixes.find(prefix) / 2; ++i) unit *= base;
+  }
+  take("bB", 1);
+  take(kSpaces);
+  if (!text.empty() || has_point == fraction.empty()) return refused;
+  // Exact, from the last digit on: what a division drops is less than a byte and never makes up a whole one. `part`
+  // stays below a unit, so ten times that, at most 10 * 2^60, fits.
+  std::uint64_t part = 0;
+  for (std::size_t i = fraction.size(); i-- > 0;) part = (static_cast<unsigned>(fraction[i] - '0') * unit + part) / 10;
+  std::uint64_t whole = 0;
+  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), whole);  // an error if empty
+  if (error != std::errc() || whole > (std::numeric_limits<std::uint64_t>::max() - part) / unit) return refused;
+  return whole * unit + part;
+}
+
 Result<ImageSize> parse_size(std::string_view text) {
   ImageSize size;
   const char *first = text.data(), *last = first + text.size();

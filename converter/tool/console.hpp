@@ -78,6 +78,9 @@ std::string format_seconds(double seconds);
 /// A count with an optional decimal part and suffix k, M or G (powers of 1000, case-insensitive): 250000, 200k, 1.5M.
 /// bad_argument for anything else, a fraction of one, or above 2^64 - 1.
 Result<std::uint64_t> parse_count(std::string_view text);
+/// A size in bytes: 4096, 8GB, 3.5 MiB, 512k. A unit's B and case do not matter: kB to EB are powers of 1000, KiB to
+/// EiB of 1024. Exact, rounded down to whole bytes. bad_argument for anything else, or above 2^64 - 1.
+Result<std::uint64_t> parse_bytes(std::string_view text);
 /// An image size "1920x1080"; both sides 1..65536, else bad_argument.
 struct ImageSize {
   int width = 0, height = 0;

@@ -3,46 +3,28 @@
 #pragma once
 
 #include <CLI/CLI.hpp>
-#include <array>
-#include <charconv>
+#include <algorithm>
 #include <cstdint>
 #include <limits>
 #include <string>
 #include <string_view>
-#include <utility>
 
+#include "console.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/result.hpp"
 
 namespace rgs::tool {
 
-/// "4096": compressed data may expand to this many times the file's size. "8GB", "512MiB" (kB to TB, KiB to TiB): to
+/// "4096": compressed data may expand to this many times the file's size. "8GB", by parse_bytes() and with a unit: to
 /// this many bytes, whatever the size. Changes nothing else in `limits`. bad_argument for anything else, and 0.
 inline Status parse_max_expansion(std::string_view text, DecodeLimits& limits) {
-  constexpr std::array<std::pair<std::string_view, std::uint64_t>, 9> kUnits = {{{"kB", 1000},
-                                                                                 {"MB", 1'000'000},
-                                                                                 {"GB", 1'000'000'000},
-                                                                                 {"TB", 1'000'000'000'000},
-                                                                                 {"KiB", std::uint64_t{1} << 10},
-                                                                                 {"MiB", std::uint64_t{1} << 20},
-                                                                                 {"GiB", std::uint64_t{1} << 30},
-                                                                                 {"TiB", std::uint64_t{1} << 40},
-                                                                                 {"", 1}}};
-  constexpr std::uint64_t kMost = std::numeric_limits<std::uint64_t>::max();
-  std::uint64_t number = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-  const std::string_view unit(end, static_cast<std::size_t>(text.data() + text.size() - end));
-  for (const auto& [name, bytes] : kUnits) {
-    if (error != std::errc() || unit != name || number == 0 || number > kMost / bytes) continue;
-    if (name.empty()) {
-      limits.max_expansion = number;
-    } else {
-      limits.max_expansion = kMost;
-      limits.max_decoded_bytes = number * bytes;
-    }
-    return {};
-  }
-  return make_error(Errc::bad_argument, Error::kNone, "takes a ratio such as 4096 or a size such as 8GB");
+  const Result<std::uint64_t> number = parse_bytes(text);
+  const bool has_unit = std::ranges::any_of(text, [](char c) { return c >= 'A'; });
+  if (!number || *number == 0 || (!has_unit && text.find('.') != text.npos))
+    return make_error(Errc::bad_argument, Error::kNone, "takes a ratio such as 4096 or a size such as 8GB");
+  if (has_unit) limits.max_decoded_bytes = *number;
+  limits.max_expansion = has_unit ? std::numeric_limits<std::uint64_t>::max() : *number;
+  return {};
 }
 
 /// Adds the option; `limits` must live until the command line is parsed.

@@ -611,12 +611,8 @@ int main(int argc, char** argv) {
     app.add_option("--size", o.size, "WxH of the pictures")->capture_default_str();
     app.add_option("--fps", o.fps, "frames a second")->check(CLI::Range(0.001, 1e4))->capture_default_str();
     app.add_option("--detail", o.render.detail_px, "projected error allowed, px [1]")->check(CLI::NonNegativeNumber);
-    app.add_option("--host-memory", o.host_memory, "host memory budget [2GiB]")
-        ->transform(CLI::AsSizeValue(false))
-        ->option_text("BYTES");
-    app.add_option("--device-memory", o.device_memory, "draw on the GPU with this budget [draw on the CPU]")
-        ->transform(CLI::AsSizeValue(false))
-        ->option_text("BYTES");
+    tool::add_bytes(app, "--host-memory", o.host_memory, "host memory budget [2GiB]");
+    tool::add_bytes(app, "--device-memory", o.device_memory, "draw on the GPU with this budget [draw on the CPU]");
     app.add_option("--compare", o.compare, "also compare every Nth frame with the complete picture")
         ->check(CLI::Range(1, 1'000'000));
     app.add_option("--pictures", o.pictures, "folder for the compared frames: frame_NNNN.ppm");

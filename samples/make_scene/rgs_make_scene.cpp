@@ -281,9 +281,7 @@ int parse_and_make_scene(int argc, char** argv) {
       ->delimiter(',')
       ->check(CLI::Range(-rgs::kMaxOrigin, rgs::kMaxOrigin))
       ->option_text("X,Y,Z");
-  app.add_option("--memory", options.memory_bytes, "memory for building an .rgs, at least 128MiB [2GiB]")
-      ->transform(CLI::AsSizeValue(false))
-      ->option_text("BYTES");
+  tool::add_bytes(app, "--memory", options.memory_bytes, "memory for building an .rgs, at least 128MiB [2GiB]");
   app.add_option("--scratch", options.scratch, "folder for temporary files of an .rgs [the output's]");
   app.add_option("--threads", options.threads, "threads, 0 for all cores; the output does not depend on it")
       ->check(CLI::Range(0U, 1024U))

@@ -677,15 +677,11 @@ void add_options(CLI::App& app, Options& o) {
   app.add_flag("--overwrite", o.overwrite, "replace existing pictures");
 
   const std::string stream = "Streaming, of .rgs files with levels of detail (docs/develop/STREAMING.md)";
-  app.add_option("--host-memory", o.host_memory,
-                 "stream the pages that the views want, within this budget [2GiB for addresses; paths are read whole]")
-      ->transform(CLI::AsSizeValue(false))
-      ->option_text("BYTES")
+  tool::add_bytes(app, "--host-memory", o.host_memory,
+                  "stream the pages that the views want, within this budget [2GiB for addresses; paths are read whole]")
       ->group(stream);
-  app.add_option("--device-memory", o.device_memory,
-                 "the same on the GPU, half for pages, half for the frames' workspace; what does not fit is coarser")
-      ->transform(CLI::AsSizeValue(false))
-      ->option_text("BYTES")
+  tool::add_bytes(app, "--device-memory", o.device_memory,
+                  "the same on the GPU, half for pages, half for the frames' workspace; what does not fit is coarser")
       ->group(stream);
   auto* const wait =
       app.add_option(

@@ -331,9 +331,7 @@ void add_options(CLI::App& app, Options& o) {
       app.add_option("--export", o.export_to, "write one file with everything in it, which opens without a server")
           ->option_text("PAGE.html")
           ->group(single);
-  app.add_option("--export-limit", o.export_limit, "largest size of that file [256MiB]")
-      ->transform(CLI::AsSizeValue(false))
-      ->option_text("BYTES")
+  tool::add_bytes(app, "--export-limit", o.export_limit, "largest size of that file [256MiB]")
       ->needs(export_to)
       ->group(single);
   app.add_flag("--overwrite", o.overwrite, "replace an existing page")->needs(export_to)->group(single);
@@ -342,14 +340,11 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option("--backend", o.backend, "draw reference pictures for the page: cpu, cuda [none]")
       ->transform(tool::one_of<rgs::Backend>({{"cpu", rgs::Backend::cpu}, {"cuda", rgs::Backend::cuda}}))
       ->group(frames);
-  app.add_option("--host-memory", o.host_memory, "stream .rgs files with levels of detail within this much memory")
-      ->transform(CLI::AsSizeValue(false))
-      ->option_text("BYTES")
+  tool::add_bytes(app, "--host-memory", o.host_memory,
+                  "stream .rgs files with levels of detail within this much memory")
       ->group(frames);
-  app.add_option("--device-memory", o.device_memory,
-                 "the same on the GPU, half for pages, half for the frames' workspace")
-      ->transform(CLI::AsSizeValue(false))
-      ->option_text("BYTES")
+  tool::add_bytes(app, "--device-memory", o.device_memory,
+                  "the same on the GPU, half for pages, half for the frames' workspace")
       ->group(frames);
   app.add_option("--threads", o.threads, "CPU threads for drawing, 0 for all cores")
       ->check(CLI::Range(0, 1024))

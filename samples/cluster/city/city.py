@@ -12,8 +12,6 @@ import yaml
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.realpath(__file__)), "../scenes"))
 from scene_folder import ConfigError, SceneFolder, version
 
-UNITS = {"": 1, "kB": 1000, "MB": 1000**2, "GB": 1000**3, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
-
 
 def check_config(config, defaults_path):
     """Makes values texts, numbers where a number is meant. Refuses keys that config.yaml does not have."""
@@ -33,10 +31,11 @@ def check_config(config, defaults_path):
 
 
 def bytes_of(text):
-    found = re.fullmatch(r"(\d+) ?([kMGKi]*B?)", text)
-    if not found or found[2] not in UNITS:
+    """As the programs' options read sizes."""
+    found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*(?:([kmgtpe])(i?))?b?\s*", text.lower())
+    if not found:
         raise ConfigError(f"config: memory is a size such as 2GiB, not {text!r}")
-    return int(found[1]) * UNITS[found[2]]
+    return int(float(found[1]) * (1024 if found[3] else 1000) ** " kmgtpe".index(found[2] or " "))
 
 
 COLMAP = [os.path.join(folder, name) for folder in ("", "sparse/0", "sparse")

@@ -8,6 +8,8 @@
 #include <cerrno>
 #include <new>
 #include <stdexcept>
+#include <string>
+#include <utility>
 
 #include "text_lines.hpp"
 
@@ -92,6 +94,60 @@ TEST_CASE("counts with suffixes are exact") {
   }
 }
 
+TEST_CASE("sizes in bytes are exact, whatever their unit") {
+  constexpr std::uint64_t kMost = ~0ull;
+  const std::pair<std::string, std::uint64_t> sizes[] = {
+      {"0", 0},
+      {"4096", 4096},
+      {"007", 7},
+      {"8GB", 8'000'000'000},
+      {"8gb", 8'000'000'000},
+      {" 8 GB ", 8'000'000'000},
+      {"8G", 8'000'000'000},
+      {"12 b", 12},
+      {"512K", 512'000},
+      {"512kb", 512'000},
+      {"512KiB", 512u << 10},
+      {"512ki", 512u << 10},
+      {"3.5MB", 3'500'000},
+      {"3.5MiB", 7u << 19},
+      {"2TB", 2'000'000'000'000},
+      {"2TiB", std::uint64_t{2} << 40},
+      {"3PB", 3'000'000'000'000'000},
+      {"3eib", std::uint64_t{3} << 60},
+      // Rounded down, and exact where double is not.
+      {"1.9", 1},
+      {"0.9999kB", 999},
+      {"0.0009765624KiB", 0},
+      {"0.0009765625KiB", 1},
+      {"0.29MB", 290'000},
+      {"9007199254740993", 9'007'199'254'740'993},
+      {"9.007199254740993PB", 9'007'199'254'740'993},
+      {"0.00000000000000000000000000000000000000000000000001GB", 0},
+      {"0.9999999999999999999999999999999999999999999999999EiB", (std::uint64_t{1} << 60) - 1},
+      {"18446744073709551615", kMost},
+      {"18446744073709551615.9", kMost},
+      {"18446744073709551.615kB", kMost},
+      {"18.446744073709551615EB", kMost},
+      {"15.9999999999999999999EiB", kMost},
+      {"17179869183.999999999999GiB", kMost}};
+  for (const auto& [text, bytes] : sizes) {
+    CAPTURE(text);
+    REQUIRE(parse_bytes(text));
+    CHECK(parse_bytes(text).value() == bytes);
+  }
+  const auto refuses = [](const std::string& text) {
+    CAPTURE(text);
+    REQUIRE_FALSE(parse_bytes(text));
+    CHECK(parse_bytes(text).error().code == Errc::bad_argument);
+  };
+  for (const char* bad : {"",   " ",    "GB",   "k",      "-1",  "+1",  "nan",  "inf",  "0x10", "1e6", "1,5GB",
+                          "1.", "1.GB", ".5GB", "1.5.2B", "8XB", "8iB", "8GBB", "8kkB", "8G B", "8 8"})
+    refuses(bad);
+  for (const char* large : {"18446744073709551616", "18446744073709551.616kB", "16EiB", "99999999999999999999B"})
+    refuses(large);
+}
+
 TEST_CASE("image sizes") {
   CHECK(parse_size("1920x1080").value().width == 1920);
   CHECK(parse_size("1X65536").value().height == 65536);
@@ -123,8 +179,9 @@ TEST_CASE("--max-expansion takes a ratio, or bytes regardless of the ratio") {
   CHECK(parse("4096")->max_decoded_bytes == DecodeLimits().max_decoded_bytes);
   CHECK(parse("8GB")->decoded_bytes(1) == 8'000'000'000);
   CHECK(parse("3MiB")->decoded_bytes(std::uint64_t{1} << 50) == 3u << 20);
-  for (const char* bad : {"", "0", "0GB", "-1", "1.5", "GB", "8 GB", "8gb", "x", "1e3", "nan", "99999999999999999999",
-                          "99999999999TiB"}) {
+  CHECK(parse("1.5 gb")->decoded_bytes(1) == 1'500'000'000);
+  for (const char* bad :
+       {"", "0", "0GB", "-1", "1.5", "1.0", "GB", "x", "1e3", "nan", "99999999999999999999", "99999999999TiB"}) {
     CAPTURE(bad);
     CHECK_FALSE(parse(bad));
   }

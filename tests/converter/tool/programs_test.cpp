@@ -406,6 +406,23 @@ TEST_CASE("no option accepts an empty value, and no number that is not finite") 
   CHECK_FALSE(fs::exists(scene.file("never.ply")));
 }
 
+TEST_CASE("every option of a size in bytes says what it takes") {
+  const Scene scene;
+  int n_sizes = 0;
+  for (const std::string& path : kPrograms) {
+    CAPTURE(path);
+    for (const Option& option : options_of(path)) {
+      if (!option.text.starts_with("BYTES")) continue;
+      CAPTURE(option.name);
+      const ProgramResult result = run_program({path, scene.ply, scene.file("never.ply"), option.name + "=3.5XB"});
+      CHECK(result.exit_code == 2);
+      CHECK(result.err.find(option.name + ": takes a size such as 8GB") != std::string::npos);
+      ++n_sizes;
+    }
+  }
+  CHECK(n_sizes >= (program("rgs-view").empty() ? 5 : 8));
+}
+
 TEST_CASE("an output that is an input or another output is refused, whatever its name") {
   const Scene scene;
   const std::string hard = scene.file("hard.ply"), soft = scene.file("soft.ply"), around = scene.file("f/../scene.ply"),
