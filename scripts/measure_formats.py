@@ -24,7 +24,7 @@ from shrink_record import text
 
 # name, options of rgs-make-scene
 SCENES = [("houses", ["--gaussians", "150k"]), ("town", ["--town", "--gaussians", "300k"])]
-STEPS = (("", 0.5), (":high", 1), ("", 1.5), (":small", 2.2), ("", 3.3), (":tiny", 5))
+STEPS = (("", 0.5), (":high", 1), ("", 1.5), (":small", 2.2), ("", 3.3), (":tiny", 5.25))
 # format, name of the file, options
 WRITTEN = [("rgs packed", "packed.rgs", []), ("rgs direct", "direct.rgs", ["--profile", "direct"])]
 WRITTEN += [(f"rgs archive{preset}, step {step}", f"step{step}.rgs", ["--profile", "archive", "--archive-step", str(step)])

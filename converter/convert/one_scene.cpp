@@ -198,7 +198,7 @@ void OutputOptions::add_to(CLI::App& app) {
       ->trigger_on_parse();  // before the steps below, which override a preset's wherever they are given
   auto* step = app.add_option(
       "--archive-step", e.archive.step,
-      "archive: size of all steps, 1/16 to 64: twice as large, errors are twice as large [1; small 2.2; tiny 5]");
+      "archive: size of all steps, 1/16 to 64: twice as large, errors are twice as large [1; small 2.2; tiny 5.25]");
   auto* psnr = app.add_option("--target-psnr", target.psnr,
                               "archive: find the step of the smallest file with this PSNR, dB, that rgs-audit measures "
                               "at --cameras or at its own views; three conversions at most")

@@ -42,7 +42,7 @@ ArchiveOptions archive_small() {
 }
 
 ArchiveOptions archive_tiny() {
-  return {.step = 5};
+  return {.step = 5.25f};
 }
 
 namespace {
