@@ -22,6 +22,10 @@ Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, co
 tl::unexpected<Error> damaged_gaussian(std::uint64_t offset, const SceneScan& scan);
 /// bad_argument: a scene without Gaussians has no levels.
 tl::unexpected<Error> nothing_for_levels();
+/// limit_exceeded: an archive with levels of so many leaves takes more memory than this.
+Status check_archive_memory(const EncodeOptions& encode, std::uint64_t n_leaves, std::uint64_t memory_bytes);
+/// An error of writing levels: if it is about one Gaussian, with that leaf's position in the source, if it is known.
+Error of_source(Error error, std::span<const std::uint32_t> positions);
 /// Final checks, then renames the file. Returns the seconds spent in fsync.
 Result<double> commit_scene(AtomicFile& file, const WrittenScene& written, const ConvertOptions& options,
                             StageClock& clock);

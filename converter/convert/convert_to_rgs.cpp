@@ -253,6 +253,23 @@ tl::unexpected<Error> nothing_for_levels() {
                     "a scene without Gaussians has no levels of detail; convert it without --lod");
 }
 
+Status check_archive_memory(const EncodeOptions& encode, std::uint64_t n_leaves, std::uint64_t memory_bytes) {
+  // What LevelsWriter takes, with those above the leaves.
+  const std::uint64_t archive_bytes = 80 * n_leaves;
+  if (encode.profile != Profile::archive || archive_bytes <= memory_bytes) return {};
+  return make_error(Errc::limit_exceeded, Error::kNone,
+                    "archive with levels takes 80 bytes of memory a Gaussian; raise --memory to so many, or choose "
+                    "--profile packed",
+                    memory_bytes, archive_bytes);
+}
+
+Error of_source(Error error, std::span<const std::uint32_t> positions) {
+  if (error.code != Errc::bad_value) return error;
+  error.offset = Error::kNone;  // in a page
+  error.found = error.found < positions.size() ? positions[error.found] : Error::kNone;
+  return error;
+}
+
 Result<double> commit_scene(AtomicFile& file, const WrittenScene& written, const ConvertOptions& options,
                             StageClock& clock) {
   const Declarations& counts = written.declarations;
@@ -381,14 +398,8 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   if (scan.n_kept() == 0) {
     return nothing_for_levels();
   }
-  // What LevelsWriter takes, with those above the leaves.
-  const std::uint64_t archive_bytes = 80 * scan.n_kept();
-  if (encode.profile == Profile::archive && archive_bytes > options.memory_bytes) {
-    return make_error(Errc::limit_exceeded, Error::kNone,
-                      "archive with levels takes 80 bytes of memory a Gaussian; raise --memory to so many, or choose "
-                      "--profile packed",
-                      options.memory_bytes, archive_bytes);
-  }
+  if (const Status s = check_archive_memory(encode, scan.n_kept(), options.memory_bytes); !s)
+    return tl::unexpected(s.error());
   std::vector<float> sample;
   if (!options.cameras.empty()) {
     clock.begin("sample", stream.n, "Gaussians");
@@ -404,15 +415,7 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   if (const Status s = lod::order_leaves(stream, scan, encode, stages, levels); !s) return tl::unexpected(s.error());
   if (const Status s = lod::build_upper(encode, stages, levels); !s) return tl::unexpected(s.error());
   auto written = lod::write_tree(levels, scan, encode, stages, *file);
-  if (!written) {
-    Error error = written.error();
-    if (error.code ==
-        Errc::bad_value) {  // the offset is a position in a page; report the leaf, if it is one of the source
-      error.offset = Error::kNone;
-      error.found = error.found < levels.positions.size() ? levels.positions[error.found] : Error::kNone;
-    }
-    return tl::unexpected(error);
-  }
+  if (!written) return tl::unexpected(of_source(written.error(), levels.positions));
   const auto synced = commit_scene(*file, *written, options, clock);
   if (!synced) return tl::unexpected(synced.error());
   summary.sync_seconds = *synced;

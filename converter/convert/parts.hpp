@@ -8,7 +8,7 @@
 //   scan      scan.K    of input K: its damage, bounds and ranges of values, its hash, a sample of its means
 //   plan      plan      combines the scans and cuts the Morton curve into bins that fit into memory
 //   place     rows.K    the Gaussians of input K by bin
-//   build     range.R   the stretches of range R: leaves, levels, pages as stored
+//   build     range.R   the stretches of range R: leaves, levels, pages as stored, or as values for an archive
 //   assemble            the levels above the stretches, and the file
 // The file has the bytes of convert_to_levels(), whatever the inputs per process and the ranges.
 #pragma once

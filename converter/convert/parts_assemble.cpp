@@ -152,9 +152,9 @@ class Assembler {
         range.file.rest();
       }
     }
+    auto written = writer->finish();  // an archive is encoded here
+    if (!written) return failed(output_path, of_source(written.error(), positions_));
     run_.observer.finish();
-    auto written = writer->finish();
-    if (!written) return failed(output_path, written.error());
     return std::move(*written);
   }
 
@@ -235,6 +235,8 @@ class Assembler {
 
 Outcome<ConvertSummary> assemble_parts(const PartsRun& run, const PartsJob& job, const PartsPlan& plan,
                                        const std::string& output_path, const AtomicFile::Options& output) {
+  if (const Status s = check_archive_memory(plan.encode, plan.scan.n_kept(), run.memory_bytes); !s)
+    return failed(output_path, s.error());
   auto file = AtomicFile::create(output_path, output);
   if (!file) return failed(output_path, file.error());
   auto ranges = open_ranges(run, job, plan, stretches_of(run, job, plan).size() - 1);

@@ -71,6 +71,7 @@ E enum_of(const json& value) {
 
 json encode_json(const EncodeOptions& o) {
   json j{{"profile", enum_json(o.profile)},
+         {"archive_step", o.archive.step},  // not its threads: each process has its own
          {"level", o.level},
          {"chunk_size", o.chunk_size},
          {"chunk_step_sets", o.chunk_step_sets},
@@ -114,6 +115,7 @@ json text_json(const std::string& text) {
 EncodeOptions encode_of(const json& j) {
   EncodeOptions o;
   o.profile = enum_of<Profile>(j.at("profile"));
+  o.archive.step = j.at("archive_step");
   o.level = j.at("level");
   o.chunk_size = j.at("chunk_size");
   o.chunk_step_sets = j.at("chunk_step_sets");

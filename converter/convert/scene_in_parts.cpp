@@ -90,8 +90,6 @@ std::optional<std::string> check_parts(const ConvertArguments& a, const SceneInP
       return "--lod-partition with inputs requires --ranges N, the number of processes that may build";
     if (const char* option = a.output.target.option())
       return std::string(option) + " needs all Gaussians at once; convert in one process with --lod";
-    if (a.output.convert.encode.profile == Profile::archive)
-      return "--profile archive needs all Gaussians at once; convert in one process with --lod, or choose packed";
     if (a.output.convert.encode.order == Order::input)
       return "parts are ranges of the Morton curve; --keep-order requires one process with --lod";
     if (!scene.filter.keeps_all() || scene.level_of_detail)
@@ -234,8 +232,9 @@ int assemble_file(const PartsRun& run, const ConvertArguments& arguments) {
   const std::string& output_path = arguments.scene.output();
   const auto job = open_job(run);
   if (!job) return report_failure(job.error());
-  const auto plan = need_plan(run, *job);
+  auto plan = need_plan(run, *job);
   if (!plan) return report_failure(plan.error());
+  plan->encode.archive.threads = arguments.run.n_threads();
   tool::InputFiles inputs;
   for (const PartsInput& input : job->inputs) inputs.add_scene(input.path);
   inputs.add(run.job_path());

@@ -118,7 +118,8 @@ def reruns(folder):
     expect("a changed tile", EVERYTHING)
     wanted = by_hand(folder)
     check_city(folder, wanted)
-    expect("another profile and memory", EVERYTHING, f"options={OPTIONS} --profile direct", "memory=1 GiB")
+    expect("another profile and memory", EVERYTHING, f"options={OPTIONS} --profile archive:small", "memory=1 GiB")
+    check_city(folder, by_hand(folder, "archive.rgs", "--profile", "archive:small"))
     expect("the first again", EVERYTHING)
     check_city(folder, wanted)
     cameras = f"options={OPTIONS} --cameras cameras.json"
@@ -232,9 +233,9 @@ def refusals(folder):
     assert not os.path.exists(f"{folder}/city.work")
     # An option that the program rejects fails the first job with the program's message.
     os.remove(f"{folder}/tiles/link.ply")
-    run = Run(folder, "options=--profile archive:high")
+    run = Run(folder, "options=--keep-order")
     same((run.code, run.jobs), (1, ["begin"]))
-    assert "--profile archive needs all Gaussians at once" in run.text
+    assert "--keep-order requires one process" in run.text
 
 
 @case("the page's GNU parallel, and the steps of a Slurm array by hand")

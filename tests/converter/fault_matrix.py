@@ -42,6 +42,7 @@ def runs(program, inputs):
         ("many", lambda out: [*convert, many, out, "--to", "rgs"], False),
         ("partition", lambda out: [*convert, "--lod-partition", f"{out}/w", "--ranges", "2", "--chunk-size", "32", scene, scene], False),
         ("assemble", lambda out: [*convert, "--lod-assemble", work, f"{out}/a.rgs"], False),
+        ("assemble archive", lambda out: [*convert, "--lod-assemble", f"{work}_archive", f"{out}/a.rgs"], False),
         ("prune", lambda out: [program("rgs-prune"), scene, f"{out}/a.ply", "-c", cameras, "--keep", "50%", "--quiet", "--threads", "1"],
          False),
         ("audit", lambda out: [program("rgs-audit"), scene, asset, "--no-render", "--quiet", "--report", f"{out}/a.html", "--json",
@@ -145,9 +146,10 @@ def main():
             subprocess.run([program("rgs-make-scene"), str(inputs / path), "--gaussians", "600", "--seed", str(len(path)), "--quiet"],
                            check=True)
         subprocess.run([program("rgs-convert"), "--quiet", str(inputs / "scene.ply"), str(inputs / "scene.rgs")], check=True)
-        work = str(inputs / "work")
-        for step in (["--lod-partition", work, "--ranges", "2", "--chunk-size", "32", str(inputs / "scene.ply")], ["--lod-build", work]):
-            subprocess.run([program("rgs-convert"), "--quiet", *step], check=True)
+        for work, profile in ((str(inputs / "work"), "packed"), (str(inputs / "work_archive"), "archive")):
+            begin = ["--lod-partition", work, "--ranges", "2", "--chunk-size", "32", "--profile", profile, str(inputs / "scene.ply")]
+            for step in (begin, ["--lod-build", work]):
+                subprocess.run([program("rgs-convert"), "--quiet", *step], check=True)
         for name, command, timed in runs(program, inputs):
             if arguments.only not in (None, name) or not os.path.exists(command("")[0]):
                 continue

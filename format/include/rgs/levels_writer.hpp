@@ -79,10 +79,11 @@ class LevelsWriter::Encoder {
 };
 
 /// Encodes pages without a writer, or in another process, as records for LevelsWriter::add(). Records are valid for
-/// this version of the library alone.
+/// this version of the library alone. Those of Profile::archive, which codes all pages together, hold all values.
 class PageEncoder {
  public:
-  /// `leaves` and `options`: as for LevelsWriter::create(). Errors: check_encodable()'s, bad_argument (Profile::archive).
+  /// `leaves` and `options`: as for LevelsWriter::create(). Errors: check_encodable()'s, bad_argument (one set of SH
+  /// steps for the file with Profile::archive).
   static Result<PageEncoder> create(const SceneScan& leaves, const EncodeOptions& options);
   PageEncoder(PageEncoder&& other) noexcept;
   ~PageEncoder();

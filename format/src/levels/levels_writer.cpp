@@ -6,6 +6,7 @@
 #include <array>
 #include <cassert>
 #include <cmath>
+#include <cstddef>
 #include <cstring>
 #include <limits>
 #include <numeric>
@@ -42,6 +43,15 @@ void round_means(std::span<Splat> splats, float error) {
   }
 }
 
+Result<EncodePlan> plan_levels(const SceneScan& leaves, const EncodeOptions& options) {
+  auto plan = make_plan(leaves, options);
+  if (plan && plan->options.profile == Profile::archive && !options.chunk_step_sets) {
+    return make_error(Errc::bad_argument, Error::kNone,
+                      "archive with levels has a set of SH steps for each chunk: keep chunk_step_sets");
+  }
+  return plan;
+}
+
 struct PageBuffers {
   std::vector<Splat> splats;
   float smallest = 0, largest = 0;     // log-scale
@@ -75,6 +85,27 @@ Status take_splats(const EncodePlan& plan, const lod::Page& page, const SplatVie
       b.largest = std::max(b.largest, value);
     }
   }
+  return {};
+}
+
+// Those of a Splat before the SH that this degree does not have.
+std::uint64_t splat_bytes(int sh_degree) {
+  return offsetof(Splat, sh) + 3 * sizeof(float) * static_cast<std::uint64_t>(sh_coefficients(sh_degree));
+}
+
+// An archive codes all pages together: until then a page is its Gaussians' values.
+void keep_splats(int sh_degree, PageBuffers& b) {
+  const std::uint64_t bytes = splat_bytes(sh_degree);
+  b.rows.resize(bytes * b.splats.size());
+  for (std::size_t i = 0; i < b.splats.size(); ++i) std::memcpy(&b.rows[i * bytes], &b.splats[i], bytes);
+  b.encoded.bytes = b.rows;
+  b.encoded.xxh3 = xxh3(b.rows);
+}
+
+Status kept_splats(std::span<const std::byte> rows, int sh_degree, std::vector<Splat>& splats) {
+  const std::uint64_t bytes = splat_bytes(sh_degree);
+  if (rows.size() != bytes * splats.size()) return not_of_page();
+  for (std::size_t i = 0; i < splats.size(); ++i) std::memcpy(&splats[i], &rows[i * bytes], bytes);
   return {};
 }
 
@@ -235,11 +266,8 @@ Result<LevelsWriter> LevelsWriter::create(Sink sink, const SceneScan& leaves, co
   return guard_memory([&]() -> Result<LevelsWriter> {
     const auto bad = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
     if (leaves.n_kept() == 0) return bad("a scene without Gaussians has no levels: write it as a file without");
-    auto plan = make_plan(leaves, options);
+    auto plan = plan_levels(leaves, options);
     if (!plan) return tl::unexpected(plan.error());
-    if (plan->options.profile == Profile::archive && !options.chunk_step_sets) {
-      return bad("archive with levels has a set of SH steps for each chunk: keep chunk_step_sets");
-    }
     std::uint64_t first = 0, n_leaves = 0;
     for (lod::Page& page : pages) {
       if (chunks_of(page.count, options.chunk_size) * options.chunk_size > lod::kMaxPageRows) {
@@ -298,7 +326,7 @@ Status LevelsWriter::add(std::span<const std::byte> record) {
   State& s = *state_;
   if (!s.status) return s.status;
   return s.status = guard_memory([&]() -> Status {
-           if (s.archive() || s.n_added == s.pages().size()) {
+           if (s.n_added == s.pages().size()) {
              return make_error(Errc::bad_argument, Error::kNone, "not the next page of this writer");
            }
            EncodedPage encoded;
@@ -306,6 +334,11 @@ Status LevelsWriter::add(std::span<const std::byte> record) {
            const lod::Page& page = s.pages()[s.n_added];
            if (Status read = read_record(record, page, encoded, totals); !read) return read;
            ++s.n_added;
+           if (s.archive()) {
+             std::vector<Splat> splats(page.count);
+             if (Status kept = kept_splats(encoded.bytes, s.plan.header.sh_degree, splats); !kept) return kept;
+             return s.rows->set(page.first, splats);
+           }
            if (page.level == 0) s.leaves.add(totals);
            return s.file->add(encoded);
          });
@@ -361,11 +394,8 @@ PageEncoder::~PageEncoder() = default;
 
 Result<PageEncoder> PageEncoder::create(const SceneScan& leaves, const EncodeOptions& options) {
   return guard_memory([&]() -> Result<PageEncoder> {
-    auto plan = make_plan(leaves, options);
+    auto plan = plan_levels(leaves, options);
     if (!plan) return tl::unexpected(plan.error());
-    if (plan->options.profile == Profile::archive) {
-      return make_error(Errc::bad_argument, Error::kNone, "pages of an archive are encoded with all others");
-    }
     return PageEncoder(std::make_unique<State>(State{*std::move(plan), {}, {}}));
   });
 }
@@ -374,7 +404,11 @@ Result<std::span<const std::byte>> PageEncoder::encode(const lod::Page& page, co
   return guard_memory([&]() -> Result<std::span<const std::byte>> {
     State& s = *state_;
     if (Status taken = take_splats(s.plan, page, splats, s.buffers); !taken) return tl::unexpected(taken.error());
-    if (Status coded = encode_page(s.plan, page, s.buffers); !coded) return tl::unexpected(coded.error());
+    if (s.plan.options.profile == Profile::archive) {
+      keep_splats(s.plan.header.sh_degree, s.buffers);
+    } else if (Status coded = encode_page(s.plan, page, s.buffers); !coded) {
+      return tl::unexpected(coded.error());
+    }
     s.record = write_record(page, s.buffers);
     return std::span<const std::byte>(s.record);
   });

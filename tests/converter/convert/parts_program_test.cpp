@@ -73,7 +73,8 @@ TEST_CASE("parts by the program have the bytes of --lod, whatever the inputs and
                                          "4000000,0,5", "--translate", "0,1,0", inputs[0], inputs[2]});
   CHECK(far.exit_code == 4);
   CHECK(far.err.find("pass --allow-rounding") != std::string::npos);
-  check_same(folder, {inputs[2]}, {"--to-axes", "opengl"});
+  check_same(folder, inputs, {"--on-bad", "drop", "--profile", "archive:small", "--keep-permutation"});
+  check_same(folder, {inputs[2]}, {"--to-axes", "opengl", "--profile", "archive", "--archive-step", "3.3"});
   check_same(folder, {inputs[0]}, {"--axes", "opengl", "--metres-per-unit", "0.5"});
 }
 
@@ -146,8 +147,7 @@ TEST_CASE("options that parts cannot honour are refused before anything is writt
                     rgs = folder.file("a.rgs");
   REQUIRE(rgs_convert({ply, rgs}).exit_code == 0);
   const std::vector<std::string> begin{"--lod-partition", work, "--ranges", "2"};
-  for (const std::vector<std::string>& more : {std::vector<std::string>{"--profile", "archive", ply},
-                                               {"--keep-order", ply},
+  for (const std::vector<std::string>& more : {std::vector<std::string>{"--keep-order", ply},
                                                {"--crop", "0,0,0,1,1,1", ply},
                                                {"--max-count", "10", ply},
                                                {"--min-opacity", "0.5", ply},

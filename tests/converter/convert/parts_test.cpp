@@ -81,7 +81,8 @@ EncodeOptions with_provenance(const Scene& scene) {
 }
 
 // Converted by one process.
-Bytes at_once(const Scene& scene, const std::string& path) {
+Result<ConvertSummary> convert_at_once(const Scene& scene, const std::string& path,
+                                       std::uint64_t memory_bytes = lod::kDefaultMemory) {
   std::deque<SceneInput> inputs;
   std::vector<Tile> tiles;
   std::vector<std::uint64_t> hashes;
@@ -98,11 +99,16 @@ Bytes at_once(const Scene& scene, const std::string& path) {
   options.encode.n_source = stream->size();
   options.levels = lod::Quality::fast;
   options.build = small_stretches();
+  options.memory_bytes = memory_bytes;
   options.output = {.overwrite = true, .sync = false};
   StreamFacts facts;
   facts.origin = stream->origin();
   facts.hash = [&] { return hash_of_sources(hashes); };
-  REQUIRE(convert_to_levels(stream->stream(), facts, path, options));
+  return convert_to_levels(stream->stream(), facts, path, options);
+}
+
+Bytes at_once(const Scene& scene, const std::string& path) {
+  REQUIRE(convert_at_once(scene, path));
   return read_bytes(path);
 }
 
@@ -199,13 +205,15 @@ void write_file(const std::string& path, const Bytes& bytes) {
 TEST_CASE("parts make the bytes of one process, for any number of ranges, order, threads and memory") {
   const TemporaryFolder folder;
   Scene scene = three_tiles(folder.path());
-  for (const bool positions : {false, true}) {
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    const bool positions = profile != Profile::packed;
     scene.encode.keep_permutation = positions;
-    scene.encode.profile = positions ? Profile::direct : Profile::packed;
+    scene.encode.profile = profile;
+    scene.encode.archive.step = 1.7f;
     const Bytes whole = at_once(scene, folder.file("whole.rgs"));
     for (const std::uint32_t n_ranges : {1U, 2U, 3U, 11U}) {
       for (const int threads : {1, 2}) {
-        CAPTURE(positions);
+        CAPTURE(static_cast<int>(profile));
         CAPTURE(n_ranges);
         CAPTURE(threads);
         PartsRun run = run_in(folder.file("work"));
@@ -229,6 +237,59 @@ TEST_CASE("a scene of at most one stretch or one page has the bytes of one proce
     const Bytes whole = at_once(scene, folder.file("whole.rgs"));
     CHECK(in_parts(scene, 3, run_in(folder.file("work")), false) == whole);
   }
+}
+
+TEST_CASE("who assembles an archive has memory for all its Gaussians, as one process has") {
+  const TemporaryFolder folder;
+  Scene scene = three_tiles(folder.path());
+  scene.encode.profile = Profile::archive;
+  PartsRun run = run_in(folder.file("work"));
+  const Bytes parts = in_parts(scene, 2, run, false);
+  const auto job = open_job(run);
+  const auto plan = find_plan(run, *job);
+  const std::uint64_t enough = 80 * (*plan)->scan.n_kept();
+  const std::string no = folder.file("no.rgs"), yes = folder.file("yes.rgs");
+  run.memory_bytes = enough - 1;
+  const Failure refused = failure_of(assemble_parts(run, *job, **plan, no, {}));
+  CHECK(refused.file == no);
+  CHECK(refused.error.code == Errc::limit_exceeded);
+  CHECK(refused.error.expected == enough - 1);
+  CHECK(refused.error.found == enough);
+  const auto one = convert_at_once(scene, no, enough - 1);
+  REQUIRE_FALSE(one);
+  CHECK(std::string(one.error().what) == refused.error.what);
+  CHECK_FALSE(std::filesystem::exists(no));
+  run.memory_bytes = enough;
+  CHECK(failure_of(assemble_parts(run, *job, **plan, yes, {.sync = false})).file.empty());
+  CHECK(read_bytes(yes) == parts);
+}
+
+TEST_CASE("a Gaussian that an archive cannot hold is named by its position in the source, if that is known") {
+  const TemporaryFolder folder;
+  SplitMix random(9);
+  SplatCloud cloud = plausible_cloud(3000, 1, random);
+  cloud.sh[12 * 1234] = 1e30f;  // 12 values each
+  Scene scene;
+  scene.paths = {write_scene(folder.file("a.ply"), plausible_cloud(100, 1, random)),
+                 write_scene(folder.file("b.ply"), cloud)};
+  scene.placed.resize(2);
+  scene.encode.profile = Profile::archive;
+  scene.encode.chunk_size = 64;
+  const PartsRun run = run_in(folder.file("work"));
+  for (const bool positions : {false, true}) {
+    CAPTURE(positions);
+    scene.encode.keep_permutation = positions;
+    REQUIRE(begin_parts(run, job_of(scene, 2), true));
+    const Failure failure = all_steps(
+        run, [](auto&) {}, folder.file("no.rgs"));
+    const auto one = convert_at_once(scene, folder.file("no.rgs"));
+    REQUIRE_FALSE(one);
+    for (const Error& error : {failure.error, one.error()}) {
+      CHECK(error.code == Errc::bad_value);
+      CHECK(error.found == (positions ? 1334 : Error::kNone));
+    }
+  }
+  CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
 }
 
 TEST_CASE("finished steps and existing work are not repeated") {
@@ -294,6 +355,9 @@ TEST_CASE("work from other inputs or options is refused unless it may be overwri
   CHECK(refused(job_of(scene, 3)) == Errc::output_exists);
   Scene other = scene;
   other.encode.sh_degree = 0;
+  CHECK(refused(job_of(other, 2)) == Errc::output_exists);
+  other = scene;
+  other.encode.archive.step = 2;
   CHECK(refused(job_of(other, 2)) == Errc::output_exists);
   other = scene;
   std::swap(other.paths[0], other.paths[2]);
