@@ -290,7 +290,7 @@ int main(int argc, char** argv) {
     app.add_option("--runs", o.runs, "measured openings, after one warm-up")
         ->check(CLI::Range(1, 10000))
         ->capture_default_str();
-    app.add_option("--decode", o.decode, "where packed files are decoded: device, or host and then copied")
+    app.add_option("--decode", o.decode, "where coded files are decoded: device, or host and then copied")
         ->delimiter(',')
         ->check(CLI::IsMember({"device", "host"}))
         ->capture_default_str();
