@@ -432,7 +432,7 @@ Status FileUpload::unpack_archive() {
   std::vector<cuda::ArchiveFrame> frames;
   for (std::uint64_t i = 0; i < n_jobs_; ++i) {
     const auto stream = [&](const Part& part) -> cuda::ArchiveFrame::Stream {
-      return {job_begins_[i] + part.at, part.bytes};
+      return {job_begins_[i] + part.at, static_cast<std::uint32_t>(part.bytes)};  // as in the frame table
     };
     const Job job = job_at(i);
     frames.push_back({stream(job.parts[2]), stream(job.parts[1]), stream(job.parts[0])});
