@@ -19,7 +19,7 @@ constexpr Line kPsnr{45.2, -7.5, 0.1, 0.25};
 constexpr Line kLogBytes{2.35, -0.51, -0.01, -0.03};  // of a Gaussian
 // When only one pass is left and none has reached the target, it aims this many margins beyond.
 constexpr double kSafe = 5;
-// And the last pass by this part of its way, because the curve bends.
+// The last pass aims further by this part of its distance to the target, because the curve bends.
 constexpr double kBend = 0.05;
 
 }  // namespace

@@ -190,11 +190,11 @@ int find_auditor(const ConvertArguments& arguments, const std::string& option, s
 int check_audit(const ConvertArguments& arguments, std::string& program);
 int run_audit(const ConvertArguments& arguments, const std::string& program);
 
-/// The same for --target-psnr, which measures with rgs-audit, and --target-size.
+/// Checks --target-psnr, which measures with rgs-audit, and --target-size. Finds the program.
 int check_target(const ConvertArguments& arguments, std::string& auditor);
 /// Converts with the steps of next_step(), and gives the kept file its name. Without one nothing is written and the code
 /// is kGate.
-tl::expected<ConvertSummary, int> convert_to_target(ConvertArguments& arguments, const std::deque<SceneInput>& inputs,
+tl::expected<ConvertSummary, int> convert_to_target(ConvertArguments arguments, const std::deque<SceneInput>& inputs,
                                                     const std::string& auditor);
 
 }  // namespace rgs

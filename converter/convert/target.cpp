@@ -94,7 +94,7 @@ int check_target(const ConvertArguments& arguments, std::string& auditor) {
   return target.psnr ? find_auditor(arguments, target.option(), auditor) : tool::kSuccess;
 }
 
-tl::expected<ConvertSummary, int> convert_to_target(ConvertArguments& arguments, const std::deque<SceneInput>& inputs,
+tl::expected<ConvertSummary, int> convert_to_target(ConvertArguments arguments, const std::deque<SceneInput>& inputs,
                                                     const std::string& auditor) {
   const ArchiveTarget& target = arguments.output.target;
   AtomicFile pass, kept;
@@ -105,6 +105,8 @@ tl::expected<ConvertSummary, int> convert_to_target(ConvertArguments& arguments,
   while (const auto step = next_step(target, search.passes, n)) {
     arguments.output.convert.encode.archive.step = *step;
     auto made = convert_open(arguments, inputs, arguments.run.progress());
+    // Finer steps may not hold a Gaussian that those of the kept file do.
+    if (!made && made.error().error.code == Errc::bad_value && kept.descriptor() >= 0) break;
     if (!made) return tl::unexpected(report_failure(made.error()));
     search.passes.push_back({*step, made->output_bytes});
     if (target.psnr) {
@@ -112,9 +114,10 @@ tl::expected<ConvertSummary, int> convert_to_target(ConvertArguments& arguments,
       if (!psnr) return tl::unexpected(psnr.error());
       search.passes.back().psnr = *psnr;
     }
+    AtomicFile latest = std::exchange(pass, AtomicFile());  // at most two files at a time
     if (kept_pass(target, search.passes) != &search.passes.back()) continue;
     search.kept = search.passes.size() - 1;
-    kept = std::exchange(pass, AtomicFile());
+    kept = std::move(latest);
     summary = *std::move(made);
   }
   if (kept.descriptor() < 0) return tl::unexpected(report_missed(arguments, search.passes));

@@ -2,6 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <unistd.h>
+
 #include <string>
 #include <vector>
 
@@ -17,6 +19,7 @@ Result<std::string> sibling_program(const std::string& name);
 
 /// Runs `path` with `arguments`, sharing standard streams, where `output` may replace its standard output, and waits.
 /// Returns its exit code, 128 + number if a signal ended it. Error: internal if it cannot be started.
-Result<int> run_program_and_wait(const std::string& path, const std::vector<std::string>& arguments, int output = 1);
+Result<int> run_program_and_wait(const std::string& path, const std::vector<std::string>& arguments,
+                                 int output = STDOUT_FILENO);
 
 }  // namespace rgs::tool

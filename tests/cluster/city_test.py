@@ -120,6 +120,8 @@ def reruns(folder):
     check_city(folder, wanted)
     expect("another profile and memory", EVERYTHING, f"options={OPTIONS} --profile archive:small", "memory=1 GiB")
     check_city(folder, by_hand(folder, "archive.rgs", "--profile", "archive:small"))
+    expect("more memory for the last job", ["assemble"], f"options={OPTIONS} --profile archive:small", "memory=1 GiB",
+           "assemble_memory=2GiB")
     expect("the first again", EVERYTHING)
     check_city(folder, wanted)
     cameras = f"options={OPTIONS} --cameras cameras.json"

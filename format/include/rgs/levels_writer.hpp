@@ -17,7 +17,7 @@
 
 namespace RGS_API rgs {
 
-/// Writes one file, pages coarse to fine, with only the current page in memory. The steps:
+/// Writes one file, pages coarse to fine, with only the current page in memory, but for Profile::archive. The steps:
 ///   1. SceneScan::add() for every Gaussian of the source.
 ///   2. The tree of pages: counts, errors, parents. Leaves are the source's Gaussians in the order of a file without
 ///      levels (EncodeOptions::order), in whole chunks.

@@ -242,7 +242,8 @@ class Encoder {
     if (!(largest_of(plan_.largest_sh) <= kLargestSh)) return too_large(with_largest_sh());
     fit();
     if (Status s = count_codes(); !s) {
-      s.error().found = with_largest_sh();
+      std::uint64_t& found = s.error().found;
+      found = name_in_source(source_index, found) == Error::kNone ? Error::kNone : with_largest_sh();
       return tl::unexpected(s.error());
     }
     choose_exponents();

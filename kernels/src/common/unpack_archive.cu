@@ -3,8 +3,8 @@
 //
 // Math    rgs/archive_formulas.hpp and rgs/shape_formulas.hpp, shared with the host's decoder
 // In/Out  streams of a frame -> codes in `memory` -> rows
-// Cost    a number of a stream needs the one eight before it, some 150 cycles ago, and a frame has about 80 a Gaussian, so
-//         a frame takes some milliseconds on any device, and as many are decoded side by side as `memory` holds
+// Cost    a number of a stream needs the one eight before it, some 80 instructions, and a frame has about 80 a Gaussian, so
+//         a frame takes tens of milliseconds on any device, and as many are decoded side by side as `memory` holds
 // Launch  codes: a warp a frame, whose first eight lanes have the stream's eight states; all lanes do what is between
 //         planes. Smoothing: 64 threads a frame, a plane each. SH: 128 threads, one a Gaussian
 // Shared  SH: the matrix, 4 KB at degree 3; all lanes read the same word

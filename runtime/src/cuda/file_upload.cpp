@@ -42,8 +42,7 @@ namespace {
 constexpr std::uint64_t kPieceBytes = std::uint64_t{1} << 20;     // of sections stored as is
 constexpr std::uint64_t kRingBytes = std::uint64_t{32} << 20;     // page-locked, unless two places need more
 constexpr std::uint64_t kStagingBytes = std::uint64_t{96} << 20;  // on the device, unless two streams need more
-constexpr std::uint64_t kArchiveBytes = std::uint64_t{1}
-                                        << 30;  // likewise, to decode an archive, unless a frame needs more
+constexpr std::uint64_t kArchiveBytes = std::uint64_t{1} << 30;   // to decode an archive, unless a frame needs more
 constexpr std::uint64_t kMaxStreams = 32;
 
 constexpr std::uint64_t align(std::uint64_t bytes) {
@@ -131,8 +130,9 @@ class Queue {
 
 class FileUpload {
  public:
-  FileUpload(const FileView& file, const SectionPlaces& places, const UploadOptions& options)
-      : file_(file), places_(places), options_(options) {}
+  // `is_archive`: the device decodes it, else load_direct().
+  FileUpload(const FileView& file, const SectionPlaces& places, const UploadOptions& options, bool is_archive)
+      : file_(file), places_(places), options_(options), is_archive_(is_archive) {}
   FileUpload(const FileUpload&) = delete;
   FileUpload& operator=(const FileUpload&) = delete;
   ~FileUpload() {
@@ -164,16 +164,16 @@ class FileUpload {
   const FileView& file_;
   const SectionPlaces places_;
   const UploadOptions& options_;
+  const bool is_archive_;
   unsigned n_threads_ = 1;
-  std::optional<DirectData> decoded_;  // of Codec::archive_draco
-  bool is_archive_ = false;
+  std::optional<DirectData> decoded_;  // of another archive
   std::array<Section, 3> sections_;
   std::vector<Group> groups_;  // the slowest first
   std::uint64_t n_jobs_ = 0;
   Uploader ring_;
-  std::uint64_t largest_ = 0;  // bytes of a job
+  std::uint64_t largest_ = 256;  // bytes of a job; streams may be empty
   DeviceBuffer staging_;
-  DeviceBuffer coded_;                     // all jobs of an archive
+  DeviceBuffer coded_;                     // all jobs, of an archive
   std::vector<std::uint64_t> job_begins_;  // in it
   Event ready_;                            // the device's memory is allocated
   std::vector<Lane> lanes_;
@@ -237,22 +237,14 @@ Job FileUpload::job_at(std::uint64_t index) const {
 }
 
 Status FileUpload::prepare() {
-  std::uint64_t total = 0, first_job = 0;
-  bool is_coded = false;
-  for (const Group& group : groups_) {
-    if (group.n_jobs == 0) continue;
-    const std::uint64_t n_sizes = is_archive_ ? group.n_jobs : 1;  // of planes only the last job may be smaller
-    std::uint64_t bytes = 0;
-    for (std::uint64_t i = first_job; i < first_job + n_sizes; ++i) {
-      if (is_archive_) job_begins_.push_back(bytes);
-      const std::uint64_t of_job = job_at(i).bytes;
-      largest_ = std::max(largest_, of_job);
-      bytes += of_job;
-    }
-    first_job += group.n_jobs;
-    total += bytes * (group.n_jobs / n_sizes);
-    is_coded = is_coded || group.sections[0]->table != nullptr;
+  std::uint64_t total = 0;
+  for (std::uint64_t i = 0; i < n_jobs_; ++i) {
+    job_begins_.push_back(total);
+    const std::uint64_t bytes = job_at(i).bytes;
+    largest_ = std::max(largest_, bytes);
+    total += bytes;
   }
+  const bool is_coded = std::ranges::any_of(sections_, [](const Section& s) { return s.table != nullptr; });
   if (n_jobs_ == 0) return {};
   constexpr std::uint64_t kWorthThreads = std::uint64_t{1} << 20;
   const unsigned machine = std::max(1u, std::thread::hardware_concurrency());
@@ -379,7 +371,7 @@ Status FileUpload::fill(const Filled& filled, FrameContents& contents) const {
       continue;
     }
     if (Status s = contents.read(file_, section.type, part.index, to); !s) return s;
-    if (section.type != SectionType::sh) continue;
+    if (part.n_steps == 0) continue;
     const auto steps = relative_sh_steps(file_, part.index);
     if (!steps) return tl::unexpected(steps.error());
     std::memcpy(memory + part.steps_at, steps->data(), steps->size() * sizeof(RelativeShSteps));
@@ -526,7 +518,6 @@ Status FileUpload::run() {
   UploadTimes times;
   const auto since_start = [&] { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); };
 
-  is_archive_ = file_.archive() != nullptr && file_.archive()->codec == Codec::archive;
   if (file_.archive() != nullptr && !is_archive_) {
     auto data = load_direct(file_, {options_.validate, 0});
     if (!data) return tl::unexpected(data.error());
@@ -567,6 +558,15 @@ Status FileUpload::run() {
   return ok;
 }
 
+// An archive with frames as small as writers make them: those of a hostile file would need as much page-locked memory.
+bool device_decodes(const FileView& file) {
+  if (file.archive() == nullptr || file.archive()->codec != Codec::archive) return false;
+  const auto is_small = [](const CodedFrame& frame) { return frame.stored_bytes <= kRingBytes / 8; };
+  return file.header().n_gaussians != 0 &&
+         std::ranges::all_of(std::array{SectionType::means, SectionType::geometry, SectionType::sh},
+                             [&](SectionType type) { return std::ranges::all_of(file.frames(type).frames, is_small); });
+}
+
 // Whether the device or this process is to blame, not the file.
 bool is_of_machine(Errc code) {
   return code == Errc::host_out_of_memory || code == Errc::device_out_of_memory || code == Errc::device_failed ||
@@ -583,7 +583,11 @@ cuda::CompactAttributes compact_attributes(const Header& header, const SectionPl
 }
 
 Status upload_file(const FileView& file, const SectionPlaces& places, const UploadOptions& options) {
-  const Status uploaded = FileUpload(file, places, options).run();
+  const bool is_archive = device_decodes(file);
+  Status uploaded = FileUpload(file, places, options, is_archive).run();
+  if (is_archive && !uploaded && uploaded.error().code == Errc::device_out_of_memory) {
+    uploaded = FileUpload(file, places, options, false).run();
+  }
   if (uploaded || is_of_machine(uploaded.error().code)) return uploaded;
   const auto data = load_direct(file, {options.validate, 0});
   if (!data) return tl::unexpected(data.error());

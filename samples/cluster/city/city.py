@@ -81,7 +81,9 @@ class City:
         packed = [n for n, tile in zip(self._names, self.tiles)
                   if not tile.lower().endswith(".ply") or tile.lower().endswith(".compressed.ply")]
         self._tile_mb = max([self._folder.megabytes(name, 0, 600) for name in packed], default=0)
-        self._mb = 200 + int(1.2 * bytes_of(config["memory"]) / 1e6) + self._tile_mb
+        self.assemble_memory = config["assemble_memory"] or config["memory"]
+        self._mb, self._assemble_mb = (200 + int(1.2 * bytes_of(memory) / 1e6) + self._tile_mb
+                                       for memory in (config["memory"], self.assemble_memory))
         self._millions = [self._folder.millions(name) for name in self._names]
         self._per_range = sum(self._millions) / config["ranges"] + 1.6  # one may have a stretch more than others
         # Whatever makes another job: a changed value makes all of it again.
@@ -96,6 +98,9 @@ class City:
 
     def megabytes(self, wildcards, attempt):
         return attempt * self._mb
+
+    def assemble_megabytes(self, wildcards, attempt):
+        return attempt * self._assemble_mb
 
     def minutes(self, base, per_million, tile=None):
         """For a job on a tile, or else on a range: without other jobs on its cores."""

@@ -131,10 +131,11 @@ TEST_CASE("sizes in bytes are exact, whatever their unit") {
       {"18.446744073709551615EB", kMost},
       {"15.9999999999999999999EiB", kMost},
       {"17179869183.999999999999GiB", kMost}};
-  for (const auto& [text, bytes] : sizes) {
+  for (const auto& size : sizes) {
+    const std::string text = size.first;
     CAPTURE(text);
     REQUIRE(parse_bytes(text));
-    CHECK(parse_bytes(text).value() == bytes);
+    CHECK(parse_bytes(text).value() == size.second);
   }
   const auto refuses = [](const std::string& text) {
     CAPTURE(text);
