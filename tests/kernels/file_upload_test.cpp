@@ -146,7 +146,7 @@ TEST_CASE("an archive decodes in as many rounds as memory needs") {
   check_upload(bytes, {.allocator = allocator});
 }
 
-TEST_CASE("streams of an archive may be shorter than the steps of its chunks") {
+TEST_CASE("equal Gaussians of an archive, whose streams are shorter than the steps of their chunks") {
   if (!device_answers()) return;
   EncodeOptions options;
   options.chunk_size = 32;
