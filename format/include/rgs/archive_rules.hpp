@@ -36,7 +36,8 @@ inline constexpr std::uint32_t kStepContexts = 32;  ///< of a plane whose contex
 
 }  // namespace detail
 
-/// What a file's section ARCH says; arrays lie in a block, here are their offsets in bytes, multiples of 16.
+/// What a file's section ARCH says, in its units (ShapeParameters: 1/65536 octaves). Arrays lie in a block; here are their
+/// offsets in bytes, multiples of 16.
 struct ArchiveRules {
   struct Smoothing {
     std::uint8_t recent, kept;
@@ -67,7 +68,8 @@ struct ArchiveRules {
   std::uint32_t sh_centre;      ///< FP32 [n_sh]
 };
 
-/// Of a file whose Gaussians have Codec::archive; `block` becomes what the offsets refer to.
+/// Of an open file, checked, whose Gaussians have Codec::archive; `block` becomes what the offsets refer to. Throws
+/// std::bad_alloc alone.
 ArchiveRules archive_rules(const FileView& view, std::vector<std::byte>& block);
 
 }  // namespace rgs

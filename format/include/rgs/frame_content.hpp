@@ -34,8 +34,8 @@ class FrameContents {
   ~FrameContents();
 
   /// Decompresses frame `frame` of a Codec::planes section to `out` [frame_content_bytes()], or copies one of
-  /// Codec::archive. Safe on untrusted bytes: any content of planes of that size decodes to some rows. Errors: checksum_mismatch and, of planes, corrupt_data at the frame's offset,
-  /// host_out_of_memory.
+  /// Codec::archive. Safe on untrusted bytes: any content of planes of that size decodes to some rows. Errors:
+  /// checksum_mismatch and, of planes, corrupt_data at the frame's offset, host_out_of_memory.
   Status read(const FileView& view, SectionType type, std::uint64_t frame, std::span<std::byte> out);
 
  private:

@@ -75,12 +75,11 @@ class DeviceScene {
   /// Errors: those of FileView::chunk() and of the other overload.
   static Result<DeviceScene> upload(const DirectData& data, const UploadOptions& options = {});
   /// The same of a whole file, decoded and checked on the way: host threads decompress coded sections into a ring of
-  /// page-locked memory (32 MiB, or two frames), and the device makes rows of them and checks their values, in up to 96
-  /// MiB that it then releases. Of Profile::archive the device holds the coded sections and decodes them in up to 1 GiB,
-  /// less where memory is short. The host never holds the scene, but that of Codec::archive_draco, or of an archive for
-  /// which the device has no memory: it decodes these itself.
-  /// Always waits: the file is not used after the return. Errors: those of load_direct(), with its offsets, and of the
-  /// other overloads.
+  /// page-locked memory (32 MiB, or two frames), and the device makes rows of them and checks their values, in up to
+  /// 96 MiB that it then releases. Of Profile::archive the device holds the coded sections and decodes them in up to
+  /// 1 GiB, less where memory is short. The host never holds the scene, but that of Codec::archive_draco, or of an
+  /// archive for which the device has no memory: it decodes these itself. Always waits: the file is not used after
+  /// the return. Errors: those of load_direct(), with its offsets, and of the other overloads.
   static Result<DeviceScene> upload(const FileView& file, const UploadOptions& options = {});
 
   /// All pages that a file with levels of detail contains, in the same form, decoded and checked by host threads a few
