@@ -33,7 +33,7 @@ BUILDS_ON = {
     "pages": ["math"],
     "runtime": ["kernels", "cameras", "pages"],
     "formats": ["format", "math"],
-    "lod": ["math"],
+    "lod": ["kernels"],
     "convert": ["formats", "cameras", "lod"],
     "inspect": ["formats", "lod"],
     "audit": ["inspect", "formats", "runtime"],
@@ -48,7 +48,7 @@ INSTALLED = ["format/include", "kernels/math/include", "runtime/include", "conve
 # Include folders whose headers are a room's own, and the other folders that may use them.
 PRIVATE = {
     "format/src": ["tests/format", "tests/fuzz", "tests/memory"],
-    "kernels/src": ["runtime/src/cuda", "samples/bench", "tests/kernels", "tests/math", "tests/runtime/stream",
+    "kernels/src": ["converter/lod", "runtime/src/cuda", "samples/bench", "tests/kernels", "tests/math", "tests/runtime/stream",
                     "tests/samples/bench"],
     "runtime": ["runtime/src", "tests/runtime", "web/reader/wasm"],  # pages/
     "runtime/src": ["tests/runtime", "tests/kernels", "samples/bench"],

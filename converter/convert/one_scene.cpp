@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "convert_summary.hpp"
+#include "fit_device.hpp"
 #include "input_files.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/paged_file.hpp"
@@ -219,6 +220,11 @@ void OutputOptions::add_to(CLI::App& app) {
   app.add_flag("--lod", levels, "Add levels of detail (docs/develop/LEVELS.md)");
   app.add_option("--lod-quality", lod_quality, "best: fit the colours of levels to pictures, slower [fast]")
       ->transform(tool::one_of<lod::Quality>({{"fast", lod::Quality::fast}, {"best", lod::Quality::best}}));
+  app.add_option_function<std::string>(
+         "--backend", [this](const std::string& name) { on_cuda = name == "cuda"; },
+         "cuda: --lod-quality best fits on the GPU, whose roundings differ [cpu]")
+      ->check(CLI::IsMember({"cpu", "cuda"}))
+      ->option_text("cpu|cuda");
   app.add_option("--cameras", cameras, "Set the sort key's depth range for these cameras (docs/user/CAMERAS.md)");
   app.add_option("--near", convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);
   app.add_option("--far", convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
@@ -242,6 +248,7 @@ std::optional<std::string> OutputOptions::check() const {
     return std::string(target.option()) + " requires --profile archive";
   if (target.bytes == 0) return "--target-size must be more than 0";
   if (lod_quality && !levels) return "--lod-quality requires --lod";
+  if (on_cuda && lod_quality != lod::Quality::best) return "--backend cuda requires --lod-quality best";
   if (!levels && memory != lod::kDefaultMemory) return "--memory requires --lod";
   if (!levels && !convert.scratch.empty()) return "--scratch requires --lod";
   if (memory < lod::kLeastMemory) return "--memory must be at least 128MiB";
@@ -274,11 +281,17 @@ void OutputOptions::settle(const SceneOptions& scene, int threads) {
   if (levels) convert.levels = lod_quality.value_or(lod::Quality::fast);
 }
 
-Outcome<void> OutputOptions::read_cameras() {
-  if (cameras.empty()) return {};
-  auto read = rgs::read_cameras(cameras);
-  if (!read) return failed(cameras, read.error());
-  convert.cameras = std::move(*read);
+Outcome<void> OutputOptions::prepare() {
+  if (!cameras.empty()) {
+    auto read = rgs::read_cameras(cameras);
+    if (!read) return failed(cameras, read.error());
+    convert.cameras = std::move(*read);
+  }
+  if (on_cuda) {
+    auto opened = lod::FitDevice::create();
+    if (!opened) return failed("--backend", opened.error());
+    convert.build.device = std::move(*opened);
+  }
   return {};
 }
 
@@ -383,7 +396,7 @@ int convert_one_scene(ConvertArguments& arguments) {
   std::string auditor;
   if (const int code = check_target(arguments, auditor); code != tool::kSuccess) return code;
   if (const int code = check_audit(arguments, auditor); code != tool::kSuccess) return code;
-  if (const auto read = arguments.output.read_cameras(); !read) return report_failure(read.error());
+  if (const auto ready = arguments.output.prepare(); !ready) return report_failure(ready.error());
   const auto summary = arguments.output.target.option() != nullptr
                            ? convert_to_target(arguments, inputs->scenes, auditor)
                            : convert_open(arguments, inputs->scenes, run.progress()).map_error(report_failure);

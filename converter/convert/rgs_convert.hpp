@@ -98,6 +98,7 @@ struct OutputOptions {
   std::optional<BadPolicy> on_bad;
   bool levels = false;
   std::optional<lod::Quality> lod_quality;
+  bool on_cuda = false;
   std::optional<std::uint64_t> memory_bytes;
   std::string cameras;
   ConvertOptions convert;
@@ -110,9 +111,9 @@ struct OutputOptions {
   SplatFormat format_of(const std::string& output) const {
     return to != SplatFormat::unknown ? to : format_of_name(output);
   }
-  /// Completes `convert`, except its cameras.
+  /// Completes `convert`, except its cameras and its device.
   void settle(const SceneOptions& scene, int threads);
-  Outcome<void> read_cameras();
+  Outcome<void> prepare();  ///< cameras and device
 };
 
 struct RunOptions {

@@ -144,7 +144,7 @@ float replace(const SplatView& splats, std::uint64_t from, std::uint64_t n, std:
     append(group, centre, out);
     return 0;
   }
-  const Simplified simple = simplify(group, wanted, options.quality);
+  const Simplified simple = simplify(group, wanted, options.quality, options.device.get());
   append(simple.gaussians, centre, out);
   return simple.error;
 }

@@ -17,16 +17,6 @@ namespace {
 
 constexpr int kMostPixels = 288;  // sides of a picture
 
-constexpr int kSteps = 96, kDirections = 32;
-constexpr int kSupersampling = 4;  // of the truth
-// Step sizes of the first picture; they fall to a tenth until the last. Ten times as large, they would spoil the many
-// Gaussians that are right already.
-constexpr float kLogitStep = 0.006F;
-constexpr float kDcStep = 0.003F;
-constexpr float kShStep = 0.0008F;
-constexpr float kDecay1 = 0.9F, kDecay2 = 0.99F;
-constexpr float kLeastLogit = -9.2F, kMostLogit = 4.6F;  // opacities of 0.0001 and 0.99
-
 // Squared difference, averaged over all backgrounds b in [0, 1]: the mean of (dc + dt b)^2 is dc^2 + dc dt + dt^2 / 3.
 void differentiate(const Picture& truth, const Picture& drawn, Picture& by) {
   by.reset(truth.width(), truth.height());
@@ -51,8 +41,8 @@ class Adam {
  public:
   Adam(std::size_t n_values, std::size_t n) : n_(n), mean_(n_values * n), square_(n_values * n) {}
   void begin_step(float rate) {
-    power1_ *= kDecay1;
-    power2_ *= kDecay2;
+    power1_ *= kFitDecay1;
+    power2_ *= kFitDecay2;
     rate_ = rate;
   }
   /// Calls move(i, by) for each Gaussian; its gradient is factor * gradient[i].
@@ -63,8 +53,8 @@ class Adam {
     const float unbias = 1 / (1 - power1_), unbias_square = 1 / (1 - power2_);
     for (std::size_t i = 0; i < n_; ++i) {
       const float g = factor * gradient[i];
-      mean[i] = kDecay1 * mean[i] + (1 - kDecay1) * g;
-      square[i] = kDecay2 * square[i] + (1 - kDecay2) * g * g;
+      mean[i] = kFitDecay1 * mean[i] + (1 - kFitDecay1) * g;
+      square[i] = kFitDecay2 * square[i] + (1 - kFitDecay2) * g * g;
       move(i, -rate_ * size * mean[i] * unbias / (std::sqrt(square[i] * unbias_square) + 1e-12F));
     }
   }
@@ -105,14 +95,21 @@ Difference difference(const Picture& truth, const Picture& drawn) {
   return out;
 }
 
-void fit_colors(const Gaussians& group, Gaussians& out, float pixel) {
+std::vector<Frame> fit_frames(const Gaussians& group, float pixel) {
   std::vector<Frame> frames;
-  std::vector<Picture> truths(kDirections);
+  for (int i = 0; i < kFitDirections; ++i) {
+    frames.push_back(frame_around(group, direction(i, kFitDirections), i % 2 == 0 ? pixel : 2 * pixel, kMostPixels));
+  }
+  return frames;
+}
+
+void fit_colors(const Gaussians& group, Gaussians& out, float pixel) {
+  const std::vector<Frame> frames = fit_frames(group, pixel);
+  std::vector<Picture> truths(kFitDirections);
   Projection projection;
   Picture fine, drawn, by, scratch;
-  for (int i = 0; i < kDirections; ++i) {
-    frames.push_back(frame_around(group, direction(i, kDirections), i % 2 == 0 ? pixel : 2 * pixel, kMostPixels));
-    true_picture(group, frames.back(), kSupersampling, projection, fine, truths[static_cast<std::size_t>(i)]);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    true_picture(group, frames[i], kFitSupersampling, projection, fine, truths[i]);
   }
   const std::size_t n = out.padded();
   const int n_sh = 3 * sh_coefficients(out.sh_degree());
@@ -122,24 +119,24 @@ void fit_colors(const Gaussians& group, Gaussians& out, float pixel) {
     const float opacity = std::clamp(out.of(kOpacity)[i], 1.02e-4F, 0.99F);
     logit[i] = std::log(opacity / (1 - opacity));
   }
-  constexpr int kStride = 29;  // visits all directions, neighbours far apart in time
-  for (int step = 0; step < kSteps; ++step) {
-    const auto view = static_cast<std::size_t>(step * kStride % kDirections);
+  for (int step = 0; step < kFitSteps; ++step) {
+    const auto view = static_cast<std::size_t>(step * kFitStride % kFitDirections);
     const Frame& frame = frames[view];
     project(out, frame, kDrawn, projection);
     drawn.resize(frame.width, frame.height);
     draw(projection.dots, drawn);
     differentiate(truths[view], drawn, by);
     gradients(frame, projection.dots, by, drawn, scratch, n, slopes);
-    adam.begin_step(std::pow(0.1F, static_cast<float>(step) / kSteps));
+    adam.begin_step(std::pow(0.1F, static_cast<float>(step) / kFitSteps));
     const auto slope = [&](int gradient) { return &slopes[static_cast<std::size_t>(gradient) * n]; };
     for (std::size_t i = 0; i < n; ++i) by_logit[i] = slope(kByLogOpacity)[i] * (1 - out.of(kOpacity)[i]);
-    adam.step(0, by_logit.data(), 1, kLogitStep,
-              [&](std::size_t i, float d) { logit[i] = std::clamp(logit[i] + d, kLeastLogit, kMostLogit); });
+    adam.step(0, by_logit.data(), 1, kFitLogitStep,
+              [&](std::size_t i, float d) { logit[i] = std::clamp(logit[i] + d, kFitLeastLogit, kFitMostLogit); });
     const float* const d = frame.axes.forward;
     const auto basis = math::sh_basis(out.sh_degree(), math::Vec3<float>{d[0], d[1], d[2]});
     for (int k = 0; k < n_sh; ++k) {
-      adam.step(static_cast<std::size_t>(1 + k), slope(kByColor + k % 3), basis.y[k / 3], k < 3 ? kDcStep : kShStep,
+      adam.step(static_cast<std::size_t>(1 + k), slope(kByColor + k % 3), basis.y[k / 3],
+                k < 3 ? kFitDcStep : kFitShStep,
                 [sh = out.of(kSh + k)](std::size_t i, float change) { sh[i] += change; });
     }
     for (std::size_t i = 0; i < out.size(); ++i) out.of(kOpacity)[i] = 1 / (1 + std::exp(-logit[i]));

@@ -12,6 +12,7 @@
 
 #include "clusters.hpp"
 #include "fit.hpp"
+#include "fit_device.hpp"
 #include "measure.hpp"
 #include "views.hpp"
 
@@ -80,7 +81,7 @@ bool is_finite(const Gaussians& gaussians) {
 
 }  // namespace
 
-Simplified simplify(const Gaussians& group, std::size_t n, Quality quality) {
+Simplified simplify(const Gaussians& group, std::size_t n, Quality quality, FitDevice* device) {
   const std::vector<float> area = areas(group);
   const float pixel = footprint_of(area, n);
   const Clusters clusters = merge_neighbours(group, area, n, pixel);
@@ -91,7 +92,8 @@ Simplified simplify(const Gaussians& group, std::size_t n, Quality quality) {
   const float whole = extent(group) / kMostOfFrame;
   if (quality == Quality::best && whole < 2 * pixel) {
     Gaussians fitted = out.gaussians;
-    fit_colors(group, fitted, std::max(pixel, whole));
+    const float of_fit = std::max(pixel, whole);
+    device != nullptr ? device->fit_colors(group, fitted, of_fit) : fit_colors(group, fitted, of_fit);
     if (is_finite(fitted)) out.gaussians = std::move(fitted);
   }
 

@@ -22,7 +22,10 @@ enum class Quality : std::uint8_t {
   best,  ///< and colours and opacities fitted to pictures
 };
 
-/// Replaces `group` by at most `n` < group.size() Gaussians. Deterministic.
-Simplified simplify(const Gaussians& group, std::size_t n, Quality quality = Quality::fast);
+class FitDevice;
+
+/// Replaces `group` by at most `n` < group.size() Gaussians. Deterministic. `device`: where `best` fits; null: here.
+Simplified simplify(const Gaussians& group, std::size_t n, Quality quality = Quality::fast,
+                    FitDevice* device = nullptr);
 
 }  // namespace rgs::lod

@@ -18,6 +18,7 @@
 #include <utility>
 
 #include "core_box.hpp"
+#include "fit_device.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/spatial_order.hpp"
@@ -490,6 +491,9 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
           parts[k].resize(0, sh_degree);
           Page& page = pages[first + k];
           page = build_page(splats.view(), children, {0, end_child - first_child, wanted}, build, parts[k]);
+          if (build.device != nullptr) {
+            if (Status s = build.device->status(); !s) return s;
+          }
           page.first_child = first_child;
           for (const Page& child : children) options.advance(child.count - child.count / kWeighing);
           return {};
