@@ -6,7 +6,7 @@
 // Cost    a step reads each box once for 32 pixels, each dot twice for the tiles that it touches, and moments twice
 // Launch  keys, dots, moves: a thread an item. Pictures, slopes: a warp a tile of 8 x 4 pixels, a lane a pixel. All steps are
 //         one cooperative launch of few blocks: launches of many threads of the host would wait for each other
-// Shared  places of the dots of a tile, a list a warp
+// Shared  dots of a tile, a batch a warp
 // Order   deterministic: slopes of tiles are added as integers
 #include <cooperative_groups.h>
 
@@ -25,9 +25,9 @@ namespace {
 
 constexpr int kThreads = 128, kStepThreads = 256;
 // A step's tile is small and its dots are shared out, because lists are long where pictures are small.
-constexpr int kStepTileWidth = 4, kStepTileHeight = 2, kStepPixels = kStepTileWidth * kStepTileHeight;
+constexpr int kStepTileWidth = 2, kStepTileHeight = 2, kStepPixels = kStepTileWidth * kStepTileHeight;
 constexpr int kParts = 32 / kStepPixels;
-constexpr std::uint32_t kBatch = 256;      // dots of a tile
+constexpr std::uint32_t kBatch = 128;      // dots of a tile
 constexpr std::uint32_t kMostBlocks = 32;  // of a fit: several run side by side
 constexpr int kTileWidth = 8, kTileHeight = 4;
 constexpr float kSlopeUnit = 4294967296.F, kMostSlope = 1e6F;
@@ -212,24 +212,46 @@ __device__ void place_in(const View& view, const FitGaussians& g, std::uint32_t 
   view.boxes[view.ranks[i]] = box;
 }
 
-// Lists the dots whose boxes meet the tile, front to back, kBatch at a time: visit(list, n) by all lanes.
+// Dots of a tile, front to back, and their places among all.
+struct Batch {
+  std::uint32_t places[kBatch];
+  FitDot dots[kBatch];
+};
+
+// Calls visit(n) for each batch of the tile's dots; by all lanes. Returns the number of batches.
 template <class Visit>
-__device__ void each_batch(const View& view, std::uint32_t n, int x0, int y0, std::uint32_t* list, const Visit& visit) {
+__device__ int each_batch(const View& view, std::uint32_t n, int x0, int y0, Batch& batch, const Visit& visit) {
+  constexpr int kAhead = 4;  // boxes are far away: some are read before they are needed
   const unsigned lane = threadIdx.x % 32;
   std::uint32_t listed = 0;
-  for (std::uint32_t base = 0; base < n; base += 32) {
-    const std::uint32_t i = base + lane;
-    const FitBox box = i < n ? view.boxes[i] : FitBox{};
-    const bool meets = box.x0 < x0 + kStepTileWidth && x0 < box.x1 && box.y0 < y0 + kStepTileHeight && y0 < box.y1;
-    const unsigned met = __ballot_sync(kFullWarp, meets);
-    if (meets) list[listed + static_cast<std::uint32_t>(__popc(met & ((1U << lane) - 1)))] = i;
-    listed += static_cast<std::uint32_t>(__popc(met));
-    if (listed <= kBatch - 32 && base + 32 < n) continue;
-    __syncwarp();
-    if (listed > 0) visit(list, listed);
-    __syncwarp();
-    listed = 0;
+  int batches = 0;
+  for (std::uint32_t base = 0; base < n; base += 32 * kAhead) {
+    FitBox boxes[kAhead];
+#pragma unroll
+    for (int k = 0; k < kAhead; ++k) {
+      const std::uint32_t i = base + 32 * static_cast<std::uint32_t>(k) + lane;
+      boxes[k] = i < n ? view.boxes[i] : FitBox{};
+    }
+#pragma unroll
+    for (int k = 0; k < kAhead; ++k) {
+      const FitBox& box = boxes[k];
+      const bool meets = box.x0 < x0 + kStepTileWidth && x0 < box.x1 && box.y0 < y0 + kStepTileHeight && y0 < box.y1;
+      const unsigned met = __ballot_sync(kFullWarp, meets);
+      const std::uint32_t i = base + 32 * static_cast<std::uint32_t>(k) + lane;
+      if (meets) batch.places[listed + static_cast<std::uint32_t>(__popc(met & ((1U << lane) - 1)))] = i;
+      listed += static_cast<std::uint32_t>(__popc(met));
+      const bool is_last = k == kAhead - 1 && base + 32 * kAhead >= n;
+      if (listed <= kBatch - 32 && !(is_last && listed > 0)) continue;
+      __syncwarp();
+      for (std::uint32_t j = lane; j < listed; j += 32) batch.dots[j] = view.dots[batch.places[j]];
+      __syncwarp();
+      visit(listed);
+      __syncwarp();
+      listed = 0;
+      ++batches;
+    }
   }
+  return batches;
 }
 
 // Of the dots of a part, and of all parts before it: colour through what is in front, and what remains.
@@ -254,7 +276,7 @@ __device__ Through before_part(Through part, Through& all) {
 }
 
 // Adds the slopes of a tile; by a warp, each part of which takes a part of the dots.
-__device__ void add_slopes(const View& view, int tile, std::uint32_t n, std::uint32_t stride, std::uint32_t* list,
+__device__ void add_slopes(const View& view, int tile, std::uint32_t n, std::uint32_t stride, Batch& batch,
                            std::int64_t* slopes) {
   const FitFrame& frame = view.frame;
   const int tiles_across = (frame.width + kStepTileWidth - 1) / kStepTileWidth;
@@ -267,10 +289,12 @@ __device__ void add_slopes(const View& view, int tile, std::uint32_t n, std::uin
     for (std::uint32_t i = part * listed / kParts; i < (part + 1) * listed / kParts; ++i) visit(i);
   };
   float drawn[3] = {0, 0, 0}, transmittance = 1;
-  each_batch(view, n, x0, y0, list, [&](const std::uint32_t* dots, std::uint32_t listed) {
+  std::uint32_t last = 0;
+  const int batches = each_batch(view, n, x0, y0, batch, [&](std::uint32_t listed) {
     float color[3] = {0, 0, 0}, left = 1;
+    last = listed;
     each_of_part(listed, [&](std::uint32_t i) {
-      const FitDot& dot = view.dots[dots[i]];
+      const FitDot& dot = batch.dots[i];
       const float weight = alpha_at(dot, x, y) * left;
       left -= weight;
 #pragma unroll
@@ -303,10 +327,10 @@ __device__ void add_slopes(const View& view, int tile, std::uint32_t n, std::uin
     return by_covered + by_color[0] * dot.color[0] + by_color[1] * dot.color[1] + by_color[2] * dot.color[2];
   };
   transmittance = 1;
-  each_batch(view, n, x0, y0, list, [&](const std::uint32_t* dots, std::uint32_t listed) {
+  const auto add = [&](std::uint32_t listed) {
     Through of_part{0, 1}, all;
     each_of_part(listed, [&](std::uint32_t i) {
-      const FitDot& dot = view.dots[dots[i]];
+      const FitDot& dot = batch.dots[i];
       const float weight = alpha_at(dot, x, y) * of_part.transmittance;
       of_part.transmittance -= weight;
       of_part.value += weight * value_of_dot(dot);
@@ -319,8 +343,8 @@ __device__ void add_slopes(const View& view, int tile, std::uint32_t n, std::uin
     const std::uint32_t first = part * listed / kParts, end = (part + 1) * listed / kParts;
     for (std::uint32_t turn = 0; turn < (listed + kParts - 1) / kParts; ++turn) {
       const bool is_dot = first + turn < end;
-      const std::uint32_t at = dots[is_dot ? first + turn : 0];
-      const FitDot& dot = view.dots[at];
+      const std::uint32_t at = is_dot ? first + turn : 0;
+      const FitDot& dot = batch.dots[at];
       const float alpha = is_dot ? alpha_at(dot, x, y) : 0, weight = alpha * left, value = value_of_dot(dot);
       behind -= weight * value;
       const float by_log = alpha < math::kAlphaMax ? alpha * (left * value - behind / (1 - alpha)) : 0;
@@ -331,15 +355,17 @@ __device__ void add_slopes(const View& view, int tile, std::uint32_t n, std::uin
 #pragma unroll
         for (int step = 1; step < kStepPixels; step *= 2) sum += __shfl_xor_sync(kFullWarp, sum, step);
       }
-      // Four lanes of each part add a sum each.
+      static_assert(kStepPixels == 4);  // each lane of a part adds a sum
       const float mine = pixel == 0 ? sums[0] : pixel == 1 ? sums[1] : pixel == 2 ? sums[2] : sums[3];
-      if (pixel >= 4 || mine == 0) continue;
-      auto* const to = slopes + static_cast<std::size_t>(pixel) * stride + view.items[at];
+      if (mine == 0) continue;
+      auto* const to = slopes + static_cast<std::size_t>(pixel) * stride + view.items[batch.places[at]];
       atomicAdd(
           reinterpret_cast<unsigned long long*>(to),
           static_cast<unsigned long long>(__float2ll_rn(fminf(fmaxf(mine, -kMostSlope), kMostSlope) * kSlopeUnit)));
     }
-  });
+  };
+  // The only batch is still there.
+  batches == 1 ? add(last) : static_cast<void>(each_batch(view, n, x0, y0, batch, add));
 }
 
 struct Step {
@@ -359,28 +385,40 @@ __device__ void move(const View& view, const FitGaussians& g, std::uint32_t i, c
     slopes[k] = counts ? static_cast<float>(sum) / kSlopeUnit : 0;
     sum = 0;
   }
-  const auto change = [&](int value, float slope, float size) {
-    const std::size_t at = static_cast<std::size_t>(value) * g.stride + i;
-    const float mean = rules.decay1 * state.means[at] + (1 - rules.decay1) * slope;
-    const float square = rules.decay2 * state.squares[at] + (1 - rules.decay2) * slope * slope;
-    state.means[at] = mean, state.squares[at] = square;
-    return -step.rate * size * mean * step.unbias / (sqrtf(square * step.unbias_square) + 1e-12F);
+  const auto at = [&](int value) { return static_cast<std::size_t>(value) * g.stride + i; };
+  // Updates both moments and returns the change.
+  const auto change = [&](float& mean, float& square, float slope, float size) {
+    mean = rules.decay1 * mean + (1 - rules.decay1) * slope;
+    square = rules.decay2 * square + (1 - rules.decay2) * slope * slope;
+    return -step.rate * size * mean * step.unbias * rsqrtf(fmaxf(square * step.unbias_square, 1e-24F));
   };
-  float& opacity = g.values[static_cast<std::size_t>(kFitOpacity) * g.stride + i];
+  float& opacity = g.values[at(kFitOpacity)];
   float& logit = state.logits[i];
-  logit =
-      fminf(fmaxf(logit + change(0, slopes[0] * (1 - opacity), rules.logit_step), rules.least_logit), rules.most_logit);
+  const float by_logit = change(state.means[i], state.squares[i], slopes[0] * (1 - opacity), rules.logit_step);
+  logit = fminf(fmaxf(logit + by_logit, rules.least_logit), rules.most_logit);
   opacity = 1 / (1 + expf(-logit));
   const auto basis = math::sh_basis(
       g.sh_degree, math::Vec3<float>{view.frame.forward[0], view.frame.forward[1], view.frame.forward[2]});
-  const int n_coefficients = (g.sh_degree + 1) * (g.sh_degree + 1);
+  const int n_harmonics = 3 * (g.sh_degree + 1) * (g.sh_degree + 1);
+  constexpr int kFew = 12;  // memory is far away: a few values are read before any is written
 #pragma unroll
-  for (int k = 0; k < 16; ++k) {
-    if (k >= n_coefficients) break;
+  for (int first = 0; first < 48; first += kFew) {
+    float means[kFew], squares[kFew], values[kFew];
 #pragma unroll
-    for (int c = 0; c < 3; ++c) {
-      g.values[static_cast<std::size_t>(kFitSh + 3 * k + c) * g.stride + i] +=
-          change(1 + 3 * k + c, basis.y[k] * slopes[1 + c], k == 0 ? rules.dc_step : rules.sh_step);
+    for (int k = 0; k < kFew; ++k) {
+      if (first + k >= n_harmonics) break;
+      means[k] = state.means[at(1 + first + k)];
+      squares[k] = state.squares[at(1 + first + k)];
+      values[k] = g.values[at(kFitSh + first + k)];
+    }
+#pragma unroll
+    for (int k = 0; k < kFew; ++k) {
+      if (first + k >= n_harmonics) break;
+      values[k] += change(means[k], squares[k], basis.y[(first + k) / 3] * slopes[1 + (first + k) % 3],
+                          first + k < 3 ? rules.dc_step : rules.sh_step);
+      state.means[at(1 + first + k)] = means[k];
+      state.squares[at(1 + first + k)] = squares[k];
+      g.values[at(kFitSh + first + k)] = values[k];
     }
   }
 }
@@ -390,9 +428,11 @@ __global__ void __launch_bounds__(kStepThreads)
                  const __grid_constant__ FitRules rules, const __grid_constant__ FitState state, const FitDots even,
                  const FitDots odd) {
   const cooperative_groups::grid_group grid = cooperative_groups::this_grid();
-  __shared__ std::uint32_t lists[kStepThreads / 32][kBatch];
+  __shared__ Batch batches[kStepThreads / 32];
   const FitDots dots[2] = {even, odd};
-  const std::uint32_t thread = blockIdx.x * kStepThreads + threadIdx.x, threads = gridDim.x * kStepThreads;
+  // Warps of a block are far apart, so that few Gaussians keep all blocks busy.
+  const std::uint32_t warp = threadIdx.x / 32 * gridDim.x + blockIdx.x, warps = gridDim.x * (kStepThreads / 32);
+  const std::uint32_t thread = 32 * warp + threadIdx.x % 32, threads = 32 * warps;
   const auto view = [&](int step) { return view_of(views, dots, g.n, step, rules.stride); };
   for (std::uint32_t i = thread; i < g.n; i += threads) {
     const float opacity = fminf(fmaxf(value_of(g, kFitOpacity, i), 1.02e-4F), 0.99F);
@@ -405,8 +445,8 @@ __global__ void __launch_bounds__(kStepThreads)
     const std::uint32_t tiles =
         static_cast<std::uint32_t>((now.frame.width + kStepTileWidth - 1) / kStepTileWidth *
                                    ((now.frame.height + kStepTileHeight - 1) / kStepTileHeight));
-    for (std::uint32_t tile = thread / 32; tile < tiles; tile += threads / 32)
-      add_slopes(now, static_cast<int>(tile), g.n, g.stride, lists[threadIdx.x / 32], state.slopes);
+    for (std::uint32_t tile = warp; tile < tiles; tile += warps)
+      add_slopes(now, static_cast<int>(tile), g.n, g.stride, batches[threadIdx.x / 32], state.slopes);
     grid.sync();
     const auto taken = static_cast<float>(at + 1);
     const Step step{powf(0.1F, static_cast<float>(at) / static_cast<float>(rules.steps)),
