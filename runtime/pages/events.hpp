@@ -64,17 +64,12 @@ struct Lists {
 struct Frame {
   ViewId view;
 };
-enum class Fit : std::uint8_t {
-  unknown,
-  tight,      ///< it fitted the renderer's memory
-  roomy,      ///< with a quarter to spare
-  too_large,  ///< it did not fit
-};
 struct FrameEnds {
   ViewId view;
   std::span<const std::uint32_t> pages;
   std::uint64_t gaussians;  ///< Cut::gaussians
-  Fit fit;
+  /// Gaussians that fit the renderer's memory, as far as this frame shows: fewer than it has if it did not fit.
+  std::uint64_t fitting;
 };
 /// A caller waits until the view is complete, or its time is up: Refined.
 struct Waits {

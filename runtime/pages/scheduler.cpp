@@ -202,11 +202,9 @@ void Scheduler::on(const event::Frame& frame) {
 void Scheduler::on(const event::FrameEnds& ends) {
   View& view = views_[ends.view];
   scene_of(view).residency->unpin(ends.pages);
-  if (ends.fit == event::Fit::too_large) {
-    view.most_gaussians = ends.gaussians - ends.gaussians / 4;
-  } else if (ends.fit == event::Fit::roomy && view.now.detail_px > view.asked_px) {
-    view.most_gaussians += std::min(view.most_gaussians / 8, kNoLimit - view.most_gaussians);
-  }
+  const bool fits = ends.fitting >= ends.gaussians;
+  view.most_gaussians = fits && !view.is_guess ? std::max(view.most_gaussians, ends.fitting) : ends.fitting;
+  view.is_guess = !fits;
   view.seen = now_;
   --view.n_busy;
   if (std::exchange(waits_for_pins_, false)) changed();

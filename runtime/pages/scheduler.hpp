@@ -119,6 +119,7 @@ class Scheduler {
     std::optional<Eye> ahead;  // where the camera is about to be
     float asked_px = 0;
     std::uint64_t most_gaussians = kNoLimit;  // that fit the renderer's memory, as it seems
+    bool is_guess = false;                    // no frame has fitted since one did not
     WantList wants, prefetch;
     int frames_since_prefetch = 0;
     std::uint64_t n_in_flight = 0;              // groups that it wants

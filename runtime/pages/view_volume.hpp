@@ -23,8 +23,8 @@ class ViewVolume {
  private:
   struct Plane {
     std::array<double, 3> normal{};  ///< outwards, in the scene's axes
+    std::array<double, 3> reach{};   ///< of a box's Gaussians along the normal, per unit of its half extents
     double offset = 0;
-    double reach = 0;     ///< of a Gaussian, along the normal, per unit of three standard deviations
     double rounding = 0;  ///< of the picture's arithmetic, per unit of distance
     bool operator==(const Plane&) const = default;
   };

@@ -144,7 +144,7 @@ std::span<const double> Wire::step(std::span<const double> events, double now) {
         const ViewId view = in.index();
         const Frame frame = std::move(views_[view].frames.front());
         views_[view].frames.erase(views_[view].frames.begin());
-        tell(event::FrameEnds{view, frame.pages, frame.gaussians, event::Fit::unknown});
+        tell(event::FrameEnds{view, frame.pages, frame.gaussians, frame.gaussians});
         break;
       }
       case WireEvent::idle: tell(event::Idle{scene_}); break;

@@ -312,8 +312,9 @@ Result<FrameStats> Renderer::render_streamed(const Scene& scene, const Camera& c
       auto stats = impl_->cuda ? impl_->render(*frame, scene, camera, target, options)
                                : impl_->reference->render({scene.sh_degree(), scene.origin(), frame->parts()}, camera,
                                                           target, rule->settings);
-      if (impl_->cuda && (stats || stats.error().code == Errc::device_out_of_memory)) frame->drawn(stats.has_value());
+      if (stats && impl_->cuda) frame->drawn(stats->bytes);
       if (!stats && stats.error().code == Errc::device_out_of_memory) {
+        frame->did_not_fit();
         if (frame->n_pages() > 1) continue;  // coarser
         return make_error(Errc::device_out_of_memory, Error::kNone,
                           "the device memory of the scene's pool has no room for a frame of this size: raise it, or "

@@ -146,6 +146,7 @@ Result<StreamFrame> StreamFrame::begin(std::shared_ptr<StreamedState> state, std
   frame.lists_ = std::exchange(view.lists, {});
   frame.n_pages_ = view.n_drawn;
   frame.cut_ = s.pool->scheduler->last_cut(view.id);
+  frame.fitting_ = frame.cut_.gaussians;
   frame.lists_.parts.clear(), frame.lists_.chunks.clear();
   for (const std::uint32_t page : std::span(frame.lists_.pages).first(view.n_drawn)) {
     if (s.store->is_on_device()) {
@@ -164,7 +165,8 @@ Result<StreamFrame> StreamFrame::begin(std::shared_ptr<StreamedState> state, std
 StreamFrame::~StreamFrame() {
   if (state_ == nullptr) return;
   const std::scoped_lock lock(state_->pool->mutex);
-  state_->pool->tell(pages::event::FrameEnds{view_->id, std::span(lists_.pages).first(n_pages_), cut_.gaussians, fit_});
+  const auto list = std::span(lists_.pages).first(n_pages_);
+  state_->pool->tell(pages::event::FrameEnds{view_->id, list, cut_.gaussians, fitting_});
   // Another frame of the view may have made lists of its own.
   const bool is_longer = view_->lists.pages.size() < lists_.pages.size();
   if (is_longer) std::swap(view_->lists, lists_);
@@ -172,10 +174,10 @@ StreamFrame::~StreamFrame() {
   if (is_longer) state_->offer(*view_);
 }
 
-void StreamFrame::drawn(bool fits) {
+void StreamFrame::drawn(std::uint64_t bytes) {
   const FrameWorkspace& workspace = slots()->workspace();
-  const bool is_roomy = workspace.held() < workspace.bytes() - workspace.bytes() / 4;
-  fit_ = !fits ? pages::event::Fit::too_large : is_roomy ? pages::event::Fit::roomy : pages::event::Fit::tight;
+  const std::uint64_t free = workspace.bytes() - workspace.held();
+  fitting_ += free / 4 * 3 / (bytes / cut_.gaussians + 1);  // not all: buffers grow by more than they need
 }
 
 Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera& camera, const StreamRule& rule,

@@ -143,9 +143,10 @@ class StreamFrame {
   const DeviceSlots* slots() const { return state_->store->slots().get(); }
   const pages::Cut& cut() const { return cut_; }
   const StreamStats& stats() const { return stats_; }
-  /// Call once it is drawn or did not fit the workspace: the view's next frame has fewer Gaussians, or more if there
-  /// is room.
-  void drawn(bool fits);
+  /// Call once it is drawn on a device: `bytes` of the workspace, without pictures, hold it.
+  void drawn(std::uint64_t bytes);
+  /// Call if the workspace is too small: the view's next frame has fewer Gaussians.
+  void did_not_fit() { fitting_ = cut_.gaussians * 3 / 4; }
 
  private:
   StreamFrame() = default;
@@ -154,7 +155,7 @@ class StreamFrame {
   DrawLists lists_;  // its pages are pinned
   std::size_t n_pages_ = 0;
   pages::Cut cut_;
-  pages::event::Fit fit_ = pages::event::Fit::unknown;
+  std::uint64_t fitting_ = 0;  // FrameEnds
   StreamStats stats_;
 };
 

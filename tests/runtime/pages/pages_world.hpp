@@ -235,11 +235,13 @@ class World {
     for (const std::uint32_t page : frame.pages) ++view->scene->pins[page];
     return frames.emplace_back(std::move(frame));
   }
-  void end_frame(std::size_t i, pages::event::Fit fit = pages::event::Fit::unknown) {
+  /// `fitting`: Gaussians for each that the frame has.
+  void end_frame(std::size_t i, double fitting = 1) {
     const Frame frame = std::move(frames[i]);
     frames.erase(frames.begin() + static_cast<std::ptrdiff_t>(i));
     for (const std::uint32_t page : frame.pages) --frame.view->scene->pins[page];
-    tell(pages::event::FrameEnds{frame.view->id, frame.pages, frame.gaussians, fit});
+    tell(pages::event::FrameEnds{frame.view->id, frame.pages, frame.gaussians,
+                                 static_cast<std::uint64_t>(fitting * static_cast<double>(frame.gaussians))});
   }
   /// Draws one frame, and returns its pages.
   std::vector<std::uint32_t> draw(View* view, const pages::Look& camera, bool grows = true) {

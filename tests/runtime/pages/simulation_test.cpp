@@ -133,9 +133,7 @@ class Chaos {
   void end_due() {
     for (std::size_t i = world_.frames.size(); i-- > 0;) {
       if (world_.frames[i].due > world_.now) continue;
-      using pages::event::Fit;
-      const Fit fits[] = {Fit::unknown, Fit::tight, Fit::roomy, Fit::too_large};
-      world_.end_frame(i, fits[random_.below(4)]);
+      world_.end_frame(i, std::array{0.75, 1.0, 1.25}[random_.below(3)]);
     }
     for (const auto& view : world_.views) {
       if (!view->is_waiting) continue;
@@ -187,10 +185,8 @@ class Chaos {
       // One view alone, so that all of the budget is its own.
       world_.now += 2 * pages::kViewLives;
       world_.look(view.get(), look_from(50, -20, 30, 0, static_cast<float>(std::exp2(random_.uniform(0, 5)))));
-      for (int n = 0; n < 3; ++n) {  // the workspace may have been small: more fits from frame to frame
-        world_.begin_frame(view.get());
-        world_.end_frame(0, pages::event::Fit::roomy);
-      }
+      world_.begin_frame(view.get());
+      world_.end_frame(0, 1e6);  // the workspace may have been small
       world_.settle();
       world_.wait(view.get(), world_.now + 1h);
       world_.settle();

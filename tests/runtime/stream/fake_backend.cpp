@@ -139,7 +139,9 @@ Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camer
   if (!settings) return tl::unexpected(settings.error());
   const std::array parts{ScenePart{draw.gaussians, drawn.mean.data(), drawn.rotation.data(), drawn.scale.data(),
                                    drawn.opacity.data(), drawn.sh.data()}};
-  return impl_->renderer.render({shape.sh_degree, draw.declarations.origin, parts}, camera, target, *settings);
+  auto stats = impl_->renderer.render({shape.sh_degree, draw.declarations.origin, parts}, camera, target, *settings);
+  if (stats) stats->bytes = draw.slots.workspace().held();
+  return stats;
 }
 Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene&, std::span<const Camera>, const PictureArrays&,
                                                         const RenderOptions&) {
