@@ -140,6 +140,7 @@ TEST_CASE("--lod adds levels to the Gaussians, which do not change") {
   }
   CHECK(rgs_convert({"--lod", ply, folder.file("no.ply")}).exit_code == 2);
   CHECK(rgs_convert({"--lod-quality", "best", ply, folder.file("no.rgs")}).exit_code == 2);
+  CHECK(rgs_convert({"--lod", "--backend", "cuda", ply, folder.file("no.rgs")}).exit_code == 2);
   CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
 }
 
