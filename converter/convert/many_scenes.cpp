@@ -124,7 +124,7 @@ int ManyScenes::convert(ConvertArguments& arguments) {
   }
   for (std::string& state : state_files(scenes.output(), batch)) outputs.push_back(std::move(state));
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
-  if (const auto ready = output.prepare(); !ready) return report_failure(ready.error());
+  if (const auto read = output.read_cameras(); !read) return report_failure(read.error());
   if (planned->scenes.empty())
     return tool::report_usage(list.empty() ? "no scene in " + scenes.files.front() : "no scene is named in " + list);
   batch.threads = run.n_threads();

@@ -281,17 +281,11 @@ void OutputOptions::settle(const SceneOptions& scene, int threads) {
   if (levels) convert.levels = lod_quality.value_or(lod::Quality::fast);
 }
 
-Outcome<void> OutputOptions::prepare() {
-  if (!cameras.empty()) {
-    auto read = rgs::read_cameras(cameras);
-    if (!read) return failed(cameras, read.error());
-    convert.cameras = std::move(*read);
-  }
-  if (on_cuda) {
-    auto opened = lod::FitDevice::create();
-    if (!opened) return failed("--backend", opened.error());
-    convert.build.device = std::move(*opened);
-  }
+Outcome<void> OutputOptions::read_cameras() {
+  if (cameras.empty()) return {};
+  auto read = rgs::read_cameras(cameras);
+  if (!read) return failed(cameras, read.error());
+  convert.cameras = std::move(*read);
   return {};
 }
 
@@ -368,6 +362,11 @@ Outcome<OpenInputs> open_inputs(ConvertArguments& arguments) {
 
 Outcome<ConvertSummary> convert_open(ConvertArguments& arguments, const std::deque<SceneInput>& inputs,
                                      tool::Progress::Mode mode) {
+  if (arguments.output.on_cuda && arguments.output.convert.build.device == nullptr) {
+    auto opened = lod::FitDevice::create();  // not before: a device does not survive the fork of a batch
+    if (!opened) return failed("--backend", opened.error());
+    arguments.output.convert.build.device = std::move(*opened);
+  }
   tool::Progress progress(mode);
   std::uint64_t source_bytes = 0;
   for (const SceneInput& input : inputs) source_bytes += input.bytes().size();
@@ -396,7 +395,7 @@ int convert_one_scene(ConvertArguments& arguments) {
   std::string auditor;
   if (const int code = check_target(arguments, auditor); code != tool::kSuccess) return code;
   if (const int code = check_audit(arguments, auditor); code != tool::kSuccess) return code;
-  if (const auto ready = arguments.output.prepare(); !ready) return report_failure(ready.error());
+  if (const auto read = arguments.output.read_cameras(); !read) return report_failure(read.error());
   const auto summary = arguments.output.target.option() != nullptr
                            ? convert_to_target(arguments, inputs->scenes, auditor)
                            : convert_open(arguments, inputs->scenes, run.progress()).map_error(report_failure);

@@ -111,9 +111,9 @@ struct OutputOptions {
   SplatFormat format_of(const std::string& output) const {
     return to != SplatFormat::unknown ? to : format_of_name(output);
   }
-  /// Completes `convert`, except its cameras and its device.
+  /// Completes `convert`, except its cameras.
   void settle(const SceneOptions& scene, int threads);
-  Outcome<void> prepare();  ///< cameras and device
+  Outcome<void> read_cameras();
 };
 
 struct RunOptions {

@@ -90,7 +90,7 @@ std::optional<std::string> check_parts(const ConvertArguments& a, const SceneInP
       return "--lod-partition with inputs requires --ranges N, the number of processes that may build";
     if (const char* option = a.output.target.option())
       return std::string(option) + " needs all Gaussians at once; convert in one process with --lod";
-    if (a.output.on_cuda) return "--backend cuda is for levels that one process builds";
+    if (a.output.on_cuda) return "--backend cuda requires one process with --lod";
     if (a.output.convert.encode.order == Order::input)
       return "parts are ranges of the Morton curve; --keep-order requires one process with --lod";
     if (!scene.filter.keeps_all() || scene.level_of_detail)

@@ -6,11 +6,13 @@
 
 #include <algorithm>
 #include <bit>
+#include <cassert>
 #include <cmath>
 #include <mutex>
 #include <utility>
 #include <vector>
 
+#include "common/device_code.hpp"
 #include "fit.hpp"
 #include "levels/fit_colors.hpp"
 #include "sorted/sort.hpp"
@@ -25,7 +27,8 @@ Status checked(cudaError_t error) {
   if (error == cudaSuccess) return {};
   cudaGetLastError();  // later calls must not report it
   if (error == cudaErrorMemoryAllocation)
-    return make_error(Errc::device_out_of_memory, Error::kNone, "levels are fitted with less memory on the CPU");
+    return make_error(Errc::device_out_of_memory, Error::kNone,
+                      "the device has too little memory to fit levels: use fewer --threads or --backend cpu");
   return make_error(Errc::device_failed, Error::kNone, "levels could not be fitted", Error::kNone,
                     static_cast<std::uint64_t>(error));
 }
@@ -62,7 +65,7 @@ struct Lane {
     if (stream != nullptr) cudaStreamDestroy(stream);
   }
   Status create() {
-    // Threads sleep while the device works: there are more of them than processors.
+    // Threads sleep while the device works: others need the processors.
     const Status ok = checked(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
     return ok ? checked(cudaEventCreateWithFlags(&done, cudaEventDisableTiming | cudaEventBlockingSync)) : ok;
   }
@@ -98,6 +101,7 @@ class Fit {
     for (const Frame& frame : fit_frames(group, pixel)) {
       frames_.push_back(on_device(frame, n_pixels_));
       n_pixels_ += static_cast<std::uint64_t>(frame.width) * static_cast<std::uint64_t>(frame.height);
+      most_pixels_ = std::max(most_pixels_, static_cast<std::uint32_t>(frame.width * frame.height));
       const int width = kFitSupersampling * frame.width, height = kFitSupersampling * frame.height;
       most_tiles_ = std::max(most_tiles_, cuda::fit_tiles(width, height));
     }
@@ -146,7 +150,7 @@ class Fit {
     state_.means = pieces.take<float>(2 * moments);  // and squares
     state_.squares = state_.means + (base == nullptr ? 0 : moments);
     state_.logits = pieces.take<float>(stride);
-    state_.slopes = pieces.take<std::int64_t>(4 * stride);
+    state_.slopes = pieces.take<std::uint64_t>(4 * stride);
     dots_[0] = dots(most_dots_);
     dots_[1] = dots(n);
     sort_ = {pieces.take<std::uint64_t>(most_dots_), pieces.take<std::uint64_t>(most_dots_),
@@ -198,17 +202,18 @@ class Fit {
   Status make_steps() {
     const std::uint64_t moments = n_moments() * result_.padded();
     if (Status s = checked(cudaMemsetAsync(state_.means, 0, 2 * moments * sizeof(float), stream_)); !s) return s;
-    const std::uint64_t slopes = 4 * result_.padded() * sizeof(std::int64_t);
+    const std::uint64_t slopes = 4 * result_.padded() * sizeof(std::uint64_t);
     if (Status s = checked(cudaMemsetAsync(state_.slopes, 0, slopes, stream_)); !s) return s;
     const cuda::FitRules rules{kFitSteps,  kFitStride, kDrawn.low_pass, kFitLogitStep,  kFitDcStep,
                                kFitShStep, kFitDecay1, kFitDecay2,      kFitLeastLogit, kFitMostLogit};
-    constexpr std::uint32_t kFiner = kFitSupersampling * kFitSupersampling;
-    const cuda::FitViews views{on_device_, n_frames_, (most_tiles_ + kFiner - 1) / kFiner, truths_, items_, ranks_};
+    const cuda::FitViews views{on_device_, n_frames_, most_pixels_, truths_, items_, ranks_};
     return cuda::launch_fit_steps(views, to_, rules, state_, dots_, stream_);
   }
 
   // Opacities and harmonics are the last arrays.
   Status download() {
+    static_assert(int{cuda::kFitOpacity} == int{kOpacity} && int{cuda::kFitSh} == int{kSh});
+    if (Status s = lane_.wait(); !s) return s;  // a copy to memory that is not page-locked would spin
     const std::uint64_t from = std::uint64_t{kOpacity} * result_.padded();
     const Status copied =
         checked(cudaMemcpyAsync(result_.of(kOpacity), to_.values + from, bytes_of(result_) - from * sizeof(float),
@@ -226,7 +231,7 @@ class Fit {
   Lane& lane_;
   cudaStream_t stream_;
   std::vector<cuda::FitFrame> frames_;
-  std::uint32_t n_frames_ = 0, at_once_ = 0, most_tiles_ = 0;
+  std::uint32_t n_frames_ = 0, at_once_ = 0, most_tiles_ = 0, most_pixels_ = 0;
   std::uint64_t n_pixels_ = 0, most_dots_ = 0, temporary_bytes_ = 0;
   // On the device.
   cuda::FitGaussians from_{}, to_{};
@@ -273,12 +278,14 @@ Result<std::shared_ptr<FitDevice>> FitDevice::create() {
     cudaGetLastError();
     return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers; fit levels on the CPU");
   }
+  if (Status s = cuda::check_device_code(); !s) return tl::unexpected(s.error());
   return std::shared_ptr<FitDevice>(new FitDevice(std::move(impl)));
 }
 
 void FitDevice::fit_colors(const Gaussians& group, Gaussians& gaussians, float pixel) {
   auto lane = impl_->take();
   Gaussians fitted = gaussians;
+  assert(group.size() > 0 && gaussians.size() > 0);
   const Status fit = lane ? Fit(group, fitted, pixel, **lane).run() : Status(tl::unexpected(lane.error()));
   if (fit) gaussians = std::move(fitted);
   const std::scoped_lock held(impl_->lock);

@@ -3,21 +3,24 @@
 //
 // Math    docs/develop/LEVELS.md, "Colours together"; the same steps as converter/lod/fit.cpp, other roundings
 // In/Out  Gaussians, frames -> keys -> dots -> pictures; then, a step a frame, dots -> slopes -> opacities and harmonics
-// Cost    a step reads each box once for 32 pixels, each dot twice for the tiles that it touches, and moments twice
-// Launch  keys, dots, moves: a thread an item. Pictures, slopes: a warp a tile of 8 x 4 pixels, a lane a pixel. All steps are
-//         one cooperative launch of few blocks: launches of many threads of the host would wait for each other
-// Shared  dots of a tile, a batch a warp
-// Order   deterministic: slopes of tiles are added as integers
+// Cost    a step reads each box once or twice for 4 pixels, each dot twice for the tiles that it touches, and moments twice
+// Launch  keys, dots: a thread an item. Pictures: a warp a tile of 8 x 4 pixels. Steps: one cooperative launch of few blocks of 256,
+//         since launches of many threads of the host would wait for each other; a warp a tile of 2 x 2 pixels, eight parts of which
+//         share its dots, and a thread a Gaussian
+// Shared  steps: 40 KiB, a batch of a tile's dots for each warp
+// Order   deterministic: slopes of tiles are added as integers. What a tile adds is rounded to 2^-32
 #include <cooperative_groups.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
 
+#include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
 #include "levels/fit_colors.hpp"
 #include "rgs/math/constants.hpp"
+#include "rgs/math/covariance.hpp"
 #include "rgs/math/sh.hpp"
 
 namespace rgs::cuda {
@@ -30,7 +33,7 @@ constexpr int kParts = 32 / kStepPixels;
 constexpr std::uint32_t kBatch = 128;      // dots of a tile
 constexpr std::uint32_t kMostBlocks = 32;  // of a fit: several run side by side
 constexpr int kTileWidth = 8, kTileHeight = 4;
-constexpr float kSlopeUnit = 4294967296.F, kMostSlope = 1e6F;
+constexpr float kSlopeUnit = 4294967296.F, kMostSlope = 1e5F;  // the sum of as many tiles as a picture has fits 64 bits
 
 __device__ float value_of(const FitGaussians& g, int value, std::uint32_t i) {
   return g.values[static_cast<std::size_t>(value) * g.stride + i];
@@ -52,14 +55,14 @@ __device__ void place(const FitGaussians& g, std::uint32_t i, const FitFrame& fr
   float mean[3], scale[3], xx = 0, xy = 0, yy = 0;
 #pragma unroll
   for (int k = 0; k < 3; ++k) mean[k] = value_of(g, kFitMean + k, i), scale[k] = value_of(g, kFitScale + k, i);
-  const float w = value_of(g, kFitRotation, i), x = value_of(g, kFitRotation + 1, i),
-              y = value_of(g, kFitRotation + 2, i), z = value_of(g, kFitRotation + 3, i);
-  const float axes[3][3] = {{1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)},
-                            {2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)},
-                            {2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)}};
+  float r[9];
+  math::rotation_matrix(math::Quaternion<float>{value_of(g, kFitRotation, i), value_of(g, kFitRotation + 1, i),
+                                                value_of(g, kFitRotation + 2, i), value_of(g, kFitRotation + 3, i)},
+                        r);
 #pragma unroll
   for (int k = 0; k < 3; ++k) {
-    const float mu = by * scale[k] * along(frame.right, axes[k]), mv = by * scale[k] * along(frame.down, axes[k]);
+    const float axis[3] = {r[k], r[3 + k], r[6 + k]};
+    const float mu = by * scale[k] * along(frame.right, axis), mv = by * scale[k] * along(frame.down, axis);
     xx += mu * mu, xy += mu * mv, yy += mv * mv;
   }
   dot.u = by * (along(frame.right, mean) - frame.left);
@@ -276,8 +279,7 @@ __device__ Through before_part(Through part, Through& all) {
 }
 
 // Adds the slopes of a tile; by a warp, each part of which takes a part of the dots.
-__device__ void add_slopes(const View& view, int tile, std::uint32_t n, std::uint32_t stride, Batch& batch,
-                           std::int64_t* slopes) {
+__device__ void add_slopes(const View& view, int tile, const FitGaussians& g, Batch& batch, std::uint64_t* slopes) {
   const FitFrame& frame = view.frame;
   const int tiles_across = (frame.width + kStepTileWidth - 1) / kStepTileWidth;
   const int pixel = static_cast<int>(threadIdx.x % kStepPixels);
@@ -290,7 +292,7 @@ __device__ void add_slopes(const View& view, int tile, std::uint32_t n, std::uin
   };
   float drawn[3] = {0, 0, 0}, transmittance = 1;
   std::uint32_t last = 0;
-  const int batches = each_batch(view, n, x0, y0, batch, [&](std::uint32_t listed) {
+  const int batches = each_batch(view, g.n, x0, y0, batch, [&](std::uint32_t listed) {
     float color[3] = {0, 0, 0}, left = 1;
     last = listed;
     each_of_part(listed, [&](std::uint32_t i) {
@@ -358,14 +360,20 @@ __device__ void add_slopes(const View& view, int tile, std::uint32_t n, std::uin
       static_assert(kStepPixels == 4);  // each lane of a part adds a sum
       const float mine = pixel == 0 ? sums[0] : pixel == 1 ? sums[1] : pixel == 2 ? sums[2] : sums[3];
       if (mine == 0) continue;
-      auto* const to = slopes + static_cast<std::size_t>(pixel) * stride + view.items[batch.places[at]];
-      atomicAdd(
-          reinterpret_cast<unsigned long long*>(to),
-          static_cast<unsigned long long>(__float2ll_rn(fminf(fmaxf(mine, -kMostSlope), kMostSlope) * kSlopeUnit)));
+      const std::uint32_t i = view.items[batch.places[at]];
+      if (!isfinite(mine)) {
+        g.values[static_cast<std::size_t>(kFitSh) * g.stride + i] = NAN;  // the caller drops such fits
+      } else {
+        const float slope = fminf(fmaxf(mine, -kMostSlope), kMostSlope) * kSlopeUnit;
+        atomic_add(slopes[static_cast<std::size_t>(pixel) * g.stride + i],
+                   static_cast<std::uint64_t>(__float2ll_rn(slope)));
+      }
     }
   };
   // The only batch is still there.
-  batches == 1 ? add(last) : static_cast<void>(each_batch(view, n, x0, y0, batch, add));
+  if (batches == 1) add(last);
+  if (batches > 1) each_batch(view, g.n, x0, y0, batch, add);
+  __syncwarp();  // before the next tile's batch
 }
 
 struct Step {
@@ -380,9 +388,9 @@ __device__ void move(const View& view, const FitGaussians& g, std::uint32_t i, c
   float slopes[4];
 #pragma unroll
   for (int k = 0; k < 4; ++k) {
-    std::int64_t& sum = state.slopes[static_cast<std::size_t>(k) * g.stride + i];
+    std::uint64_t& sum = state.slopes[static_cast<std::size_t>(k) * g.stride + i];
     const bool counts = inside && (k == 0 || view.dots[rank].color[k - 1] > 0);
-    slopes[k] = counts ? static_cast<float>(sum) / kSlopeUnit : 0;
+    slopes[k] = counts ? static_cast<float>(static_cast<std::int64_t>(sum)) / kSlopeUnit : 0;
     sum = 0;
   }
   const auto at = [&](int value) { return static_cast<std::size_t>(value) * g.stride + i; };
@@ -446,14 +454,14 @@ __global__ void __launch_bounds__(kStepThreads)
         static_cast<std::uint32_t>((now.frame.width + kStepTileWidth - 1) / kStepTileWidth *
                                    ((now.frame.height + kStepTileHeight - 1) / kStepTileHeight));
     for (std::uint32_t tile = warp; tile < tiles; tile += warps)
-      add_slopes(now, static_cast<int>(tile), g.n, g.stride, batches[threadIdx.x / 32], state.slopes);
+      add_slopes(now, static_cast<int>(tile), g, batches[threadIdx.x / 32], state.slopes);
     grid.sync();
     const auto taken = static_cast<float>(at + 1);
     const Step step{powf(0.1F, static_cast<float>(at) / static_cast<float>(rules.steps)),
                     1 / (1 - powf(rules.decay1, taken)), 1 / (1 - powf(rules.decay2, taken))};
     for (std::uint32_t i = thread; i < g.n; i += threads) {
       move(now, g, i, step, rules, state);
-      place_in(next, g, i, rules.low_pass);
+      if (at + 1 < rules.steps) place_in(next, g, i, rules.low_pass);
     }
     grid.sync();
   }
@@ -491,8 +499,10 @@ Status launch_fit_ranks(const std::uint32_t* items, std::uint32_t n, std::uint32
 
 Status launch_fit_steps(const FitViews& views, const FitGaussians& gaussians, const FitRules& rules,
                         const FitState& state, const FitDots (&dots)[2], Stream stream) {
-  const std::uint32_t blocks =
-      std::clamp(blocks_for(32 * std::uint64_t{views.most_tiles} * kParts, kStepThreads), 1U, kMostBlocks);
+  const auto most = resident_grid<steps_kernel>(kStepThreads);
+  if (!most) return tl::unexpected(most.error());
+  const std::uint32_t wanted = blocks_for(std::uint64_t{views.most_pixels} / kStepPixels * 32, kStepThreads);
+  const std::uint32_t blocks = std::clamp(wanted, 1U, std::min(kMostBlocks, *most));
   FitViews v = views;
   FitGaussians g = gaussians;
   FitRules r = rules;

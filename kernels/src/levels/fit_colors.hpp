@@ -31,7 +31,7 @@ struct FitFrame {
 struct FitDot {
   float u, v, aa, ab, cc, opacity, color[3];
 };
-struct FitBox {  ///< pixels; empty if it does not show
+struct alignas(8) FitBox {  ///< pixels; empty if it does not show
   std::int16_t x0, x1, y0, y1;
 };
 /// Dots front to back, [n].
@@ -52,7 +52,7 @@ struct FitRules {
 struct FitState {
   float* logits;
   float *means, *squares;  ///< moments of the opacity's logit and of each harmonic; 0 before the first step
-  std::int64_t* slopes;    ///< of log opacity, r, g, b in units of 2^-32; 0 before the first step
+  std::uint64_t* slopes;   ///< of log opacity, r, g, b in units of 2^-32, signed; 0 before the first step
 };
 
 /// For each frame and Gaussian its frame and depth, and its number: keys and items [n_frames * n].
@@ -61,7 +61,7 @@ Status launch_fit_keys(const FitGaussians& gaussians, const FitFrame* frames, st
 /// Projects the sorted items of frames whose pixels are smaller by `factor`.
 Status launch_fit_dots(const FitGaussians& gaussians, const FitFrame* frames, std::uint32_t n_frames, int factor,
                        float low_pass, const std::uint32_t* items, const FitDots& dots, Stream stream);
-/// Draws each frame's n dots in pixels smaller by `factor`, 2 or 4, and averages: premultiplied r, g, b and transmittance.
+/// Draws each frame's n dots in pixels smaller by `factor`, at most 4, and averages: premultiplied r, g, b and transmittance.
 /// `most_tiles`: fit_tiles() of the largest frame in these pixels.
 Status launch_fit_truths(const FitFrame* frames, std::uint32_t n_frames, std::uint32_t n, int factor,
                          std::uint32_t most_tiles, const FitDots& dots, float4* pictures, Stream stream);
@@ -75,7 +75,7 @@ Status launch_fit_ranks(const std::uint32_t* items, std::uint32_t n, std::uint32
 /// The pictures of a fit, and the Gaussians in the order of each, [n_frames * n].
 struct FitViews {
   const FitFrame* frames;
-  std::uint32_t n_frames, most_tiles;  ///< most_tiles: of a frame
+  std::uint32_t n_frames, most_pixels;  ///< most_pixels: of a frame
   const float4* pictures;
   const std::uint32_t *items, *ranks;
 };

@@ -175,6 +175,7 @@ StreamFrame::~StreamFrame() {
 }
 
 void StreamFrame::drawn(std::uint64_t bytes) {
+  if (cut_.gaussians == 0) return;  // the camera looks away
   const FrameWorkspace& workspace = slots()->workspace();
   const std::uint64_t free = workspace.bytes() - workspace.held();
   fitting_ += free / 4 * 3 / (bytes / cut_.gaussians + 1);  // not all: buffers grow by more than they need

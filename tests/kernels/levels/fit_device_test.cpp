@@ -4,9 +4,11 @@
 
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "device_fixture.hpp"
@@ -76,6 +78,39 @@ TEST_CASE("levels: colours fitted on the device are as near to the group as thos
     // Means, scales and rotations stay.
     CHECK(std::memcmp(before.of(0), on_device.of(0), 4 * lod::kOpacity * before.padded()) == 0);
   }
+}
+
+TEST_CASE("levels: all Gaussians in one pixel, and a single one, are fitted on the device as on the processor") {
+  if (!device_answers()) return;
+  auto device = lod::FitDevice::create();
+  require_ok(device);
+  for (const auto [side, n] : {std::pair{40, 400}, {2, 1}}) {
+    CAPTURE(n);
+    const lod::Gaussians group = wall_of(static_cast<std::uint64_t>(side), 1);
+    const lod::Gaussians before = lod::simplify(group, static_cast<std::size_t>(n), lod::Quality::fast).gaussians;
+    lod::Gaussians on_host = before, on_device = before;
+    lod::fit_colors(group, on_host, 1);
+    (*device)->fit_colors(group, on_device, 1);
+    require_ok((*device)->status());
+    const double by_host = squared_difference(group, on_host, 1), by_device = squared_difference(group, on_device, 1);
+    CHECK_FALSE(same_bits(on_device, before));
+    CHECK(std::abs(by_device - by_host) < 0.02 * by_host);
+  }
+}
+
+TEST_CASE("levels: a fit that overflows is not finite, on the device as on the processor") {
+  if (!device_answers()) return;
+  lod::Gaussians group = wall_of(8, 0);
+  lod::Gaussians before = lod::simplify(group, group.size() / 4, lod::Quality::fast).gaussians;
+  for (std::size_t i = 0; i < group.size(); ++i) group.of(lod::kSh)[i] = 1e30F;
+  for (std::size_t i = 0; i < before.size(); ++i) before.of(lod::kSh)[i] = -1e30F;
+  before.of(lod::kSh)[0] = 1e38F;
+  auto device = lod::FitDevice::create();
+  require_ok(device);
+  (*device)->fit_colors(group, before, 0.25F);
+  require_ok((*device)->status());
+  const float* const harmonics = before.of(lod::kSh);
+  CHECK_FALSE(std::all_of(harmonics, harmonics + before.size(), [](float x) { return std::isfinite(x); }));
 }
 
 TEST_CASE("levels: threads that fit at once get the bits of one") {
