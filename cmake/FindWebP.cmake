@@ -1,4 +1,4 @@
-# Finds libwebp's decoder: target WebP::webp. Debian's package has no CMake configuration of its own.
+# Finds libwebp: target WebP::webp. Debian's package has no CMake configuration of its own.
 # SPDX-License-Identifier: Apache-2.0
 find_path(WebP_INCLUDE_DIR webp/decode.h)
 find_library(WebP_LIBRARY webp)

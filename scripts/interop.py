@@ -93,6 +93,12 @@ def same(scene, rotation=1e-5):
     return bounds(1e-6 * max(1, np.abs(scene["mean"]).max()), 2e-5, 0.5 / 255, rotation, 2e-5)
 
 
+def log_step(mean):
+    """Half a step of 16 bits in sign(x) ln(1 + |x|), whose slope is 1 / (1 + |x|)."""
+    width = np.ptp(np.sign(mean) * np.log1p(np.abs(mean)), 0).max()
+    return 0.52 * width / 65535 * (1 + np.abs(mean).max())
+
+
 def own_steps(scene):
     """Half a step of each format (a whole one where the other tool rounds down; 0.62 of SPZ's SH, see spz.cpp)."""
     width = np.ptp(scene["mean"], 0).max()
@@ -102,7 +108,9 @@ def own_steps(scene):
     return {"ply": float32, "spz": spz, "splat": bounds(1e-6, 1e-5, eight_bits, 2 / 128, eight_bits / 0.282),
             # Chunks are smaller than the scene; how much, the file says. Here the scene bounds them.
             "compressed.ply": bounds(0.51 * width / 1023, 0.51 * 20 / 1023, eight_bits, 3e-3, 0.03, 0.51 / 32),
-            "glb": bounds(1e-5, 1e-5, 1e-6, 1e-5, 1e-6)}
+            "glb": bounds(1e-5, 1e-5, 1e-6, 1e-5, 1e-6),
+            # Codebooks and the palette have no steps; both tools' readers must agree.
+            "sog": bounds(log_step(scene["mean"]), np.inf, eight_bits, 3 * 0.51 * 2 ** 0.5 / 255, np.inf)}
 
 
 def clamp_to_spz(scene):
@@ -182,7 +190,8 @@ def main():
             return read_ply(path(name))
 
         print(f"{len(scene['mean'])} Gaussians; largest differences")
-        for kind, version in (("ply", None), ("compressed.ply", None), ("spz", 2), ("spz", 3), ("spz", 4), ("splat", None)):
+        for kind, version in (("ply", None), ("compressed.ply", None), ("spz", 2), ("spz", 3), ("spz", 4), ("splat", None),
+                              ("sog", None)):
             file = path(f"ours.{kind}")
             ours(*(["--spz-version", version] if version else []), "--keep-order", scene_path, file)
             there = load(theirs, file, "there.ply")
@@ -195,7 +204,8 @@ def main():
         for degree in range(3):
             flat = scene | {"sh": scene["sh"][:, :(degree + 1) ** 2]}
             ours("--keep-order", "--sh-degree", degree, scene_path, path("flat.ply"))
-            for kind, bound, cut in (("compressed.ply", steps["compressed.ply"], flat), ("spz", steps["spz"], clamp_to_spz(flat))):
+            for kind, bound, cut in (("compressed.ply", steps["compressed.ply"], flat), ("spz", steps["spz"], clamp_to_spz(flat)),
+                                     ("sog", steps["sog"], flat)):
                 ours("--keep-order", path("flat.ply"), path(f"flat.{kind}"))
                 check(f"{kind} of degree {degree}: written here, read there, against the scene",
                       load(theirs, path(f"flat.{kind}"), "there.ply"), cut, bound)

@@ -5,11 +5,11 @@
 (CPU, the test views at half size). Writes the record that docs/records keeps and, with --svg, scripts/plot_formats.py's picture of it.
 
   measure_formats.py [SCENE.ply CAMERAS.json] --json RECORD.json [--svg PICTURE.svg] [--bin build/release/bin] [--work FOLDER]
-                     [--peers [--sog]]
+                     [--peers]
 
---peers adds files of other programs: PlayCanvas's splat-transform (compressed.ply, spz, sog) and GaussianSplats3D (ksplat, at most SH
-degree 2), by npm, and Qualcomm's L-GSC, by git and CMake. They are made in --work once. SOG needs --sog as well: it takes hours
-without a GPU. What the record has of other formats stays in it, with its date.
+--peers adds files of other programs: PlayCanvas's splat-transform (compressed.ply, spz; its sog takes hours without a GPU) and
+GaussianSplats3D (ksplat, at most SH degree 2), by npm, and Qualcomm's L-GSC, by git and CMake. They are made in --work once. What the
+record has of other formats and programs stays in it, with its date.
 """
 import argparse
 import datetime
@@ -31,13 +31,13 @@ WRITTEN += [(f"rgs archive{preset}, step {step}", f"step{step}.rgs", ["--profile
             for preset, step in STEPS]
 WRITTEN += [("compressed.ply", "scene.compressed.ply", [])]
 WRITTEN += [(f"spz {version}", f"scene{version}.spz", ["--spz-version", str(version)]) for version in (2, 3, 4)]
-WRITTEN += [("splat", "scene.splat", [])]
+WRITTEN += [("splat", "scene.splat", []), ("sog", "scene.sog", [])]
 TRANSFORM, SPLATS3D = "@playcanvas/splat-transform@3.7.0", "@mkkellogg/gaussian-splats-3d@0.4.7"
 LGSC, LGSC_COMMIT = "https://github.com/qualcomm/lite-3Dgsplat-codec.git", "a78ee6e"
 # format, writer, name of the file, command
 PEERS = [(kind, "splat-transform 3.7.0", f"peer.{kind}",
           ["npx", "--yes", TRANSFORM, "-q", "-w", "-g", "cpu", "{input}", "{output}"])
-         for kind in ("compressed.ply", "spz", "sog")]
+         for kind in ("compressed.ply", "spz")]
 PEERS += [(f"ksplat, level {level}", "GaussianSplats3D 0.4.7", f"peer{level}.ksplat",
            ["node", "{work}/write_ksplat.mjs", "{input}", "{output}", str(level)]) for level in range(3)]
 PEERS += [(f"L-GSC, level {level}", "L-GSC 1.0", f"peer{level}.lgsc",
@@ -73,7 +73,7 @@ def measure(name, ply, cameras, made_by, arguments, before):
         files.append((kind, "rgs-convert", work / file, work / file))
     n = json.loads(run(arguments.bin / "rgs-info", "--json", work / "packed.rgs"))["header"]["n_gaussians"]
     if arguments.peers:
-        files += write_as_peers(ply, work, arguments.sog)
+        files += write_as_peers(ply, work)
     report = work / "audit.json"
     run(arguments.bin / "rgs-audit", ply, files[0][3], *(f"--also={drawn}" for *_, drawn in files[1:]), "--cameras", cameras,
         "--split", "test", "--size", size, "--no-attribution", "--no-distances", "--quiet", "--overwrite", "--json", report)
@@ -83,22 +83,21 @@ def measure(name, ply, cameras, made_by, arguments, before):
                 "bytes_per_gaussian": round(file.stat().st_size / n, 2), "psnr_db": round(score["psnr"], 2),
                 "worst_psnr_db": round(score["worst_psnr"], 2), "ssim": round(score["ssim"], 5)}
                for (kind, writer, file, _), score in zip(files, scores, strict=True)]
-    found = {entry["format"] for entry in entries}
-    entries += [{"date": before["date"], **entry} for entry in before.get("entries", []) if entry["format"] not in found]
+    maker = lambda entry: (entry["format"], entry["writer"].split()[0])  # in whatever version
+    found = {maker(entry) for entry in entries}
+    entries += [{"date": before["date"], **entry} for entry in before.get("entries", []) if maker(entry) not in found]
     return {"scene": name, "made_by": made_by, "date": datetime.date.today().isoformat(),
             "commit": run("git", "rev-parse", "--short=8", "HEAD").strip(), "gaussians": n, "views": audit["rendered"]["n_views"],
             "size": size, "entries": entries}
 
 
-def write_as_peers(ply, work, sog):
+def write_as_peers(ply, work):
     """[format, writer, path, what to draw for it] of the files of other programs."""
     work, tools = work.resolve(), work.resolve().parent
     (tools / "write_ksplat.mjs").write_text(WRITE_KSPLAT)
     files = []
     for kind, writer, name, command in PEERS:
         path = drawn = work / name
-        if kind == "sog" and not (sog or path.exists()):
-            continue
         settings = [""]
         if writer.startswith("L-GSC"):
             drawn = path.with_suffix(".lgsc.ply")  # its program reads a file of settings, once to encode and once to decode
@@ -136,7 +135,6 @@ def main():
     parser.add_argument("--json", type=pathlib.Path, required=True)
     parser.add_argument("--svg", type=pathlib.Path)
     parser.add_argument("--peers", action="store_true")
-    parser.add_argument("--sog", action="store_true")
     arguments = parser.parse_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     before = json.loads(arguments.json.read_text())["scenes"] if arguments.json.exists() else []

@@ -48,6 +48,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   write.metres_per_unit = options.encode.metres_per_unit;
   write.axes = options.encode.axes;
   write.keep_order = options.encode.order == Order::input;
+  write.threads = options.encode.archive.threads;
   write.spz_version = options.spz_version;
   write.strict = options.strict;
   write.origin = scene.origin;
@@ -114,7 +115,8 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
   const EncodeOptions usual;
   const bool has_words =
       format == SplatFormat::ply || format == SplatFormat::compressed_ply || format == SplatFormat::glb;
-  const bool has_flag = format == SplatFormat::spz && declared.aa_mode != AaMode::undeclared;
+  const bool has_flag =
+      (format == SplatFormat::spz || format == SplatFormat::sog) && declared.aa_mode != AaMode::undeclared;
   if (!has_words) {
     const AaMode read_as = has_flag ? declared.aa_mode : AaMode::classic;
     if (declared.aa_mode != read_as) lost.push_back(fmt::format("anti-aliasing ({})", name_of(declared.aa_mode)));

@@ -164,7 +164,7 @@ void OutputOptions::add_to(CLI::App& app) {
   app.option_defaults()->group(kSceneGroup);
   app.add_option("--to", to, "Format of the output; default: from its name")
       ->transform(tool::one_of(writable))
-      ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
+      ->option_text("rgs|ply|compressed.ply|spz|splat|sog|glb");
   app.add_option("--spz-version", spz_version,
                  "Version of an SPZ [3]: Spark reads 2 and 3, GaussianSplats3D 2, PlayCanvas's engine 4 "
                  "(docs/user/INTERCHANGE.md)")

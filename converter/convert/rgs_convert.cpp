@@ -34,7 +34,7 @@ int parse_and_convert(int argc, char** argv) {
   CLI::App app("Converts trained 3D Gaussian splat scenes between .rgs and other formats.", "rgs-convert");
   app.set_version_flag("--version", "rgs-convert " RGS_VERSION);
   app.footer(
-      "Writes .rgs, .ply, .compressed.ply, .spz, .splat and .glb.\n"
+      "Writes .rgs, .ply, .compressed.ply, .spz, .splat, .sog and .glb.\n"
       "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 a file with levels of detail "
       "is cut off and lacks what was asked for; with --target-psnr and --target-size also 5, out of reach; with "
       "--audit also those of rgs-audit. Many scenes return the worst, in this order: 1, 3, 2, 4, 6.");

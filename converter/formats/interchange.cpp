@@ -272,7 +272,7 @@ EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file) {
 
 bool is_writable(SplatFormat format) {
   return format == SplatFormat::ply || format == SplatFormat::compressed_ply || format == SplatFormat::spz ||
-         format == SplatFormat::splat || format == SplatFormat::glb;
+         format == SplatFormat::splat || format == SplatFormat::sog || format == SplatFormat::glb;
 }
 
 bool keeps_origin(SplatFormat format) {
@@ -369,6 +369,7 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
     switch (format) {
       case SplatFormat::compressed_ply: return detail::encode_compressed_ply(placed, stated, options.keep_order);
       case SplatFormat::spz: return detail::encode_spz(placed, options.aa_mode, options.spz_version);
+      case SplatFormat::sog: return detail::encode_sog(placed, options);
       case SplatFormat::glb: return detail::encode_glb(placed, stated);
       default: return detail::encode_splat_records(placed);
     }

@@ -18,10 +18,10 @@
 #include <optional>
 #include <utility>
 
+#include "morton_order.hpp"
 #include "quantised.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/quantize.hpp"
-#include "rgs/spatial_order.hpp"
 #include "spz_header.hpp"
 
 namespace rgs::detail {
@@ -256,20 +256,6 @@ void encode_rotation_v2(const float (&rotation)[4], std::span<std::byte> code) {
   }
 }
 
-// Morton keys and indices, along the curve to the last bit: unlike sort_by_key(), whatever the order of the source.
-std::vector<std::pair<std::uint64_t, std::uint32_t>> spatial_order(const SplatView& splats) {
-  SceneScan scan(splats.sh_degree);
-  for (std::uint64_t i = 0; i < splats.n; ++i) {
-    Splat splat = splats.splat(i);
-    scan.add(splat);
-  }
-  const MortonKey key(scan.robust());
-  std::vector<std::pair<std::uint64_t, std::uint32_t>> order(splats.n);
-  for (std::uint32_t i = 0; i < order.size(); ++i) order[i] = {key(&splats.mean[3 * std::size_t{i}]), i};
-  std::ranges::sort(order);
-  return order;
-}
-
 // SH codes are 128 + 128 * value, of which the encoder keeps the upper bits, so that they compress. Most codes are 0,
 // and since a pixel blends neighbours, errors of one sign would add up. So each code takes over some of the error of
 // those before it in space (error diffusion; Floyd and Steinberg 1976). An outdoor scene of 778,812 Gaussians gains 1.2
@@ -351,7 +337,7 @@ CodedStreams encode_streams(const SplatView& splats, const SpzHeader& header) {
   }
   if (header.sh_degree == 0) return out;
   ShDiffusion diffusion(floats - 3);
-  for (const auto& [key, i] : spatial_order(splats)) {
+  for (const std::size_t i : morton_order(splats)) {
     diffusion.encode(&splats.sh[floats * i + 3], &out[5][(floats - 3) * i]);
   }
   return out;

@@ -12,6 +12,7 @@
 #include "compressed_ply.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
+#include "sog.hpp"
 #include "spz.hpp"
 
 namespace rgs::detail {
@@ -47,6 +48,9 @@ Ranges ranges_of(SplatFormat format) {
   } else if (format == SplatFormat::compressed_ply) {
     r.log_scale = {-kMaxCompressedLogScale, kMaxCompressedLogScale, 0, static_cast<double>(kMaxLogScale)};
     std::ranges::fill(r.sh, Range{-4, 4, 1 / 64.0});
+  } else if (format == SplatFormat::sog) {
+    r.sh_dc = {-static_cast<double>(kMaxSogHarmonic), static_cast<double>(kMaxSogHarmonic)};
+    std::ranges::fill(r.sh, r.sh_dc);
   } else if (format == SplatFormat::glb) {
     r.opacity_logit = {-103.97, 17.328679, 0, 0};  // beyond these it is 0 or 1 as a 32-bit float; infinite, exactly
   }

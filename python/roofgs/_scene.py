@@ -199,7 +199,7 @@ class Scene:
     def save(self, path: Path, *, profile: str = "packed", lod: Union[bool, str] = False, overwrite: bool = False,
              sync: bool = True, strict: bool = False, spz_axes: str = "ply", progress: Progress = None) -> int:
         """Writes a file, whole or not at all, and returns its bytes. The ending names the format: .rgs, .ply, .compressed.ply,
-        .spz, .splat or .glb.
+        .spz, .splat, .sog or .glb.
 
         Parameters
         ----------

@@ -250,7 +250,8 @@ std::uint64_t save(const PyScene& scene, const std::string& path, const std::str
   options.format = format_of_name(path);
   options.spz_axes = spz_axes_named(spz_axes);
   if (options.format == SplatFormat::unknown)
-    refuse(Errc::bad_argument, "the ending names the format: .rgs, .ply, .compressed.ply, .spz, .splat or .glb", path);
+    refuse(Errc::bad_argument, "the ending names the format: .rgs, .ply, .compressed.ply, .spz, .splat, .sog or .glb",
+           path);
   if (options.format != SplatFormat::rgs && !is_writable(options.format))
     refuse(Errc::bad_argument, "this format is read only", path);
   if (options.format != SplatFormat::rgs && (profile != "packed" || !lod.empty()))

@@ -167,7 +167,7 @@ def by_place(scene):
     return np.lexsort(scene.means.T)
 
 
-@pytest.mark.parametrize("name", ["a.rgs", "a.ply", "a.compressed.ply", "a.spz", "a.splat", "a.glb"])
+@pytest.mark.parametrize("name", ["a.rgs", "a.ply", "a.compressed.ply", "a.spz", "a.splat", "a.sog", "a.glb"])
 def test_saved_scenes_come_back(name, tmp_path, examples):
     scene = roofgs.load(examples / "scene.ply")
     n_bytes = scene.save(tmp_path / name)

@@ -129,7 +129,7 @@ TEST_CASE("Gaussians added behind the cameras are counted in assets of every for
   for (std::uint64_t i = 0; i < behind.size(); ++i) behind.mean[3 * i + 2] -= 12;
   append_splats(more, behind);
   const std::string ply = write_ply(scene.file("more.ply"), more), text = scene.file("page.html");
-  for (const char* format : {"ply", "rgs", "spz", "splat", "glb", "compressed.ply"}) {
+  for (const char* format : {"ply", "rgs", "spz", "splat", "sog", "glb", "compressed.ply"}) {
     CAPTURE(format);
     const std::string same = scene.file(std::string("same.") + format),
                       asset = scene.file(std::string("more.") + format);

@@ -147,7 +147,7 @@ TEST_CASE("formats without an origin: the summary states the rounding") {
   const std::string ply = folder.file("far.ply"), rgs = folder.file("far.rgs");
   write_far_scene(ply, ordinary_cloud(300, 1, 3));
   converted({ply, rgs});
-  for (const std::string format : {"splat", "spz", "compressed.ply"}) {
+  for (const std::string format : {"splat", "spz", "compressed.ply", "sog"}) {
     CAPTURE(format);
     for (const std::string& input : {ply, rgs}) {
       const auto json = converted({input, folder.file("far." + format)});

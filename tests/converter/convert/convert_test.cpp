@@ -499,7 +499,7 @@ TEST_CASE("wrong command lines exit with 2 and write nothing") {
                                                     {ply, "-"},
                                                     {"--json", "--to", "rgs", ply, "-"},
                                                     {"--to", "ksplat", ply, out},
-                                                    {ply, folder.file("out.sog")},
+                                                    {ply, folder.file("out.ksplat")},
                                                     {"--to-axes", "3dgs", ply, folder.file("out.spz")},
                                                     {"--to-axes", "up", ply, out},
                                                     {"--translate", "1,2", ply, out},

@@ -6,6 +6,7 @@
 #include <doctest/doctest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
@@ -113,6 +114,23 @@ inline SplatError compare(const Splat& a, const Splat& b, int sh_degree) {
     worst = std::max(worst, apart(a.sh[k], b.sh[k]));
   }
   return e;
+}
+
+/// `cloud`, each rotation by the half turn about the Gaussian's own axes, if any, that brings it nearest to that of
+/// `like`: the same ellipsoids.
+inline SplatCloud turned_like(const SplatCloud& like, SplatCloud cloud) {
+  REQUIRE(like.size() == cloud.size());
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) {
+    const float* to = &like.rotation[4 * i];
+    const auto [w, x, y, z] = cloud.view().splat(i).rotation;
+    double nearest = -1;
+    for (const auto& q : {std::array{w, x, y, z}, {-x, w, z, -y}, {-y, -z, w, x}, {-z, y, -x, w}}) {
+      const double dot = std::abs(static_cast<double>(q[0] * to[0] + q[1] * to[1] + q[2] * to[2] + q[3] * to[3]));
+      if (dot > nearest) std::ranges::copy(q, &cloud.rotation[4 * i]);
+      nearest = std::max(nearest, dot);
+    }
+  }
+  return cloud;
 }
 
 /// Largest differences between Gaussians of equal index.

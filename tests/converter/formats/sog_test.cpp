@@ -1,10 +1,11 @@
-// sog_test.cpp - SOG: another tool's file, both versions by hand, zipped and as a folder, hostile files.
+// sog_test.cpp - SOG: another tool's file, both versions by hand, zipped and as a folder, hostile files, written ones.
 // SPDX-License-Identifier: Apache-2.0
 #include <webp/encode.h>
 #include <zip.h>
 
 #include <cstring>
 #include <functional>
+#include <limits>
 #include <map>
 #include <nlohmann/json.hpp>
 
@@ -302,4 +303,124 @@ TEST_CASE("SOG texts that contradict their images, or point elsewhere, are refus
       },
       Errc::unsupported_feature);
   refused([](json&, Files& f) { f["sh0.webp"] = webp(1000, 1000, [](int, int) { return 9; }); }, Errc::limit_exceeded);
+}
+
+namespace {
+
+SplatCloud written_and_read(const SplatCloud& cloud, WriteOptions options = {.keep_order = true}) {
+  const auto bytes = encode_splats(cloud.view(), SplatFormat::sog, options);
+  REQUIRE(bytes);
+  const auto file = read_splats(*bytes);
+  REQUIRE(file);
+  REQUIRE(file->cloud.size() == cloud.size());
+  REQUIRE(file->cloud.sh_degree == cloud.sh_degree);
+  return file->cloud;
+}
+
+// Harmonics above degree 0.
+double distortion(const SplatCloud& a, const SplatCloud& b) {
+  double total = 0;
+  const auto floats = static_cast<std::size_t>(3 * sh_coefficients(a.sh_degree));
+  for (std::size_t i = 0; i < a.sh.size(); ++i) {
+    const double d = static_cast<double>(a.sh[i]) - static_cast<double>(b.sh[i]);
+    if (i % floats >= 3) total += d * d;
+  }
+  return total;
+}
+
+}  // namespace
+
+TEST_CASE("a written SOG holds the Gaussians within the format's steps, of every degree and number") {
+  for (int degree = 0; degree <= 3; ++degree) {
+    for (const std::uint64_t n : {1U, 2U, 3U, 63U, 64U, 65U, 700U, 5000U}) {
+      CAPTURE(degree);
+      CAPTURE(n);
+      const SplatCloud cloud = ordinary_cloud(n, degree, n + 1);
+      const SplatCloud copy = written_and_read(cloud);
+      const SplatError e = compare(copy, turned_like(copy, cloud));
+      // Half a code of at most 2 ln(1 + 8) / 65535, times the slope of exp there, and FP32.
+      for (const double x : e.mean) CHECK(x <= 0.5 * 2 * std::log(9) / 65535 * 9 * 1.01);
+      CHECK(e.opacity <= 0.501 / 255);
+      CHECK(e.rotation <= 3 * 0.51 * 2 * 0.70711 / 255);  // of w, which is at least a half and follows from three
+      for (const double x : e.log_scale) CHECK(x <= (3 * n <= 256 ? 0 : 0.5 * 10 / 256 * 4));
+      CHECK(e.sh[0] <= (3 * n <= 256 ? 0 : 0.5 * 3.4 / 256 * 4));
+      for (std::uint64_t i = 0; i < n; ++i) CHECK(copy.rotation[4 * i] >= 0.49F);  // w is the largest
+      if (n < 3) CHECK(distortion(copy, cloud) < 1e-12);                           // rounded once
+    }
+  }
+}
+
+TEST_CASE("a SOG's codebooks hold outliers, and stay fine between them") {
+  SplatCloud cloud = ordinary_cloud(5000, 0, 6);
+  for (const auto& [at, value] : {std::pair(30, 9.F), {60, 10.F}, {900, -7.F}, {1200, 40.F}}) {
+    cloud.sh[static_cast<std::size_t>(at)] = value;
+  }
+  cloud.log_scale[77] = -40;
+  const SplatError e = compare(turned_like(cloud, written_and_read(cloud)), cloud);
+  CHECK(e.sh[0] <= 0.5 * 3.4 / 256 * 4);
+  for (const double x : e.log_scale) CHECK(x <= 0.5 * 10 / 256 * 4);
+}
+
+TEST_CASE("a SOG's palette holds what repeats, and comes near to what does not") {
+  const SplatCloud few = ordinary_cloud(60, 2, 9);
+  SplatCloud cloud = ordinary_cloud(5000, 2, 8);
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) {
+    for (std::uint64_t k = 3; k < 27; ++k) cloud.sh[27 * i + k] = std::round(few.sh[27 * (i * i % 60) + k] * 100) / 100;
+  }
+  CHECK(distortion(written_and_read(cloud), cloud) < 1e-6);
+  // Of a whole octave of Gaussians about half have entries of their own.
+  const SplatCloud all = ordinary_cloud(4095, 1, 7);
+  SplatCloud none = all;
+  for (std::size_t i = 0; i < none.sh.size(); ++i) none.sh[i] = i % 12 < 3 ? none.sh[i] : 0;
+  CHECK(distortion(written_and_read(all), all) < 0.12 * distortion(none, all));
+}
+
+TEST_CASE("a written SOG does not depend on the number of threads, and lies along a curve unless told otherwise") {
+  const SplatCloud cloud = ordinary_cloud(20000, 1, 10);
+  const Bytes bytes = encode_splats(cloud.view(), SplatFormat::sog, {.threads = 1}).value();
+  for (const unsigned threads : {2U, 5U}) {
+    CHECK(encode_splats(cloud.view(), SplatFormat::sog, {.threads = threads}).value() == bytes);
+  }
+  CHECK(encode_splats(cloud.view(), SplatFormat::sog, {.keep_order = true}).value().size() > bytes.size());
+  SplatCloud copy = read_splats(bytes).value().cloud, sorted = cloud;
+  std::ranges::sort(copy.opacity_logit);
+  std::ranges::sort(sorted.opacity_logit);
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    CHECK(std::abs(opacity_from_logit(copy.opacity_logit[i]) - opacity_from_logit(sorted.opacity_logit[i])) <
+          0.502 / 255);
+  }
+}
+
+TEST_CASE("a written SOG declares anti-aliasing, and refuses what it cannot hold") {
+  SplatCloud cloud = ordinary_cloud(10, 1, 11);
+  for (const AaMode mode : {AaMode::classic, AaMode::mip_splatting}) {
+    CHECK(read_splats(encode_splats(cloud.view(), SplatFormat::sog, {.aa_mode = mode}).value())->aa_mode == mode);
+  }
+  // A scale of 0 comes back as a tiny one, far coordinates as near as 16 bits allow.
+  cloud.log_scale[4] = -std::numeric_limits<float>::infinity();
+  cloud.mean[6] = 3e38F;
+  cloud.mean[9] = -3e38F;
+  const SplatCloud copy = written_and_read(cloud);
+  CHECK(copy.log_scale[4] <= -60);
+  CHECK(copy.mean[6] == doctest::Approx(3e38).epsilon(1e-5));
+  CHECK(copy.mean[9] == doctest::Approx(-3e38).epsilon(1e-5));
+  // Harmonics far out are clamped, and spoil no others.
+  cloud.sh[12 * 5 + 7] = -1e30F;
+  WriteReport report;
+  CHECK(encode_splats(cloud.view(), SplatFormat::sog, {.strict = true}, &report).error().code == Errc::bad_value);
+  CHECK(report.sh.n == 1);
+  const SplatCloud clamped = written_and_read(cloud);
+  for (std::size_t i = 0; i < cloud.sh.size(); ++i) {
+    if (i / 12 != 5) CHECK(std::abs(clamped.sh[i]) <= 1.71F);
+  }
+  CHECK(clamped.sh[12 * 5 + 7] == -1e6F);
+  const auto refused = [](const SplatCloud& bad) {
+    const auto bytes = encode_splats(bad.view(), SplatFormat::sog);
+    REQUIRE_FALSE(bytes);
+    CHECK(bytes.error().code == Errc::bad_value);
+    return bytes.error().offset;
+  };
+  CHECK(refused(SplatCloud()) == Error::kNone);
+  cloud.mean[7 * 3] = std::numeric_limits<float>::infinity();
+  CHECK(refused(cloud) == 7);
 }

@@ -29,7 +29,7 @@ enum class SplatFormat : std::uint8_t {
   spz,             ///< Niantic SPZ; versions 2 to 4
   splat,           ///< 32 bytes a Gaussian, no harmonics
   ksplat,          ///< GaussianSplats3D, levels 0 to 2; read only
-  sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; read only
+  sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; written zipped
   glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
 };
 
@@ -117,14 +117,15 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
 
 struct WriteOptions {
   ColourSpace colour_space = ColourSpace::srgb_display;  ///< stated in ply, compressed_ply and glb
-  AaMode aa_mode = AaMode::classic;                      ///< stated in these and spz
+  AaMode aa_mode = AaMode::classic;                      ///< stated in these, spz and sog
   std::optional<float> low_pass_px2 = std::nullopt;  ///< stated in ply, compressed_ply and glb if it differs from the
                                                      ///< mode's default
   float metres_per_unit = 0;                         ///< stated in these if it is not 0
   Axes axes = kAxes3dgs;                             ///< of the Gaussians; stated in ply and compressed_ply
   /// Of the Gaussians; ply and glb keep it, others hold FP32 positions: position_rounding().
   Origin origin = kNoOrigin;
-  bool keep_order = false;  ///< compressed.ply: do not group close Gaussians into chunks
+  bool keep_order = false;  ///< compressed.ply, sog: do not sort Gaussians, so that close ones are neighbours
+  unsigned threads = 0;     ///< sog; 0: as many as the machine runs at once. The file does not depend on it
   int spz_version = 3;      ///< 2, 3 or 4; docs/user/INTERCHANGE.md says which viewer reads which
   /// Refuse to clamp: bad_value if WriteReport::any(), or if the format has no field for an origin.
   bool strict = false;
@@ -143,28 +144,30 @@ struct WriteReport {
   Clamped log_scale;      ///< spz, compressed.ply
   Clamped opacity_logit;  ///< glb: the opacity is 0 or 1 as a 32-bit float
   Clamped sh_dc;          ///< spz, splat; of f_dc
-  Clamped sh;             ///< spz, compressed.ply; splat, which has none: those not 0
+  Clamped sh;             ///< spz, compressed.ply, sog; splat, which has none: those not 0
 
   bool any() const { return mean.n + log_scale.n + opacity_logit.n + sh_dc.n + sh.n != 0; }
 };
 
-/// True for the formats of encode_splats(): ply, compressed_ply, spz, splat and glb.
+/// True for the formats of encode_splats(): ply, compressed_ply, spz, splat, sog and glb.
 bool is_writable(SplatFormat format);
 /// Whether files of that format hold an origin: rgs, ply (as double coordinates) and glb. All others hold FP32
 /// positions.
 bool keeps_origin(SplatFormat format);
 
 /// Encodes a file of that format. `splats` must be in format_axes(format) or of undeclared axes, for ply and
-/// compressed_ply in options.axes, for spz in those that its readers assume. Values beyond the format's range are clamped and counted in `report`. Deterministic.
+/// compressed_ply in options.axes, for spz in those that its readers assume. Values beyond the format's range are
+/// clamped and counted in `report`. Deterministic.
 /// Errors: bad_argument (not writable, inconsistent view, no such version of SPZ); limit_exceeded (more Gaussians than
 /// the format counts); bad_value with a Gaussian's index as offset (damaged, see find_defects(), in formats other than
-/// ply; or a mean beyond SPZ's range); bad_value without an offset (WriteOptions::strict refuses what `report` counts).
+/// ply; or a mean beyond SPZ's range); bad_value without an offset (no Gaussians, of which a sog has at least one, or
+/// WriteOptions::strict refuses what `report` counts).
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
                                              const WriteOptions& options = {}, WriteReport* report = nullptr);
 
 /// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
-/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the quantisation of a compressed.ply's
-/// chunks, which is proportional to their size. Errors: those of encode_splats() for SPZ.
+/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply and sog,
+/// which are proportional to the size of chunks or the scene. Errors: those of encode_splats() for SPZ.
 Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin);
 
 }  // namespace rgs
