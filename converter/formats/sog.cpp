@@ -23,6 +23,7 @@
 #include "json_member.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
+#include "signature.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -401,29 +402,14 @@ Result<Bytes> read_entry(zip_t* archive, const std::string& name, std::uint64_t 
   return bytes;
 }
 
-bool begins_with(std::span<const std::byte> bytes, std::string_view text, std::uint64_t offset = 0) {
-  return bytes.size() >= offset && bytes.size() - offset >= text.size() &&
-         std::memcmp(bytes.data() + offset, text.data(), text.size()) == 0;
-}
-
-bool is_json_with(std::string_view key, std::span<const std::byte> bytes) {
-  const std::string_view text(reinterpret_cast<const char*>(bytes.data()), std::min<std::size_t>(bytes.size(), 65536));
-  const std::size_t first = text.find_first_not_of(" \t\r\n");
-  return first != text.npos && text[first] == '{' && text.find(key) != text.npos;
-}
-
 }  // namespace
 
 bool is_sog(std::span<const std::byte> bytes) {
-  return begins_with(bytes, "PK\x03\x04") || begins_with(bytes, "PK\x05\x06");
+  return is_zip(bytes) || is_sog_meta(bytes);
 }
 
 bool is_sog_meta(std::span<const std::byte> bytes) {
-  return is_json_with("\"means\"", bytes);
-}
-
-bool is_streamed_sog(std::span<const std::byte> bytes) {
-  return is_json_with("\"lodLevels\"", bytes);
+  return is_json_with(bytes, "\"means\"");
 }
 
 Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimits& limits) {
