@@ -15,6 +15,7 @@
 #include "compressed_ply.hpp"
 #include "gltf_splats.hpp"
 #include "ksplat.hpp"
+#include "npz.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/paged_file.hpp"
@@ -250,6 +251,10 @@ constexpr Format kFormats[] = {
       "mean 24 bits; rotation 32 (version 2: 24); scale, opacity, colour 8; harmonics 5 and 4",
       kAxes3dgs, 3, true, {.aa_mode = true}},
      detail::is_spz, detail::decode_spz, detail::encode_spz},
+    {{SplatFormat::npz, "npz", "", "NumPy archive of gsplat's arrays means, scales, quats, opacities, sh0, shN",
+      "FP32; read from FP16, 32 or 64",
+      kAxes3dgs, 3, true, {.origin = true}},
+     detail::is_npz, read_within<detail::decode_npz>, detail::encode_npz},
     {{SplatFormat::sog, "sog", "meta.json", "PlayCanvas, versions 1 and 2, zipped or beside its WebP images",
       "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
       kAxes3dgs, 3, false, {.aa_mode = true}},
@@ -300,6 +305,8 @@ constexpr Foreign kForeign[] = {
      "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
     {detail::is_json_with, "\"bufferViews\"", "a .gltf is not read: pack it with its buffers into one .glb"},
     {detail::is_zip_with, "data.pkl", kPyTorch},
+    {detail::begins_with, "\x93NUMPY",
+     "one array, a .npy, is not read: put gsplat's arrays into one .npz (numpy.savez)"},
 };
 
 // What to do with a file of such a format; null: it is none.
@@ -443,7 +450,7 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       if (options.strict) {
         return make_error(Errc::bad_value, Error::kNone,
                           "the format holds no origin: positions would be rounded to FP32; write "
-                          ".rgs, .ply or .glb, or drop --strict");
+                          ".rgs, .ply, .glb or .npz, or drop --strict");
       }
       positions = positions_of(splats, options.origin);
       placed.mean = positions;

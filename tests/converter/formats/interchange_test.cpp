@@ -13,8 +13,9 @@ using namespace rgs::test;
 
 namespace {
 
-constexpr SplatFormat kWritable[] = {SplatFormat::compressed_ply, SplatFormat::ply, SplatFormat::glb, SplatFormat::spz,
-                                     SplatFormat::splat};
+constexpr SplatFormat kWritable[] = {
+    SplatFormat::compressed_ply, SplatFormat::ply, SplatFormat::glb, SplatFormat::spz, SplatFormat::npz,
+    SplatFormat::splat};
 
 }  // namespace
 
@@ -218,7 +219,8 @@ TEST_CASE("formats that are not read are named, with what to do, and so is an em
       {zip("scene.usdc"), "OpenUSD"},
       {R"({"asset":{"version":"1.1"},"geometricError":8,"root":{}})", "3D Tiles"},
       {R"({"asset":{"version":"2.0"},"bufferViews":[],"meshes":[]})", ".gltf"},
-      {zip("archive/data.pkl"), "PyTorch"}};
+      {zip("archive/data.pkl"), "PyTorch"},
+      {std::string("\x93NUMPY\1\0v", 9) + std::string(90, ' '), ".npy"}};
   for (const auto& [text, what] : files) {
     CAPTURE(what);
     const Bytes bytes = bytes_of(text);
@@ -238,7 +240,7 @@ TEST_CASE("formats that are not read are named, with what to do, and so is an em
   REQUIRE_FALSE(text);
   CHECK(text.error().code == Errc::bad_magic);
   CHECK(std::string(text.error().what) ==
-        "is not a .rgs, .compressed.ply, .ply, .glb, .spz, .sog, .ksplat or .splat file");
+        "is not a .rgs, .compressed.ply, .ply, .glb, .spz, .npz, .sog, .ksplat or .splat file");
 }
 
 TEST_CASE("every format has one entry, by which it is found") {

@@ -31,6 +31,7 @@ enum class SplatFormat : std::uint8_t {
   ksplat,          ///< GaussianSplats3D, levels 0 to 2; read only
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; read only
   glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
+  npz,             ///< NumPy archive of gsplat's parameters
 };
 
 /// "ply", "compressed.ply", "spz", ...: FormatInfo::name.
@@ -134,7 +135,7 @@ struct ReadOptions {
 /// of PlyFile::open, FileView::open() and PagedFile::open(); for other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
-/// or in meta.json).
+/// or in meta.json; inside .npz: in the array).
 Result<SplatFile> read_splats(const std::string& path, const ReadOptions& options = {});
 /// The same from memory; a SOG must be zipped.
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options = {});
@@ -146,7 +147,7 @@ struct WriteOptions {
                                                      ///< mode's default
   float metres_per_unit = 0;                         ///< stated in these if it is not 0
   Axes axes = kAxes3dgs;                             ///< of the Gaussians; stated in ply and compressed_ply
-  /// Of the Gaussians; ply and glb keep it, others hold FP32 positions: position_rounding().
+  /// Of the Gaussians; ply, glb and npz keep it, others hold FP32 positions: position_rounding().
   Origin origin = kNoOrigin;
   bool keep_order = false;  ///< compressed.ply: do not group close Gaussians into chunks
   int spz_version = 3;      ///< 2, 3 or 4; docs/user/INTERCHANGE.md says which viewer reads which
