@@ -26,6 +26,7 @@
 #include "splat_records.hpp"
 #include "spz.hpp"
 #include "stated_scene.hpp"
+#include "torch_checkpoint.hpp"
 #include "write_report.hpp"
 
 namespace rgs {
@@ -255,6 +256,10 @@ constexpr Format kFormats[] = {
       "FP32; read from FP16, 32 or 64",
       kAxes3dgs, 3, true, {.origin = true}},
      detail::is_npz, read_within<detail::decode_npz>, detail::encode_npz},
+    {{SplatFormat::pt, "pt", "", "checkpoint of gsplat by PyTorch: the same arrays as tensors",
+      "FP16, 32 or 64",
+      kAxes3dgs, 3, false, {.origin = true}},
+     detail::is_torch_checkpoint, read_within<detail::decode_torch_checkpoint>},
     {{SplatFormat::sog, "sog", "meta.json", "PlayCanvas, versions 1 and 2, zipped or beside its WebP images",
       "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
       kAxes3dgs, 3, false, {.aa_mode = true}},
@@ -288,8 +293,6 @@ constexpr const char* kStreamedSog =
 constexpr const char* kSpark = "a .rad of Spark is not read: convert the scene that it was made from";
 constexpr const char* kLcc2 = "an .lcc2 of XGRIDS is not read: convert the .sog, .spz or .ply files in its data folder";
 constexpr const char* kOpenUsd = "OpenUSD is not read: export the scene as .ply or .glb";
-constexpr const char* kPyTorch =
-    "a checkpoint of PyTorch is not read: export it as .ply with the program that wrote it";
 constexpr Foreign kForeign[] = {
     {detail::is_json_with, "\"lodLevels\"", kStreamedSog},
     {detail::is_zip_with, "lod-meta.json", kStreamedSog},
@@ -304,7 +307,6 @@ constexpr Foreign kForeign[] = {
     {detail::is_json_with, "\"geometricError\"",
      "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
     {detail::is_json_with, "\"bufferViews\"", "a .gltf is not read: pack it with its buffers into one .glb"},
-    {detail::is_zip_with, "data.pkl", kPyTorch},
     {detail::begins_with, "\x93NUMPY",
      "one array, a .npy, is not read: put gsplat's arrays into one .npz (numpy.savez)"},
 };

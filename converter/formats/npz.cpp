@@ -10,7 +10,7 @@
 #include <string_view>
 #include <utility>
 
-#include "origin_of.hpp"
+#include "gsplat_arrays.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 #include "signature.hpp"
@@ -22,23 +22,6 @@ namespace {
 using Bytes = std::vector<std::byte>;
 
 constexpr std::string_view kMagicNpy = "\x93NUMPY";
-
-// An array [n, rows, channels] of floats; of fewer dimensions, [n] or [n, channels].
-struct Array {
-  Bytes bytes;
-  std::uint64_t first = 0;  // byte of the numbers
-  std::uint64_t item_bytes = 4, n_dims = 0;
-  std::array<std::uint64_t, 3> shape{}, stride{};
-
-  double at(std::uint64_t i, std::uint64_t row, std::uint64_t channel) const {
-    const std::uint64_t byte = first + item_bytes * (i * stride[0] + row * stride[1] + channel * stride[2]);
-    switch (item_bytes) {
-      case 2: return static_cast<double>(float_from_half(load<std::uint16_t>(bytes, byte)));
-      case 4: return static_cast<double>(load<float>(bytes, byte));
-      default: return load<double>(bytes, byte);
-    }
-  }
-};
 
 // The header's text, a Python dictionary. After a failure, at() is where the text is not as expected.
 class Header {
@@ -85,6 +68,10 @@ class Header {
   std::uint64_t offset_;
   std::size_t at_ = 0;
 };
+
+std::string file_of(std::size_t parameter) {
+  return std::string(kParameterNames[parameter]) + ".npy";
+}
 
 // Fills the array's shape and strides; [n] and [n, channels] get sizes of 1 between.
 Status lay_out(std::span<const std::uint64_t> dims, bool fortran, std::uint64_t offset, Array& array) {
@@ -161,58 +148,23 @@ Result<Array> parse_array(Bytes bytes) {
   return array;
 }
 
-// ---- the scene ------------------------------------------------------------------------------------------------------
-
-enum Parameter : std::size_t { kMeans, kScales, kQuats, kOpacities, kConstantSh, kHigherSh };
-constexpr struct {
-  const char* file;
-  std::uint64_t channels;
-  const char* wrong;
-} kParameters[] = {{"means.npy", 3, "means is not [n, 3]"},
-                   {"scales.npy", 3, "scales is not [n, 3], as many as means"},
-                   {"quats.npy", 4, "quats is not [n, 4], as many as means"},
-                   {"opacities.npy", 1, "opacities is not [n] or [n, 1], as many as means"},
-                   {"sh0.npy", 3, "sh0 is not [n, 1, 3] or [n, 3], as many as means"},
-                   {"shN.npy", 3, "shN is not [n, k, 3] with k = 0, 3, 8 or 15, as many as means"}};
-using Arrays = std::array<Array, std::size(kParameters)>;
-
-// 0 to 3, or -1.
-int degree_of(std::uint64_t coefficients_above_0) {
-  for (int degree = 0; degree <= kMaxShDegree; ++degree)
-    if (coefficients_above_0 + 1 == static_cast<std::uint64_t>(sh_coefficients(degree))) return degree;
-  return -1;
-}
-
 Result<Arrays> read_arrays(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const auto archive = ZipArchive::open(bytes);
   if (!archive) return tl::unexpected(archive.error());
   Arrays arrays;
   std::uint64_t total = 0;
   for (std::size_t p = 0; p < arrays.size(); ++p) {
-    const std::uint64_t n = arrays[kMeans].shape[0];
-    if (p == kHigherSh && !archive->holds(kParameters[p].file)) {
-      arrays[p].shape = {n, 0, 3};
-      break;
-    }
-    auto file = archive->read(kParameters[p].file, limits,
+    if (p == kHigherSh && !archive->holds(file_of(p))) break;
+    auto file = archive->read(file_of(p), limits,
                               "the .npz lacks one of gsplat's arrays means, scales, quats, opacities and sh0");
     if (!file) return tl::unexpected(file.error());
     total += file->size();
     if (const Status s = check_expansion(total, bytes.size(), 0, limits); !s) return tl::unexpected(s.error());
     auto array = parse_array(std::move(*file));
     if (!array) return tl::unexpected(array.error());
-    const auto& shape = array->shape;
-    const bool fits = p == kHigherSh ? array->n_dims == 3 && degree_of(shape[1]) >= 0 : shape[1] == 1;
-    if (!fits || shape[2] != kParameters[p].channels || (p != kMeans && shape[0] != n))
-      return make_error(Errc::bad_header, 0, kParameters[p].wrong, p == kMeans ? Error::kNone : n, shape[0]);
-    if (p == kMeans && shape[0] > limits.max_gaussians)
-      return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians,
-                        shape[0]);
     arrays[p] = std::move(*array);
+    if (const Status s = check_array(p, arrays, limits); !s) return tl::unexpected(s.error());
   }
-  const std::uint64_t floats = 11 + 3 * (1 + arrays[kHigherSh].shape[1]);
-  if (const Status s = check_expansion(4 * floats * arrays[kMeans].shape[0], bytes.size(), 0, limits); !s)
-    return tl::unexpected(s.error());
   return arrays;
 }
 
@@ -245,45 +197,19 @@ bool is_npz(std::span<const std::byte> bytes) {
 Result<SplatFile> decode_npz(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const auto arrays = read_arrays(bytes, limits);
   if (!arrays) return tl::unexpected(arrays.error());
-  const Array &means = (*arrays)[kMeans], &shn = (*arrays)[kHigherSh];
-  const std::uint64_t n = means.shape[0], above_0 = shn.shape[1];
-  SplatFile file;
-  file.cloud.resize(n, degree_of(above_0));
-  if (means.item_bytes == 8)
-    file.origin = origin_of(n, [&means](std::uint64_t i) {
-      return std::array{means.at(i, 0, 0), means.at(i, 0, 1), means.at(i, 0, 2)};
-    });
-  const auto number = [&](Parameter p, std::uint64_t i, std::uint64_t channel) {
-    return static_cast<float>((*arrays)[p].at(i, 0, channel));
-  };
-  for (std::uint64_t i = 0; i < n; ++i) {
-    Splat s;
-    for (std::uint64_t k = 0; k < 3; ++k) {
-      const double x = means.at(i, 0, k) - file.origin[k];
-      s.mean[k] = static_cast<float>(x);
-      const double error = std::fabs(static_cast<double>(s.mean[k]) - x);
-      if (error > file.position_rounding && std::isfinite(error)) file.position_rounding = error;
-      s.log_scale[k] = number(kScales, i, k);
-      s.sh[k] = number(kConstantSh, i, k);
-      for (std::uint64_t row = 0; row < above_0; ++row) s.sh[3 * (row + 1) + k] = static_cast<float>(shn.at(i, row, k));
-    }
-    for (std::uint64_t k = 0; k < 4; ++k) s.rotation[k] = number(kQuats, i, k);
-    s.opacity_logit = number(kOpacities, i, 0);
-    file.cloud.set(i, s);
-  }
-  return file;
+  return scene_of(*arrays, bytes.size(), limits);
 }
 
 Result<std::vector<std::byte>> encode_npz(const SplatView& splats, const WriteOptions& options) {
   const Origin& origin = options.origin;
   const std::uint64_t n = splats.n, above_0 = static_cast<std::uint64_t>(sh_coefficients(splats.sh_degree)) - 1;
   const bool far = origin != kNoOrigin;
-  const std::array<std::vector<std::uint64_t>, std::size(kParameters)> shapes{
+  const std::array<std::vector<std::uint64_t>, kParameterNames.size()> shapes{
       {{n, 3}, {n, 3}, {n, 4}, {n}, {n, 1, 3}, {n, above_0, 3}}};
   std::vector<std::pair<std::string, Bytes>> files;
   for (std::size_t p = 0; p < shapes.size(); ++p)
-    files.emplace_back(kParameters[p].file, p == kMeans && far ? npy("<f8", 8, shapes[p]) : npy("<f4", 4, shapes[p]));
-  std::array<std::byte*, std::size(kParameters)> at;
+    files.emplace_back(file_of(p), p == kMeans && far ? npy("<f8", 8, shapes[p]) : npy("<f4", 4, shapes[p]));
+  std::array<std::byte*, kParameterNames.size()> at;
   for (std::size_t p = 0; p < at.size(); ++p) {
     std::uint64_t items = far && p == kMeans ? 2 : 1;
     for (const std::uint64_t size : shapes[p]) items *= size;

@@ -35,6 +35,15 @@ Result<ZipArchive> ZipArchive::open(std::span<const std::byte> bytes) {
   return ZipArchive(archive, bytes.size());
 }
 
+std::string ZipArchive::name_ending(std::string_view ending) const {
+  const zip_int64_t n = zip_get_num_entries(archive_.get(), 0);
+  for (zip_int64_t i = 0; i < n; ++i) {
+    const char* name = zip_get_name(archive_.get(), static_cast<zip_uint64_t>(i), 0);
+    if (name != nullptr && std::string_view(name).ends_with(ending)) return name;
+  }
+  return {};
+}
+
 bool ZipArchive::holds(const std::string& name) const {
   return zip_name_locate(archive_.get(), name.c_str(), 0) >= 0;
 }

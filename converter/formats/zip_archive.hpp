@@ -6,6 +6,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -21,6 +22,8 @@ class ZipArchive {
   /// `bytes` must outlive it. Errors: bad_header.
   static Result<ZipArchive> open(std::span<const std::byte> bytes);
 
+  /// The first name with that ending; empty if there is none.
+  std::string name_ending(std::string_view ending) const;
   bool holds(const std::string& name) const;
   /// A whole entry. Errors: missing_section with the text `missing`, limit_exceeded, checksum_mismatch.
   Result<std::vector<std::byte>> read(const std::string& name, const DecodeLimits& limits, const char* missing) const;

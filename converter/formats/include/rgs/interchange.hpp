@@ -32,6 +32,7 @@ enum class SplatFormat : std::uint8_t {
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; read only
   glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
   npz,             ///< NumPy archive of gsplat's parameters
+  pt,              ///< gsplat's checkpoint of PyTorch; read only
 };
 
 /// "ply", "compressed.ply", "spz", ...: FormatInfo::name.
@@ -135,7 +136,7 @@ struct ReadOptions {
 /// of PlyFile::open, FileView::open() and PagedFile::open(); for other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
-/// or in meta.json; inside .npz: in the array).
+/// or in meta.json; inside .npz: in the array; inside .pt: in data.pkl).
 Result<SplatFile> read_splats(const std::string& path, const ReadOptions& options = {});
 /// The same from memory; a SOG must be zipped.
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options = {});
@@ -176,9 +177,10 @@ struct WriteReport {
 /// Encodes a file of that format. `splats` must be in FormatInfo::axes or of undeclared axes, for ply and
 /// compressed_ply in options.axes, for spz in those that its readers assume. Values beyond the format's range are
 /// clamped and counted in `report`. Deterministic.
-/// Errors: bad_argument (rgs or not writable, inconsistent view, no such version of SPZ); limit_exceeded (more Gaussians than
-/// the format counts); bad_value with a Gaussian's index as offset (damaged, see find_defects(), in formats other than
-/// ply; or a mean beyond SPZ's range); bad_value without an offset (WriteOptions::strict refuses what `report` counts).
+/// Errors: bad_argument (rgs or not writable, inconsistent view, no such version of SPZ); limit_exceeded (more
+/// Gaussians than the format counts); bad_value with a Gaussian's index as offset (damaged, see find_defects(), in
+/// formats other than ply; or a mean beyond SPZ's range); bad_value without an offset (WriteOptions::strict refuses
+/// what `report` counts).
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
                                              const WriteOptions& options = {}, WriteReport* report = nullptr);
 
