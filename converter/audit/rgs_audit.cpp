@@ -283,7 +283,8 @@ void add_options(CLI::App& app, Arguments& a) {
   std::string names;
   for (const audit::ConditionKind& kind : audit::condition_kinds())
     names += fmt::format("\n  {:<24}{} {}", kind.name, kind.at_least ? "at least:" : "at most: ", kind.meaning);
-  app.add_option("source", o.source, "Source of the asset: " RGS_SCENE_FORMATS "; or a folder of these")->required();
+  app.add_option("source", o.source, "Source of the asset: " + rgs::format_list() + "; or a folder of these")
+      ->required();
   app.add_option("asset", o.asset,
                  "Asset made from it, in any of these formats; or a folder of files with the same names")
       ->required();

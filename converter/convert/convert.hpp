@@ -137,7 +137,7 @@ bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& fil
 /// Those declarations that a file of that format cannot state: "anti-aliasing (mip-splatting)", ...
 std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptions& declared);
 
-/// Writes a scene in memory as .rgs or any writable format. Its Gaussians must be in format_axes(format), for .rgs in
+/// Writes a scene in memory as .rgs or any writable format. Its Gaussians must be in FormatInfo::axes, for .rgs in
 /// options.encode.axes. options.encode.on_bad applies to damaged ones, except that PLY keeps them.
 /// Errors: those of convert_to_rgs(), clean_splats(), encode_splats() and AtomicFile.
 Result<ConvertSummary> convert_scene(LoadedScene&& scene, SplatFormat format, const std::string& output_path,

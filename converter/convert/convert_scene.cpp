@@ -55,7 +55,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   const auto rounding = position_rounding(scene.cloud.view(), format, scene.origin);
   if (!rounding) return tl::unexpected(rounding.error());
   summary.position_rounding = *rounding;
-  summary.origin = keeps_origin(format) ? scene.origin : kNoOrigin;
+  summary.origin = format_info(format).keeps.origin ? scene.origin : kNoOrigin;
   const auto bytes = encode_splats(scene.cloud.view(), format, write, &summary.clamped);
   if (!bytes) return tl::unexpected(bytes.error());
   clock.begin("commit", 0, "");
@@ -73,7 +73,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   summary.spz_version = format == SplatFormat::spz ? options.spz_version : 0;
   summary.output_bytes = bytes->size();
   summary.n_written = scene.cloud.size();
-  summary.sh_degree = format == SplatFormat::splat ? 0 : scene.cloud.sh_degree;
+  summary.sh_degree = std::min(format_info(format).sh_degree, scene.cloud.sh_degree);
   return summary;
 }
 
@@ -113,11 +113,9 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
   std::vector<std::string> lost;
   if (format == SplatFormat::rgs) return lost;
   const EncodeOptions usual;
-  const bool has_words =
-      format == SplatFormat::ply || format == SplatFormat::compressed_ply || format == SplatFormat::glb;
-  const bool has_flag =
-      (format == SplatFormat::spz || format == SplatFormat::sog) && declared.aa_mode != AaMode::undeclared;
-  if (!has_words) {
+  const FormatInfo::Keeps& keeps = format_info(format).keeps;
+  const bool has_flag = keeps.aa_mode && declared.aa_mode != AaMode::undeclared;
+  if (!keeps.declarations) {
     const AaMode read_as = has_flag ? declared.aa_mode : AaMode::classic;
     if (declared.aa_mode != read_as) lost.push_back(fmt::format("anti-aliasing ({})", name_of(declared.aa_mode)));
     if (low_pass_of(declared) != default_low_pass_px2(read_as))
@@ -126,7 +124,7 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
       lost.push_back(declared.colour_space == ColourSpace::linear_display ? "colour space (linear)"
                                                                           : "colour space (undeclared)");
     if (declared.metres_per_unit != 0) lost.push_back(fmt::format("metres per unit ({})", declared.metres_per_unit));
-    if (declared.axes != format_axes(format)) lost.push_back("axes other than the format's");
+    if (declared.axes != format_info(format).axes) lost.push_back("axes other than the format's");
   }
   if (declared.depth && declared.depth->source != DepthSource::scene_extent)
     lost.push_back(fmt::format("depth range ({} to {})", declared.depth->z_near, declared.depth->z_far));

@@ -159,12 +159,11 @@ void allow_open_files(std::size_t n) {
 void OutputOptions::add_to(CLI::App& app) {
   EncodeOptions& e = convert.encode;
   e.profile = Profile::packed;
-  auto writable = formats_by_name();
-  std::erase_if(writable, [](const auto& f) { return f.second != SplatFormat::rgs && !is_writable(f.second); });
+  const auto writable = formats_by_name(true);
   app.option_defaults()->group(kSceneGroup);
   app.add_option("--to", to, "Format of the output; default: from its name")
       ->transform(tool::one_of(writable))
-      ->option_text("rgs|ply|compressed.ply|spz|splat|sog|glb");
+      ->option_text(tool::names_of(writable, "|"));
   app.add_option("--spz-version", spz_version,
                  "Version of an SPZ [3]: Spark reads 2 and 3, GaussianSplats3D 2, PlayCanvas's engine 4 "
                  "(docs/user/INTERCHANGE.md)")
@@ -257,9 +256,8 @@ std::optional<std::string> OutputOptions::check() const {
 
 std::optional<std::string> OutputOptions::check_format(const SceneOptions& scene, SplatFormat format) const {
   if (format == SplatFormat::unknown)
-    return "cannot tell the output's format from its name; pass --to rgs, ply, spz, ...";
-  if (format != SplatFormat::rgs && !is_writable(format))
-    return std::string("the format ") + format_name(format) + " is read only";
+    return "cannot tell the output's format from its name (" + format_list(true) + "); pass --to";
+  if (!format_info(format).writable) return std::string("the format ") + format_name(format) + " is read only";
   if (format != SplatFormat::rgs && !rgs_option.empty()) return rgs_option + " is for .rgs outputs";
   if (format != SplatFormat::spz && spz_version) return "--spz-version is for .spz outputs";
   if (format == SplatFormat::glb && scene.to_axes) return "the axes of glb are prescribed by the format";

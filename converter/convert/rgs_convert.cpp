@@ -34,7 +34,8 @@ int parse_and_convert(int argc, char** argv) {
   CLI::App app("Converts trained 3D Gaussian splat scenes between .rgs and other formats.", "rgs-convert");
   app.set_version_flag("--version", "rgs-convert " RGS_VERSION);
   app.footer(
-      "Writes .rgs, .ply, .compressed.ply, .spz, .splat, .sog and .glb.\n"
+      "Writes " + rgs::format_list(true) +
+      " (--formats says what each keeps).\n"
       "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 a file with levels of detail "
       "is cut off and lacks what was asked for; with --target-psnr and --target-size also 5, out of reach; with "
       "--audit also those of rgs-audit. Many scenes return the worst, in this order: 1, 3, 2, 4, 6.");
@@ -47,7 +48,12 @@ int parse_and_convert(int argc, char** argv) {
   arguments.run.add_to(app);
   many.add_to(app);
   parts.add_to(app);
+  std::string formats;
+  app.option_defaults()->group(rgs::kRunGroup);
+  app.add_flag("--formats{text}", formats, "List the formats and what each keeps; =markdown: as in its manual")
+      ->check(CLI::IsMember({"text", "markdown"}));
   if (const auto code = tool::parse(app, argc, argv)) return *code;
+  if (!formats.empty()) return tool::print(rgs::format_table(formats == "markdown")), tool::kSuccess;
   note_options(app, arguments);
   if (!parts.step.empty()) return parts.convert(app, arguments, many.list);
   for (const char* name : {"--lod-input", "--ranges"}) {

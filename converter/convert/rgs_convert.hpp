@@ -40,7 +40,7 @@ inline constexpr const char* kPartsGroup = "One scene in many processes (docs/us
 [[noreturn]] inline void refuse_option(const std::string& message) {
   throw CLI::ParseError(message, CLI::ExitCodes::ValidationError);
 }
-std::map<std::string, SplatFormat> formats_by_name();
+std::map<std::string, SplatFormat> formats_by_name(bool writable = false);
 
 /// What is read, and how Gaussians are placed and filtered.
 struct SceneOptions {
@@ -177,6 +177,9 @@ struct SceneInParts {
   /// `input_list`: names more inputs of --lod-partition.
   int convert(const CLI::App& app, ConvertArguments& arguments, const std::string& input_list) const;
 };
+
+/// The formats as a table, as text or Markdown.
+std::string format_table(bool markdown);
 
 /// rgs-audit of a finished conversion, a program of its own: pictures need libraries that a converter should not depend
 /// on.

@@ -128,25 +128,25 @@ void note_spz_axes(const SceneOptions& options, const SceneInput& input, const S
 
 }  // namespace
 
-std::map<std::string, SplatFormat> formats_by_name() {
+std::map<std::string, SplatFormat> formats_by_name(bool writable) {
   std::map<std::string, SplatFormat> formats;
-  for (const SplatFormat format : {SplatFormat::rgs, SplatFormat::ply, SplatFormat::compressed_ply, SplatFormat::spz,
-                                   SplatFormat::splat, SplatFormat::ksplat, SplatFormat::sog, SplatFormat::glb})
-    formats.emplace(format_name(format), format);
+  for (const FormatInfo& info : all_formats())
+    if (info.writable || !writable) formats.emplace(info.name, info.format);
   return formats;
 }
 
 void SceneOptions::add_to(CLI::App& app) {
   app.option_defaults()->group(kSceneGroup);
-  app.add_option("files", files,
-                 "Inputs, " RGS_SCENE_FORMATS
-                 " (several with --merge), then the output; - for a standard stream. Or a folder of scenes, then the "
-                 "output folder")
+  app.add_option(
+         "files", files,
+         "Inputs, " + format_list() +
+             " (several with --merge), then the output; - for a standard stream. Or a folder of scenes, then the "
+             "output folder")
       ->expected(0, -1)
       ->option_text("input... output");
   app.add_option("--from", from, "Format of the inputs; default: detected from their content")
       ->transform(tool::one_of(formats_by_name()))
-      ->option_text("rgs|ply|compressed.ply|spz|splat|ksplat|sog|glb");
+      ->option_text(tool::names_of(formats_by_name(), "|"));
   app.add_flag("--skip-unknown-extensions", skip_unknown_extensions,
                "Skip an SPZ's extensions of unknown type, though they may change what its Gaussians mean");
   tool::add_spz_axes(app, spz_axes);
@@ -219,7 +219,7 @@ Axes SceneOptions::target_axes(const Axes& source, SplatFormat from_format, Spla
   const bool undeclared = source[0] == Axis::undeclared && n_inputs() == 1;
   if (undeclared && !to_axes) return source;  // nothing to convert
   if (to_format == SplatFormat::spz) return spz_axes;
-  if (to_format == SplatFormat::glb) return format_axes(to_format);
+  if (to_format == SplatFormat::glb) return format_info(to_format).axes;
   if (to_axes) return *to_axes;
   const bool prescribed = from_format == SplatFormat::spz || from_format == SplatFormat::glb;
   return to_format == SplatFormat::rgs && (!prescribed || axes) ? source : kAxes3dgs;

@@ -21,6 +21,7 @@
 #include "ply_header.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -387,19 +388,15 @@ Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const 
   return file;
 }
 
-Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, const StatedScene& stated,
-                                                     bool keep_order) {
-  if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
-    return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene");
-  }
-  const std::string header = make_header(splats.n, splats.sh_degree, stated);
+Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, const WriteOptions& options) {
+  const std::string header = make_header(splats.n, splats.sh_degree, stated_scene(options));
   const auto per_channel = static_cast<std::size_t>(sh_coefficients(splats.sh_degree) - 1);
   const std::uint64_t chunks_at = header.size();
   const std::uint64_t vertices_at = chunks_at + (splats.n + kChunk - 1) / kChunk * sizeof(Bounds);
   const std::uint64_t sh_at = vertices_at + 16 * splats.n;
   std::vector<std::byte> file(sh_at + 3 * per_channel * splats.n);
   std::memcpy(file.data(), header.data(), header.size());
-  const std::vector<std::uint32_t> order = order_of(splats, keep_order);
+  const std::vector<std::uint32_t> order = order_of(splats, options.keep_order);
   std::vector<Splat> chunk;
   for (std::uint64_t first = 0; first < splats.n; first += kChunk) {
     chunk.clear();

@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "rgs/interchange.hpp"
-#include "stated_scene.hpp"
 
 namespace rgs::detail {
 
@@ -20,9 +19,8 @@ bool is_compressed_ply(std::span<const std::byte> bytes);
 /// With 18 (chunk colours) or 12 chunk properties, with or without SH, as PlayCanvas's tools and gsplat write it.
 Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
-/// `stated` goes into comments. Chunks hold 256 Gaussians that are close in space, or consecutive ones if `keep_order`.
-/// Errors: limit_exceeded (2^32 Gaussians to sort).
-Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, const StatedScene& stated,
-                                                     bool keep_order);
+/// Comments state what options declare. Chunks hold 256 Gaussians that are close in space, or consecutive ones if
+/// options.keep_order.
+Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, const WriteOptions& options);
 
 }  // namespace rgs::detail

@@ -21,6 +21,7 @@
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/splat_edit.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -561,7 +562,7 @@ Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimit
   return file;
 }
 
-Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const StatedScene& stated) {
+Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const WriteOptions& options) {
   const std::uint64_t each = 4 * (11 + 1 + 3 * static_cast<std::uint64_t>(sh_coefficients(splats.sh_degree)));
   constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint32_t>::max() - 65536;  // leaves room for the JSON
   if (splats.n > kMostBytes / each) {
@@ -569,7 +570,7 @@ Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const StatedS
                       "a .glb holds at most 4 GiB; strip harmonics or split the scene", kMostBytes / each, splats.n);
   }
   BufferBuilder buffer(splats.n);
-  const std::string text = make_json(splats, stated, buffer);
+  const std::string text = make_json(splats, stated_scene(options), buffer);
   const std::uint64_t bin_header = kGlbHeaderBytes + kChunkHeaderBytes + text.size();
   const std::uint64_t total = bin_header + kChunkHeaderBytes + buffer.bin().size();
   std::vector<std::byte> file(total);

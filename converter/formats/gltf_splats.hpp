@@ -7,7 +7,6 @@
 #include <vector>
 
 #include "rgs/interchange.hpp"
-#include "stated_scene.hpp"
 
 namespace rgs::detail {
 
@@ -15,8 +14,8 @@ namespace rgs::detail {
 /// in the file's own binary chunk. A far node translation becomes the origin, see transform_splats().
 Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
-/// One primitive, with COLOR_0 for viewers that show points. stated.origin becomes its node's translation; statements
+/// One primitive, with COLOR_0 for viewers that show points. options.origin becomes its node's translation; statements
 /// for which the extension has no field go into its extras. Errors: limit_exceeded (above 4 GiB).
-Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const StatedScene& stated);
+Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const WriteOptions& options);
 
 }  // namespace rgs::detail

@@ -15,28 +15,26 @@
 #include "compressed_ply.hpp"
 #include "gltf_splats.hpp"
 #include "ksplat.hpp"
+#include "npz.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/splat_edit.hpp"
+#include "signature.hpp"
 #include "sog.hpp"
 #include "splat_records.hpp"
 #include "spz.hpp"
 #include "stated_scene.hpp"
+#include "torch_checkpoint.hpp"
 #include "write_report.hpp"
 
 namespace rgs {
 namespace {
 
-constexpr std::array<const char*, 9> kNames{"unknown", "rgs", "ply", "compressed.ply", "spz", "splat",
-                                            "ksplat",  "sog", "glb"};
+using Bytes = std::span<const std::byte>;
 
-bool begins_with(std::span<const std::byte> bytes, std::span<const unsigned char> magic) {
-  return bytes.size() >= magic.size() && std::memcmp(bytes.data(), magic.data(), magic.size()) == 0;
-}
-
-Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+Result<SplatFile> decode_ply(Bytes bytes, const DecodeLimits& limits) {
   const auto ply = PlyFile::open(bytes);
   if (!ply) return tl::unexpected(ply.error());
   if (ply->size() > limits.max_gaussians) {
@@ -59,7 +57,19 @@ void declare_as(const Declarations& declarations, const std::optional<Provenance
   file.provenance = provenance;
 }
 
-Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+bool is_rgs(Bytes bytes) {
+  return detail::begins_with(bytes, detail::text_of(std::as_bytes(std::span(kMagic))));
+}
+
+bool is_ply(Bytes bytes) {
+  return detail::begins_with(bytes, "ply");
+}
+
+bool is_glb(Bytes bytes) {
+  return detail::begins_with(bytes, "glTF");
+}
+
+Result<SplatFile> decode_plain(Bytes bytes, const DecodeLimits& limits) {
   const auto view = FileView::open(bytes, limits);
   if (!view) return tl::unexpected(view.error());
   auto cloud = decode(bytes, limits);
@@ -86,7 +96,7 @@ std::uint64_t count_as(std::span<const std::uint32_t> counts, std::vector<lod::P
   return of_leaves;
 }
 
-Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOptions& options) {
+Result<SplatFile> decode_levels(Bytes bytes, const ReadOptions& options) {
   const auto paged = PagedFile::open(bytes, options.limits);
   if (!paged) return tl::unexpected(paged.error());
   std::vector<std::uint32_t> pages;
@@ -139,7 +149,7 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
     if (!plain) return tl::unexpected(plain.error());
     DecodeLimits limits = options.limits;
     limits.max_file_bytes = plain->size();  // the file's own size was checked above
-    auto file = decode_rgs(*plain, limits);
+    auto file = decode_plain(*plain, limits);
     if (file) file->n_levels = paged->n_levels();
     return file;
   }
@@ -153,27 +163,8 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
   return file;
 }
 
-Result<SplatFile> decode_format(std::span<const std::byte> bytes, SplatFormat format, const ReadOptions& options) {
-  const DecodeLimits& limits = options.limits;
-  const bool levels = format == SplatFormat::rgs && has_levels(bytes);
-  if (options.level_of_detail && !levels) {
-    return make_error(Errc::bad_argument, Error::kNone, "the file has no levels of detail");
-  }
-  switch (format) {
-    case SplatFormat::rgs: return levels ? decode_levels(bytes, options) : decode_rgs(bytes, limits);
-    case SplatFormat::ply: return decode_ply(bytes, limits);
-    case SplatFormat::compressed_ply: return detail::decode_compressed_ply(bytes, limits);
-    case SplatFormat::spz: return detail::decode_spz(bytes, options);
-    case SplatFormat::splat: return detail::decode_splat_records(bytes, limits);
-    case SplatFormat::ksplat: return detail::decode_ksplat(bytes, limits);
-    case SplatFormat::sog: return detail::decode_sog(bytes, limits);
-    case SplatFormat::glb: return detail::decode_glb(bytes, limits);
-    case SplatFormat::unknown: break;
-  }
-  if (detail::is_streamed_sog(bytes))
-    return make_error(Errc::unsupported_feature, 0,
-                      "a streamed SOG (lod-meta.json), which is not read yet: take the scene that it was made from");
-  return make_error(Errc::bad_magic, 0, "is not a .rgs, .ply, .spz, .splat, .ksplat, .sog or .glb file");
+Result<SplatFile> decode_rgs(Bytes bytes, const ReadOptions& options) {
+  return has_levels(bytes) ? decode_levels(bytes, options) : decode_plain(bytes, options.limits);
 }
 
 Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64_t bytes, const ReadOptions& options) {
@@ -209,9 +200,9 @@ Status check_sound(const SplatView& splats) {
   return {};
 }
 
-std::vector<std::byte> encode_ply(const SplatView& splats, const detail::StatedScene& stated) {
-  const Origin& origin = stated.origin;
-  const std::string header = ply_header(splats.n, splats.sh_degree, stated.declarations());
+Result<std::vector<std::byte>> encode_ply(const SplatView& splats, const WriteOptions& options) {
+  const Origin& origin = options.origin;
+  const std::string header = ply_header(splats.n, splats.sh_degree, detail::stated_scene(options).declarations());
   const std::uint64_t row = ply_row_bytes(splats.sh_degree, origin);
   std::vector<std::byte> file(header.size() + splats.n * row);
   std::memcpy(file.data(), header.data(), header.size());
@@ -222,40 +213,157 @@ std::vector<std::byte> encode_ply(const SplatView& splats, const detail::StatedS
   return file;
 }
 
+// ---- the formats ----------------------------------------------------------------------------------------------------
+
+struct Format {
+  FormatInfo info;
+  bool (*recognises)(Bytes) = nullptr;
+  Result<SplatFile> (*read)(Bytes, const ReadOptions&) = nullptr;
+  /// Absent also for .rgs, which encode() writes.
+  Result<std::vector<std::byte>> (*write)(const SplatView&, const WriteOptions&) = nullptr;
+};
+
+template <Result<SplatFile> (*decode)(Bytes, const DecodeLimits&)>
+Result<SplatFile> read_within(Bytes bytes, const ReadOptions& options) {
+  return decode(bytes, options.limits);
+}
+
+// In the order in which they are recognised, by content and by name: the more special first, those without a signature
+// last.
+// clang-format off
+constexpr Format kFormats[] = {
+    {{SplatFormat::rgs, "rgs", "", "RoofGS, with or without levels of detail",
+      "direct, packed: mean FP32, harmonics INT8, all else FP16; archive: within the bounds it states",
+      kAxes3dgs, 3, true, {.levels = true, .origin = true, .aa_mode = true, .declarations = true}, true},
+     is_rgs, decode_rgs},
+    {{SplatFormat::compressed_ply, "compressed.ply", "", "PlayCanvas, SuperSplat, gsplat",
+      "mean, scale 11, 10, 11 bits by chunk; rotation 32; opacity, harmonics 8",
+      kAxes3dgs, 3, true, {.aa_mode = true, .declarations = true}},
+     detail::is_compressed_ply, read_within<detail::decode_compressed_ply>, detail::encode_compressed_ply},
+    {{SplatFormat::ply, "ply", "", "3DGS; any order and type of properties, further columns",
+      "FP32; damaged Gaussians too",
+      kAxes3dgs, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, true},
+     is_ply, read_within<decode_ply>, encode_ply},
+    {{SplatFormat::glb, "glb", "", "glTF 2.0 with KHR_gaussian_splatting, 32-bit floats",
+      "FP32",
+      kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
+     is_glb, read_within<detail::decode_glb>, detail::encode_glb},
+    {{SplatFormat::spz, "spz", "", "Niantic, versions 2 and 3 (gzip) and 4 (zstd)",
+      "mean 24 bits; rotation 32 (version 2: 24); scale, opacity, colour 8; harmonics 5 and 4",
+      kAxes3dgs, 3, true, {.aa_mode = true}},
+     detail::is_spz, detail::decode_spz, detail::encode_spz},
+    {{SplatFormat::npz, "npz", "", "NumPy archive of gsplat's arrays means, scales, quats, opacities, sh0, shN",
+      "FP32; read from FP16, 32 or 64",
+      kAxes3dgs, 3, true, {.origin = true}},
+     detail::is_npz, read_within<detail::decode_npz>, detail::encode_npz},
+    {{SplatFormat::pt, "pt", "", "checkpoint of gsplat by PyTorch: the same arrays as tensors",
+      "FP16, 32 or 64",
+      kAxes3dgs, 3, false, {.origin = true}},
+     detail::is_torch_checkpoint, read_within<detail::decode_torch_checkpoint>},
+    {{SplatFormat::sog, "sog", "meta.json", "PlayCanvas, versions 1 and 2, zipped or beside its WebP images; written zipped",
+      "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
+      kAxes3dgs, 3, true, {.aa_mode = true}},
+     detail::is_sog, read_within<detail::decode_sog>, detail::encode_sog},
+    {{SplatFormat::ksplat, "ksplat", "", "GaussianSplats3D, levels 0 to 2",
+      "level 0 FP32, 1 and 2 FP16; opacity, colour 8 bits",
+      kAxes3dgs, 3, false},
+     detail::looks_like_ksplat, read_within<detail::decode_ksplat>},
+    {{SplatFormat::splat, "splat", "", "antimatter15",
+      "mean, scale FP32; rotation, opacity, colour 8 bits",
+      kAxes3dgs, 0, true},
+     detail::looks_like_splat_records, read_within<detail::decode_splat_records>, detail::encode_splat_records},
+};
+// clang-format on
+
+const Format& entry(SplatFormat format) {
+  static constexpr Format kUnknown;
+  const auto* found = std::ranges::find(kFormats, format, [](const Format& f) { return f.info.format; });
+  return found == std::end(kFormats) ? kUnknown : *found;
+}
+
+// Formats that are known and not read, by the text with which they begin, that is a key of their JSON, or that is in a
+// name of their zip archive.
+struct Foreign {
+  bool (*recognises)(Bytes, std::string_view);
+  std::string_view sign;
+  const char* advice;
+};
+constexpr const char* kStreamedSog =
+    "a streamed SOG, whose SOGs hold parts of a scene, is not read: convert the scene that it was made from";
+constexpr const char* kSpark = "a .rad of Spark is not read: convert the scene that it was made from";
+constexpr const char* kLcc2 = "an .lcc2 of XGRIDS is not read: convert the .sog, .spz or .ply files in its data folder";
+constexpr const char* kOpenUsd = "OpenUSD is not read: export the scene as .ply or .glb";
+constexpr Foreign kForeign[] = {
+    {detail::is_json_with, "\"lodLevels\"", kStreamedSog},
+    {detail::is_zip_with, "lod-meta.json", kStreamedSog},
+    {detail::begins_with, "RAD0", kSpark},
+    {detail::begins_with, "RADC", kSpark},
+    {detail::is_json_with, "\"cellLengthX\"", "an .lcc of XGRIDS is not read: export the scene as .ply"},
+    {detail::is_json_with, "\"lodSplats\"", kLcc2},
+    {detail::is_json_with, "\"lod_3dgs_info\"", kLcc2},
+    {detail::begins_with, "#usda", kOpenUsd},
+    {detail::begins_with, "PXR-USDC", kOpenUsd},
+    {detail::is_zip_with, ".usd", kOpenUsd},
+    {detail::is_json_with, "\"geometricError\"",
+     "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
+    {detail::is_json_with, "\"bufferViews\"", "a .gltf is not read: pack it with its buffers into one .glb"},
+    {detail::begins_with, "\x93NUMPY",
+     "one array, a .npy, is not read: put gsplat's arrays into one .npz (numpy.savez)"},
+};
+
+// What to do with a file of such a format; null: it is none.
+const char* advice_for(Bytes bytes) {
+  const auto* found = std::ranges::find_if(kForeign, [&](const Foreign& f) { return f.recognises(bytes, f.sign); });
+  return found == std::end(kForeign) ? nullptr : found->advice;
+}
+
+Result<SplatFile> decode_format(Bytes bytes, const Format& format, const ReadOptions& options) {
+  if (options.level_of_detail && !has_levels(bytes))
+    return make_error(Errc::bad_argument, Error::kNone, "the file has no levels of detail");
+  if (format.read != nullptr) return format.read(bytes, options);
+  if (const char* advice = advice_for(bytes)) return make_error(Errc::unsupported_feature, 0, advice);
+  static const std::string none = "is not a " + format_list() + " file";
+  return make_error(Errc::bad_magic, 0, none.c_str());
+}
+
 }  // namespace
 
 const char* format_name(SplatFormat format) {
-  return kNames[static_cast<std::size_t>(format)];
+  return format_info(format).name;
+}
+
+const FormatInfo& format_info(SplatFormat format) {
+  return entry(format).info;
+}
+
+std::vector<FormatInfo> all_formats() {
+  std::vector<FormatInfo> infos;
+  for (const Format& format : kFormats) infos.push_back(format.info);
+  return infos;
+}
+
+std::string format_list(bool writable) {
+  std::vector<FormatInfo> infos = all_formats();
+  if (writable) std::erase_if(infos, [](const FormatInfo& info) { return !info.writable; });
+  std::string list;
+  for (const FormatInfo& info : infos)
+    list += (&info == &infos.front() ? "." : &info == &infos.back() ? " or ." : ", .") + std::string(info.name);
+  return list;
 }
 
 SplatFormat detect_format(std::span<const std::byte> bytes) {
-  constexpr std::array<unsigned char, 3> kPly{'p', 'l', 'y'};
-  constexpr std::array<unsigned char, 4> kGlb{'g', 'l', 'T', 'F'};
-  if (begins_with(bytes, kMagic)) return SplatFormat::rgs;
-  if (begins_with(bytes, kPly)) {
-    return detail::is_compressed_ply(bytes) ? SplatFormat::compressed_ply : SplatFormat::ply;
-  }
-  if (begins_with(bytes, kGlb)) return SplatFormat::glb;
-  if (detail::is_spz(bytes)) return SplatFormat::spz;
-  if (detail::is_sog(bytes) || detail::is_sog_meta(bytes)) return SplatFormat::sog;
-  if (detail::looks_like_ksplat(bytes)) return SplatFormat::ksplat;
-  if (detail::looks_like_splat_records(bytes)) return SplatFormat::splat;
-  return SplatFormat::unknown;
+  if (advice_for(bytes) != nullptr) return SplatFormat::unknown;
+  const auto* found = std::ranges::find_if(kFormats, [&](const Format& format) { return format.recognises(bytes); });
+  return found == std::end(kFormats) ? SplatFormat::unknown : found->info.format;
 }
 
 SplatFormat format_of_name(const std::string& path) {
   std::string name = std::filesystem::path(path).filename().string();
   std::ranges::transform(name, name.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  if (name == "meta.json") return SplatFormat::sog;
-  for (const SplatFormat format : {SplatFormat::compressed_ply, SplatFormat::ply, SplatFormat::rgs, SplatFormat::spz,
-                                   SplatFormat::ksplat, SplatFormat::splat, SplatFormat::sog, SplatFormat::glb}) {
-    if (name.ends_with(std::string(".") + format_name(format))) return format;
-  }
-  return SplatFormat::unknown;
-}
-
-Axes format_axes(SplatFormat format) {
-  return format == SplatFormat::glb ? kAxesGltf : kAxes3dgs;
+  const auto* found = std::ranges::find_if(kFormats, [&](const Format& format) {
+    return name.ends_with(std::string(".") + format.info.name) || name == format.info.other_name;
+  });
+  return found == std::end(kFormats) ? SplatFormat::unknown : found->info.format;
 }
 
 EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file) {
@@ -270,15 +378,6 @@ EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file) {
   return options;
 }
 
-bool is_writable(SplatFormat format) {
-  return format == SplatFormat::ply || format == SplatFormat::compressed_ply || format == SplatFormat::spz ||
-         format == SplatFormat::splat || format == SplatFormat::sog || format == SplatFormat::glb;
-}
-
-bool keeps_origin(SplatFormat format) {
-  return format == SplatFormat::rgs || format == SplatFormat::ply || format == SplatFormat::glb;
-}
-
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options) {
   return detail::guard_memory([&]() -> Result<SplatFile> {
     if (bytes.size() > options.limits.max_file_bytes) {
@@ -291,7 +390,7 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
       return make_error(Errc::unsupported_feature, 0,
                         "a SOG's meta.json without its images: name the file, or zip the folder");
     }
-    return finish(decode_format(bytes, format, options), format, bytes.size(), options);
+    return finish(decode_format(bytes, entry(format), options), format, bytes.size(), options);
   });
 }
 
@@ -313,7 +412,7 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
 
 Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin) {
   return detail::guard_memory([&]() -> Result<double> {
-    if (keeps_origin(format) || (origin == kNoOrigin && format != SplatFormat::spz)) return 0.0;
+    if (format_info(format).keeps.origin || (origin == kNoOrigin && format != SplatFormat::spz)) return 0.0;
     const std::vector<float> positions = positions_of(splats, origin);
     int bits = 0;
     if (format == SplatFormat::spz) {
@@ -337,26 +436,23 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format, const WriteOptions& options,
                                              WriteReport* report) {
   return detail::guard_memory([&]() -> Result<std::vector<std::byte>> {
-    if (!is_writable(format)) return make_error(Errc::bad_argument, Error::kNone, "this format cannot be written");
+    const Format& f = entry(format);
+    if (f.write == nullptr) return make_error(Errc::bad_argument, Error::kNone, "this format cannot be written");
     if (!splats.consistent()) return make_error(Errc::bad_argument, Error::kNone, "the view's array sizes disagree");
     if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
       return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                         std::numeric_limits<std::uint32_t>::max(), splats.n);
     }
     if (report != nullptr) *report = {};
-    if (format == SplatFormat::spz && (options.spz_version < 2 || options.spz_version > 4)) {
-      return make_error(Errc::bad_argument, Error::kNone, "SPZ is written in version 2, 3 or 4");
-    }
-    const detail::StatedScene stated = detail::stated_scene(options);
-    if (format == SplatFormat::ply) return encode_ply(splats, stated);
+    if (format == SplatFormat::ply) return f.write(splats, options);
     if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
     std::vector<float> positions;  // FP32, where the format holds no origin
     SplatView placed = splats;
-    if (options.origin != kNoOrigin && !keeps_origin(format)) {
+    if (options.origin != kNoOrigin && !f.info.keeps.origin) {
       if (options.strict) {
         return make_error(Errc::bad_value, Error::kNone,
                           "the format holds no origin: positions would be rounded to FP32; write "
-                          ".rgs, .ply or .glb, or drop --strict");
+                          ".rgs, .ply, .glb or .npz, or drop --strict");
       }
       positions = positions_of(splats, options.origin);
       placed.mean = positions;
@@ -366,13 +462,7 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       if (report != nullptr) *report = clamping;
       if (const Status s = detail::refuse_clamping(clamping); options.strict && !s) return tl::unexpected(s.error());
     }
-    switch (format) {
-      case SplatFormat::compressed_ply: return detail::encode_compressed_ply(placed, stated, options.keep_order);
-      case SplatFormat::spz: return detail::encode_spz(placed, options.aa_mode, options.spz_version);
-      case SplatFormat::sog: return detail::encode_sog(placed, options);
-      case SplatFormat::glb: return detail::encode_glb(placed, stated);
-      default: return detail::encode_splat_records(placed);
-    }
+    return f.write(placed, options);
   });
 }
 

@@ -22,6 +22,7 @@
 #include <utility>
 #include <vector>
 
+#include "origin_of.hpp"
 #include "ply_header.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/ply.hpp"
@@ -485,46 +486,10 @@ std::array<double, 3> PlyFile::Impl::position(std::uint64_t i) const {
   return x;
 }
 
-// See PlyFile::origin(). Percentiles, because the few far outliers of every trained scene would stretch a full box, and
-// with it the rounding, beyond the scene.
+// See PlyFile::origin().
 void PlyFile::Impl::choose_origin() {
-  const auto means = std::span(columns).first(3);
-  wide_means = std::ranges::any_of(means, is_wide, &Column::type);
-  if (!wide_means) return;
-  const auto is_float = [](double x) {
-    return !(static_cast<double>(static_cast<float>(x)) != x) || !std::isfinite(x);
-  };
-  std::uint64_t exact = 0;
-  while (exact < n && std::ranges::all_of(position(exact), is_float)) ++exact;
-  if (exact == n) return;
-
-  constexpr std::uint64_t kSampled = 65536;
-  const std::uint64_t n_sampled = std::min(n, kSampled);
-  std::array<std::vector<double>, 3> sample;
-  for (std::uint64_t k = 0; k < n_sampled; ++k) {
-    const auto x = position(k * n / n_sampled);
-    if (!std::ranges::all_of(x, [](double v) { return std::fabs(v) <= 2 * kMaxOrigin; })) continue;
-    for (std::size_t axis = 0; axis < 3; ++axis) sample[axis].push_back(x[axis]);
-  }
-  if (sample[0].empty()) return;
-  std::array<double, 3> middle;
-  double size = 0;
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    std::ranges::sort(sample[axis]);
-    const std::size_t cut = sample[axis].size() / 50;
-    const double low = sample[axis][cut], high = sample[axis][sample[axis].size() - 1 - cut];
-    middle[axis] = 0.5 * (low + high);
-    size = std::max(size, high - low);
-  }
-  int exponent = 0;
-  std::frexp(size, &exponent);
-  const double unit = size > 0 ? std::ldexp(1.0, exponent) : 1;
-  Origin chosen;
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    chosen[axis] = std::nearbyint(middle[axis] / unit) * unit + 0.0;
-    if (!(std::fabs(chosen[axis]) <= kMaxOrigin)) return;
-  }
-  stated.origin = chosen;
+  wide_means = std::ranges::any_of(std::span(columns).first(3), is_wide, &Column::type);
+  if (wide_means) stated.origin = detail::origin_of(n, [this](std::uint64_t i) { return position(i); });
 }
 
 // x y z adjacent, and f_dc, f_rest, opacity, scale, rot adjacent; normals may stand between.

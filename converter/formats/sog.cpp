@@ -9,20 +9,19 @@
 #include "sog.hpp"
 
 #include <webp/decode.h>
-#include <zip.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstring>
 #include <functional>
-#include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 
 #include "json_member.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
+#include "signature.hpp"
+#include "zip_archive.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -373,72 +372,21 @@ Result<SplatFile> decode_scene(std::span<const std::byte> meta_bytes, const Fetc
   return file;
 }
 
-// ---- zip ------------------------------------------------------------------------------------------------------------
-
-struct DiscardArchive {
-  void operator()(zip_t* archive) const { zip_discard(archive); }
-};
-using Archive = std::unique_ptr<zip_t, DiscardArchive>;
-struct CloseEntry {
-  void operator()(zip_file_t* file) const { zip_fclose(file); }
-};
-
-Result<Bytes> read_entry(zip_t* archive, const std::string& name, std::uint64_t file_bytes,
-                         const DecodeLimits& limits) {
-  zip_stat_t info;
-  if (zip_stat(archive, name.c_str(), 0, &info) != 0 || (info.valid & ZIP_STAT_SIZE) == 0) {
-    return make_error(Errc::missing_section, Error::kNone, "the SOG lacks meta.json or a file that meta.json names");
-  }
-  if (const Status s = check_expansion(info.size, file_bytes, 0, limits); !s) return tl::unexpected(s.error());
-  const std::unique_ptr<zip_file_t, CloseEntry> entry(zip_fopen(archive, name.c_str(), 0));
-  Bytes bytes(info.size);
-  const zip_int64_t got = entry == nullptr ? -1 : zip_fread(entry.get(), bytes.data(), bytes.size());
-  std::byte extra{};
-  // One byte more: libzip compares its checksum only at the end of the entry.
-  if (got < 0 || static_cast<std::uint64_t>(got) != info.size || zip_fread(entry.get(), &extra, 1) != 0) {
-    return make_error(Errc::checksum_mismatch, Error::kNone, "a file in the SOG is damaged");
-  }
-  return bytes;
-}
-
-bool begins_with(std::span<const std::byte> bytes, std::string_view text, std::uint64_t offset = 0) {
-  return bytes.size() >= offset && bytes.size() - offset >= text.size() &&
-         std::memcmp(bytes.data() + offset, text.data(), text.size()) == 0;
-}
-
-bool is_json_with(std::string_view key, std::span<const std::byte> bytes) {
-  const std::string_view text(reinterpret_cast<const char*>(bytes.data()), std::min<std::size_t>(bytes.size(), 65536));
-  const std::size_t first = text.find_first_not_of(" \t\r\n");
-  return first != text.npos && text[first] == '{' && text.find(key) != text.npos;
-}
-
 }  // namespace
 
 bool is_sog(std::span<const std::byte> bytes) {
-  return begins_with(bytes, "PK\x03\x04") || begins_with(bytes, "PK\x05\x06");
+  return is_zip(bytes) || is_sog_meta(bytes);
 }
 
 bool is_sog_meta(std::span<const std::byte> bytes) {
-  return is_json_with("\"means\"", bytes);
-}
-
-bool is_streamed_sog(std::span<const std::byte> bytes) {
-  return is_json_with("\"lodLevels\"", bytes);
+  return is_json_with(bytes, "\"means\"");
 }
 
 Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  zip_error_t error;
-  zip_error_init(&error);
-  zip_source_t* source = zip_source_buffer_create(bytes.data(), bytes.size(), 0, &error);
-  if (source == nullptr) throw std::bad_alloc();
-  const Archive archive(zip_open_from_source(source, ZIP_RDONLY, &error));
-  if (archive == nullptr) {
-    zip_source_free(source);
-    zip_error_fini(&error);
-    return make_error(Errc::bad_header, Error::kNone, "the zip archive's directory is damaged or missing");
-  }
+  const auto archive = ZipArchive::open(bytes);
+  if (!archive) return tl::unexpected(archive.error());
   const FetchFile fetch = [&](const std::string& name) {
-    return read_entry(archive.get(), name, bytes.size(), limits);
+    return archive->read(name, limits, "the SOG lacks meta.json or a file that meta.json names");
   };
   const auto meta = fetch("meta.json");
   if (!meta) return tl::unexpected(meta.error());

@@ -10,11 +10,9 @@
 
 namespace rgs::detail {
 
-/// A zip archive whose first entry is stored under a SOG name, or a meta.json, by its first keys.
+/// Any zip archive, or a meta.json, by its first keys.
 bool is_sog(std::span<const std::byte> bytes);
 bool is_sog_meta(std::span<const std::byte> bytes);
-/// The lod-meta.json of a folder of SOGs, each a part of a scene at one level.
-bool is_streamed_sog(std::span<const std::byte> bytes);
 
 /// A zipped SOG, version 1 or 2. Error offsets are in the image or in meta.json.
 Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimits& limits);

@@ -85,7 +85,7 @@ Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const D
   return file;
 }
 
-std::vector<std::byte> encode_splat_records(const SplatView& splats) {
+Result<std::vector<std::byte>> encode_splat_records(const SplatView& splats, const WriteOptions&) {
   std::vector<std::byte> file(splats.n * kRecordBytes);
   for (std::uint64_t i = 0; i < splats.n; ++i) {
     const Splat s = splats.splat(i);

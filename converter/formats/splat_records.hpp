@@ -18,6 +18,6 @@ bool looks_like_splat_records(std::span<const std::byte> bytes);
 Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
 /// Harmonics above the constant one are left out.
-std::vector<std::byte> encode_splat_records(const SplatView& splats);
+Result<std::vector<std::byte>> encode_splat_records(const SplatView& splats, const WriteOptions& options);
 
 }  // namespace rgs::detail

@@ -511,7 +511,10 @@ Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions
   return file;
 }
 
-Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode, int version) {
+Result<std::vector<std::byte>> encode_spz(const SplatView& splats, const WriteOptions& options) {
+  const int version = options.spz_version;
+  if (version < 2 || version > 4)
+    return make_error(Errc::bad_argument, Error::kNone, "SPZ is written in version 2, 3 or 4");
   const auto fractional_bits = choose_fractional_bits(splats);
   if (!fractional_bits) return tl::unexpected(fractional_bits.error());
   SpzHeader header;
@@ -519,7 +522,7 @@ Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mod
   header.n = static_cast<std::uint32_t>(splats.n);
   header.sh_degree = static_cast<std::uint8_t>(splats.sh_degree);
   header.fractional_bits = static_cast<std::uint8_t>(*fractional_bits);
-  header.flags = aa_mode == AaMode::mip_splatting ? kSpzAntialiased : 0;
+  header.flags = options.aa_mode == AaMode::mip_splatting ? kSpzAntialiased : 0;
   const CodedStreams streams = encode_streams(splats, header);
   return version < 4 ? pack_gzip(header, streams) : pack_zstd(header, streams);
 }

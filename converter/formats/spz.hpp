@@ -27,9 +27,9 @@ bool is_spz(std::span<const std::byte> bytes);
 /// skipped.
 Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions& options);
 
-/// `version` 2, 3 or 4, with 12 fractional bits, fewer if a mean needs it; SH of degree 1 in 5 bits, above in 4, as the
-/// reference encoder's default. Versions differ in compression, and 2 in rotations. One thread per attribute, same
-/// bytes for any number of threads; Gaussians keep their order.
-Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode, int version);
+/// Version options.spz_version, else bad_argument, with 12 fractional bits, fewer if a mean needs it; SH of degree 1 in
+/// 5 bits, above in 4, as the reference encoder's default. Versions differ in compression, and 2 in rotations. One
+/// thread per attribute, same bytes for any number of threads; Gaussians keep their order.
+Result<std::vector<std::byte>> encode_spz(const SplatView& splats, const WriteOptions& options);
 
 }  // namespace rgs::detail

@@ -17,8 +17,9 @@ namespace rgs::lod {
 
 struct BuildOptions {
   Quality quality = Quality::fast;
-  std::shared_ptr<FitDevice> device;        ///< fits `best`, with other roundings; null: the processor does. Callers
-                                            ///< of build_page() and all above it check its status()
+  /// Fits `best`, with other roundings; null: the processor does. Callers of build_page() and of what calls it check its
+  /// status().
+  std::shared_ptr<FitDevice> device = nullptr;
   std::uint32_t chunk_size = 256;           ///< of the file: leaf pages consist of whole chunks
   std::uint32_t page_chunks = kPageChunks;  ///< most chunks of a page
   std::uint32_t children = 4;               ///< most of a page

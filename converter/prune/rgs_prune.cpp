@@ -279,7 +279,7 @@ int prune(const Options& o) {
 void add_options(CLI::App& app, Options& o) {
   using rgs::math::AntiAliasing;
   using rgs::prune::Score;
-  app.add_option("input", o.input, "scene, " RGS_SCENE_FORMATS "; its content decides")->required();
+  app.add_option("input", o.input, "scene, " + rgs::format_list() + "; its content decides")->required();
   app.add_option("output", o.output, "the pruned scene, .ply or .rgs")->required();
   app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/user/CAMERAS.md)")->required();
   app.add_option("--split", o.split, "only these cameras; with train the test cameras are left to judge the result")

@@ -13,13 +13,18 @@
 
 namespace rgs::tool {
 
-/// Formats that every reader of scenes accepts, for --help.
-#define RGS_SCENE_FORMATS ".rgs, 3DGS .ply, .compressed.ply, .spz, .splat, .ksplat, .sog (or its meta.json) or .glb"
-
 /// Parses the arguments into the variables of `app`. Returns the exit code if the program ends here: after --help and
 /// --version, which it prints, and after an error. Rejects what CLI11 rejects and also empty arguments or values, which
 /// would count as absent, and numbers that are not finite, which would pass every range check.
 std::optional<int> parse(CLI::App& app, int argc, const char* const* argv);
+
+/// The names of an option's values, with `between` them.
+template <class T>
+std::string names_of(const std::map<std::string, T>& values, const char* between) {
+  std::string names;
+  for (const auto& [name, value] : values) names += (names.empty() ? "" : between) + name;
+  return names;
+}
 
 /// For CLI::Option::transform(): an enumeration's values by name. The option's own text must list them for --help; the
 /// error message lists them too.
@@ -31,9 +36,7 @@ CLI::Validator one_of(const std::map<std::string, T>& values) {
       text = std::to_string(static_cast<std::underlying_type_t<T>>(found->second));
       return {};
     }
-    std::string names;
-    for (const auto& [name, value] : values) names += (names.empty() ? "" : ", ") + name;
-    return "'" + text + "' is not one of " + names;
+    return "'" + text + "' is not one of " + names_of(values, ", ");
   };
   return CLI::Validator(replace, "");
 }

@@ -198,8 +198,8 @@ class Scene:
 
     def save(self, path: Path, *, profile: str = "packed", lod: Union[bool, str] = False, overwrite: bool = False,
              sync: bool = True, strict: bool = False, spz_axes: str = "ply", progress: Progress = None) -> int:
-        """Writes a file, whole or not at all, and returns its bytes. The ending names the format: .rgs, .ply, .compressed.ply,
-        .spz, .splat, .sog or .glb.
+        """Writes a file, whole or not at all, and returns its bytes. The ending names the format, one of those
+        that ``rgs-convert --formats`` calls written.
 
         Parameters
         ----------
@@ -406,7 +406,7 @@ def _spz_axes(name: str) -> str:
 
 def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Optional[int] = None,
          max_expansion: Optional[int] = None, spz_axes: str = "ply", progress: Progress = None) -> Scene:
-    """Reads a scene of any format: .rgs, PLY, compressed PLY, SPZ, .splat, .ksplat, SOG or glTF. The content decides.
+    """Reads a scene of any format that ``rgs-convert --formats`` lists. The content decides.
 
     Parameters
     ----------

@@ -229,7 +229,7 @@ Result<ConvertSummary> save_scene(const Scene& scene, const std::string& path, S
     encode.n_repaired = 0;
     Origin origin = scene.origin();
     if (options.format != SplatFormat::rgs && encode.axes[0] != Axis::undeclared) {
-      const Axes axes = options.format == SplatFormat::spz ? options.spz_axes : format_axes(options.format);
+      const Axes axes = options.format == SplatFormat::spz ? options.spz_axes : format_info(options.format).axes;
       convert_axes(*cloud, encode.axes, axes);
       convert_axes(origin, encode.axes, axes);
       encode.axes = axes;
@@ -249,11 +249,9 @@ std::uint64_t save(const PyScene& scene, const std::string& path, const std::str
   SaveOptions options;
   options.format = format_of_name(path);
   options.spz_axes = spz_axes_named(spz_axes);
-  if (options.format == SplatFormat::unknown)
-    refuse(Errc::bad_argument, "the ending names the format: .rgs, .ply, .compressed.ply, .spz, .splat, .sog or .glb",
-           path);
-  if (options.format != SplatFormat::rgs && !is_writable(options.format))
-    refuse(Errc::bad_argument, "this format is read only", path);
+  static const std::string endings = "the ending names the format: " + format_list(true);
+  if (options.format == SplatFormat::unknown) refuse(Errc::bad_argument, endings.c_str(), path);
+  if (!format_info(options.format).writable) refuse(Errc::bad_argument, "this format is read only", path);
   if (options.format != SplatFormat::rgs && (profile != "packed" || !lod.empty()))
     refuse(Errc::bad_argument, "profile= and lod= are for .rgs outputs", path);
   EncodeOptions& encode = options.convert.encode;

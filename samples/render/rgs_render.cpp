@@ -655,8 +655,8 @@ int render_streamed(const Options& options) {
 void add_options(CLI::App& app, Options& o) {
   using namespace rgs::math;
   app.add_option("scene", o.scene,
-                 "scene to render, " RGS_SCENE_FORMATS
-                 ", told by its content; or the http(s) address of an .rgs with levels of detail")
+                 "scene to render, " + rgs::format_list() +
+                     ", told by its content; or the http(s) address of an .rgs with levels of detail")
       ->required();
   app.add_option("--out,-o", o.out, "picture (.png .jpg .tif .exr) or folder for pictures")->required();
   app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/user/CAMERAS.md)");

@@ -92,7 +92,7 @@ int add_scene(const std::string& path, Shown& shown) {
   if (!file) return tool::report(path, file.error());
   const rgs::SplatFormat format = rgs::detect_format(file->bytes());
   if (format == rgs::SplatFormat::unknown)
-    return tool::report(path, {rgs::Errc::bad_magic, 0, "not a splat file: rgs-view shows " RGS_PAGE_FORMATS});
+    return tool::report(path, rgs::read_splats(file->bytes()).error());  // says what it is
   if (!is_shown(format, file->bytes()))
     return tool::report(path, {rgs::Errc::unsupported_feature, rgs::Error::kNone,
                                "rgs-view shows only " RGS_PAGE_FORMATS "; rgs-convert makes .rgs of this"});

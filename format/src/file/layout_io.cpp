@@ -109,7 +109,9 @@ Result<Header> parse_header(std::span<const std::byte> bytes) {
     if (bytes[i] != std::byte{kMagic[i]}) return make_error(Errc::bad_magic, i, "not an .rgs file (wrong magic bytes)");
   }
   if (bytes.size() < kHeaderBytes) {
-    return make_error(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderBytes, bytes.size());
+    return make_error(Errc::truncated, bytes.size(),
+                      bytes.empty() ? "the file is empty" : "the file ends inside its header", kHeaderBytes,
+                      bytes.size());
   }
   in.zeros(8);
   Header h;

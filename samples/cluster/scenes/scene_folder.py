@@ -15,6 +15,8 @@ ENDINGS = {
     ".ksplat": 24,
     ".sog": 10,
     ".glb": 60,
+    ".npz": 236,
+    ".pt": 236,
     ".rgs": 9,
 }
 SOG_FOLDER = "meta.json"  # a SOG that is no archive: pictures beside it

@@ -3,12 +3,14 @@
 #include <array>
 #include <nlohmann/json.hpp>
 
+#include "checkout.hpp"
 #include "convert_program.hpp"
 #include "convert_scenes.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/splat_edit.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
+#include "text_file.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -27,11 +29,26 @@ bool holds(const std::string& text, const std::string& part) {
 
 }  // namespace
 
+TEST_CASE("--formats lists what is read and written, and its manual has the same table") {
+  const ProgramResult text = rgs_convert({"--formats"}), table = rgs_convert({"--formats=markdown"});
+  CHECK(text.exit_code == 0);
+  CHECK(table.exit_code == 0);
+  for (const FormatInfo& info : all_formats()) {
+    CAPTURE(info.name);
+    CHECK(holds(text.out, std::string("\n.") + info.name));
+    CHECK(holds(text.out, info.title));
+    CHECK(holds(table.out, std::string("| ") + info.precision + " |"));
+  }
+  // After a change: rgs-convert --formats=markdown.
+  CHECK(holds(read_text(source_dir() + "/docs/user/INTERCHANGE.md"), table.out));
+  CHECK(rgs_convert({"--formats=html"}).exit_code == 2);
+}
+
 TEST_CASE("any format converts to any other, chosen by the output's name, each in its own frame") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(600, 2, 1);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud);
-  const std::array<std::string, 7> endings{"rgs", "ply", "compressed.ply", "spz", "splat", "sog", "glb"};
+  const std::array<std::string, 8> endings{"rgs", "ply", "compressed.ply", "spz", "splat", "sog", "glb", "npz"};
   for (const std::string& first : endings) {
     const std::string one = folder.file("one." + first);
     REQUIRE(rgs_convert({"--keep-order", ply, one}).exit_code == 0);

@@ -13,9 +13,9 @@ using namespace rgs::test;
 
 namespace {
 
-constexpr SplatFormat kWritable[] = {SplatFormat::ply, SplatFormat::compressed_ply,
-                                     SplatFormat::spz, SplatFormat::splat,
-                                     SplatFormat::sog, SplatFormat::glb};
+constexpr SplatFormat kWritable[] = {
+    SplatFormat::compressed_ply, SplatFormat::ply, SplatFormat::glb, SplatFormat::spz, SplatFormat::npz,
+    SplatFormat::splat};
 
 }  // namespace
 
@@ -24,7 +24,7 @@ TEST_CASE("written files are recognised by content, whatever their names") {
   const SplatCloud cloud = ordinary_cloud(300, 2, 1);
   for (const SplatFormat format : kWritable) {
     CAPTURE(format_name(format));
-    CHECK(is_writable(format));
+    CHECK(format_info(format).writable);
     const Bytes bytes = encode_splats(cloud.view(), format).value();
     CHECK(detect_format(bytes) == format);
     write_bytes(folder.file("scene.bin"), bytes);
@@ -40,8 +40,8 @@ TEST_CASE("written files are recognised by content, whatever their names") {
   CHECK(read_splats(rgs)->cloud.size() == 300);
   CHECK(detect_format({}) == SplatFormat::unknown);
   CHECK(detect_format(bytes_of("no splats here, only text")) == SplatFormat::unknown);
-  for (const SplatFormat format : {SplatFormat::rgs, SplatFormat::ksplat, SplatFormat::unknown}) {
-    CHECK_FALSE(is_writable(format));
+  for (const SplatFormat format : {SplatFormat::rgs, SplatFormat::ksplat, SplatFormat::pt, SplatFormat::unknown}) {
+    CHECK(format_info(format).writable == (format == SplatFormat::rgs));
     CHECK(encode_splats(cloud.view(), format).error().code == Errc::bad_argument);
   }
 }
@@ -201,6 +201,64 @@ TEST_CASE("growth: all formats are read and written in linear time, coincident G
   }
 }
 
+TEST_CASE("formats that are not read are named, with what to do, and so is an empty file") {
+  // A zip archive's first entry, as far as its name.
+  const auto zip = [](const std::string& name) {
+    return std::string("PK\3\4") + std::string(22, '\0') + static_cast<char>(name.size()) + std::string(3, '\0') + name;
+  };
+  const std::pair<std::string, const char*> files[] = {
+      {R"({"version":1,"lodLevels":3,"filenames":["0_0/meta.json"],"tree":{}})", "streamed SOG"},
+      {zip("0_0/meta.json") + std::string(300, ' ') + "lod-meta.json" + std::string(22, '\0'), "streamed SOG"},
+      {"RAD0....{\"version\":1}", ".rad of Spark"},
+      {"RADC....{\"version\":1}", ".rad of Spark"},
+      {R"({"version":"5.0","totalLevel":5,"cellLengthX":30})", ".lcc of XGRIDS"},
+      {R"({"version":"0.0.3","lodSplats":[1,2]})", ".lcc2 of XGRIDS"},
+      {R"({"total_splats":3,"lod_3dgs_info":[1,2]})", ".lcc2 of XGRIDS"},
+      {"#usda 1.0\n(\n)\n", "OpenUSD"},
+      {std::string("PXR-USDC") + std::string(80, '\0'), "OpenUSD"},
+      {zip("scene.usdc"), "OpenUSD"},
+      {R"({"asset":{"version":"1.1"},"geometricError":8,"root":{}})", "3D Tiles"},
+      {R"({"asset":{"version":"2.0"},"bufferViews":[],"meshes":[]})", ".gltf"},
+      {std::string("\x93NUMPY\1\0v", 9) + std::string(90, ' '), ".npy"}};
+  for (const auto& [text, what] : files) {
+    CAPTURE(what);
+    const Bytes bytes = bytes_of(text);
+    CHECK(detect_format(bytes) == SplatFormat::unknown);
+    const auto file = read_splats(bytes);
+    REQUIRE_FALSE(file);
+    CHECK(file.error().code == Errc::unsupported_feature);
+    CHECK(file.error().offset == 0);
+    CHECK(std::string(file.error().what).find(what) != std::string::npos);
+    CHECK(std::string(file.error().what).find(" not read: ") != std::string::npos);
+  }
+  const auto empty = read_splats(Bytes());
+  REQUIRE_FALSE(empty);
+  CHECK(empty.error().code == Errc::truncated);
+  CHECK(std::string(empty.error().what) == "the file is empty");
+  const auto text = read_splats(bytes_of("no splats here, only text"));
+  REQUIRE_FALSE(text);
+  CHECK(text.error().code == Errc::bad_magic);
+  CHECK(std::string(text.error().what) ==
+        "is not a .rgs, .compressed.ply, .ply, .glb, .spz, .npz, .pt, .sog, .ksplat or .splat file");
+}
+
+TEST_CASE("every format has one entry, by which it is found") {
+  std::string written;
+  for (const FormatInfo& info : all_formats()) {
+    CAPTURE(info.name);
+    CHECK(format_info(info.format).name == info.name);
+    CHECK(format_of_name(std::string("a.") + info.name) == info.format);
+    CHECK(std::string(info.title) != "");
+    CHECK(std::string(info.precision) != "");
+    if (info.writable && info.format != SplatFormat::rgs) written += std::string(" ") + info.name;
+  }
+  std::string expected;
+  for (const SplatFormat format : kWritable) expected += std::string(" ") + format_name(format);
+  CHECK(written == expected);
+  CHECK(std::string(format_name(SplatFormat::unknown)) == "unknown");
+  CHECK_FALSE(format_info(SplatFormat::unknown).writable);
+}
+
 TEST_CASE("an output's extension chooses the format") {
   CHECK(format_of_name("a/b.ply") == SplatFormat::ply);
   CHECK(format_of_name("b.compressed.ply") == SplatFormat::compressed_ply);
@@ -221,12 +279,12 @@ TEST_CASE("Gaussians arrive in 3DGS's frame unless the caller keeps theirs or no
   for (const SplatFormat format : {SplatFormat::spz, SplatFormat::glb}) {
     CAPTURE(format_name(format));
     SplatCloud turned = cloud;
-    convert_axes(turned, kAxes3dgs, format_axes(format));
+    convert_axes(turned, kAxes3dgs, format_info(format).axes);
     const Bytes bytes = encode_splats(turned.view(), format).value();
     const auto there = read_splats(bytes, kKeepAxes), here = read_splats(bytes);
     REQUIRE(there);
     REQUIRE(here);
-    CHECK(there->axes == format_axes(format));
+    CHECK(there->axes == format_info(format).axes);
     CHECK(here->axes == kAxes3dgs);
     CHECK(compare(there->cloud, turned).mean[1] <= 1e-3);
     CHECK(compare(here->cloud, cloud).mean[1] <= 1e-3);

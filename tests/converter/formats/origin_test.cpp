@@ -349,14 +349,14 @@ TEST_CASE("formats without an origin hold FP32 positions, and the rounding is re
   const auto rounding = [&](SplatFormat format, const Origin& origin) {
     return position_rounding(file.cloud.view(), format, origin).value();
   };
-  for (const SplatFormat format : {SplatFormat::rgs, SplatFormat::ply, SplatFormat::glb}) {
-    CHECK(keeps_origin(format));
+  for (const SplatFormat format : {SplatFormat::rgs, SplatFormat::ply, SplatFormat::glb, SplatFormat::npz}) {
+    CHECK(format_info(format).keeps.origin);
     CHECK(rounding(format, file.origin) == 0);
   }
   for (const SplatFormat format :
        {SplatFormat::splat, SplatFormat::spz, SplatFormat::compressed_ply, SplatFormat::sog}) {
     CAPTURE(format_name(format));
-    CHECK_FALSE(keeps_origin(format));
+    CHECK_FALSE(format_info(format).keeps.origin);
     const double largest = rounding(format, file.origin);
     // FP32 has steps of 1/2 at 4.8e6; SPZ's 24 bits have steps of 1.
     CHECK(largest > (format == SplatFormat::spz ? 0.45 : 0.2));

@@ -1,7 +1,6 @@
 // sog_test.cpp - SOG: another tool's file, both versions by hand, zipped and as a folder, hostile files, written ones.
 // SPDX-License-Identifier: Apache-2.0
 #include <webp/encode.h>
-#include <zip.h>
 
 #include <cstring>
 #include <functional>
@@ -11,13 +10,13 @@
 
 #include "interchange_samples.hpp"
 #include "temporary_folder.hpp"
+#include "zip_samples.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
 
 namespace {
 
-using Files = std::map<std::string, Bytes>;
 using nlohmann::json;
 
 // A lossless WebP; `value(i, channel)` of pixel i.
@@ -45,28 +44,6 @@ Bytes webp(int width, int height, const std::function<int(int, int)>& value, boo
   std::memcpy(out.data(), writer.mem, writer.size);
   WebPMemoryWriterClear(&writer);
   WebPPictureFree(&picture);
-  return out;
-}
-
-Bytes zipped(const Files& files) {
-  zip_error_t error;
-  zip_error_init(&error);
-  zip_source_t* target = zip_source_buffer_create(nullptr, 0, 0, &error);
-  zip_source_keep(target);
-  zip_t* archive = zip_open_from_source(target, ZIP_TRUNCATE, &error);
-  REQUIRE(archive != nullptr);
-  for (const auto& [name, bytes] : files) {
-    zip_source_t* source = zip_source_buffer(archive, bytes.data(), bytes.size(), 0);
-    REQUIRE(zip_file_add(archive, name.c_str(), source, 0) >= 0);
-  }
-  REQUIRE(zip_close(archive) == 0);
-  zip_stat_t info;
-  REQUIRE(zip_source_stat(target, &info) == 0);
-  Bytes out(info.size);
-  zip_source_open(target);
-  zip_source_read(target, out.data(), out.size());
-  zip_source_close(target);
-  zip_source_free(target);
   return out;
 }
 

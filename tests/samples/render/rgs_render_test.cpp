@@ -155,7 +155,7 @@ TEST_CASE("other formats show the same scene in the same frame") {
        {rgs::SplatFormat::spz, rgs::SplatFormat::compressed_ply, rgs::SplatFormat::glb}) {
     CAPTURE(rgs::format_name(format));
     rgs::SplatCloud cloud = ball();
-    rgs::convert_axes(cloud, rgs::kAxes3dgs, rgs::format_axes(format));
+    rgs::convert_axes(cloud, rgs::kAxes3dgs, rgs::format_info(format).axes);
     const auto bytes = rgs::encode_splats(cloud.view(), format);
     REQUIRE(bytes);
     write_text(stage.file("other"), {reinterpret_cast<const char*>(bytes->data()), bytes->size()});

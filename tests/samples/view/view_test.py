@@ -287,7 +287,7 @@ def case_usage():
     """Unsupported inputs and contradictions are refused before a server starts."""
     two = source / "tests/golden/two.rgs"
     (folder / "text.txt").write_text("no scene")
-    for arguments, code, word in (([folder / "nowhere.rgs"], 3, "nowhere.rgs"), ([folder / "text.txt"], 4, "not a splat file"),
+    for arguments, code, word in (([folder / "nowhere.rgs"], 3, "nowhere.rgs"), ([folder / "text.txt"], 4, "is not a .rgs"),
                                   ([two, folder / "text.txt"], 4, "text.txt"), ([], 2, "scene"),
                                   ([two, "--photos", folder], 2, "--cameras"), ([two, "--port", "70000"], 2, "--port"),
                                   ([two, "--cameras", folder / "text.txt"], 4, "text.txt")):

@@ -31,12 +31,14 @@ enum class SplatFormat : std::uint8_t {
   ksplat,          ///< GaussianSplats3D, levels 0 to 2; read only
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; written zipped
   glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
+  npz,             ///< NumPy archive of gsplat's parameters
+  pt,              ///< gsplat's checkpoint of PyTorch; read only
 };
 
-/// "ply", "compressed.ply", "spz", ...; the names that rgs-convert's --from and --to take.
+/// "ply", "compressed.ply", "spz", ...: FormatInfo::name.
 const char* format_name(SplatFormat format);
 /// Detects a file's format from its first bytes; .ksplat and .splat, which have no signature, from plausible sizes and
-/// records.
+/// records. unknown also for formats that read_splats() names in its error, such as OpenUSD.
 SplatFormat detect_format(std::span<const std::byte> bytes);
 /// The format that a file name's ending (or meta.json) implies.
 SplatFormat format_of_name(const std::string& path);
@@ -46,9 +48,33 @@ using Axes = std::array<Axis, 3>;
 inline constexpr Axes kAxes3dgs{Axis::right, Axis::down, Axis::forward};
 inline constexpr Axes kAxesOpenGl{Axis::right, Axis::up, Axis::backward};
 inline constexpr Axes kAxesGltf{Axis::left, Axis::up, Axis::forward};
-/// The frame that a format prescribes: glTF's own for glb, that of 3DGS for all others. The description of SPZ says
-/// OpenGL's, but its tools leave coordinates as a PLY has them: ReadOptions::spz_axes.
-Axes format_axes(SplatFormat format);
+/// What a format is and keeps. `rgs-convert --formats` prints it for all.
+struct FormatInfo {
+  SplatFormat format = SplatFormat::unknown;
+  const char* name = "unknown";  ///< the ending of its files, and what rgs-convert's --from and --to take
+  const char* other_name = "";   ///< another name that its files have: "meta.json"
+  const char* title = "";        ///< whose it is, and which versions are read
+  const char* precision = "";    ///< of its Gaussians; docs/user/INTERCHANGE.md has the ranges
+  /// The frame that it prescribes. The description of SPZ says OpenGL's, but its tools leave coordinates as a PLY has
+  /// them: ReadOptions::spz_axes.
+  Axes axes = kAxes3dgs;
+  int sh_degree = 3;      ///< the highest
+  bool writable = false;  ///< by encode_splats(), .rgs by encode()
+  struct Keeps {
+    bool levels = false;  ///< of detail
+    bool origin = false;  ///< formats without hold FP32 positions
+    bool aa_mode = false;
+    bool declarations = false;  ///< low-pass, colour space and metres per unit; axes, where none are prescribed
+  };
+  Keeps keeps = {};
+  bool in_parts = false;  ///< rgs-convert can read and write it in less memory than the file takes
+};
+const FormatInfo& format_info(SplatFormat format);
+/// All but unknown.
+std::vector<FormatInfo> all_formats();
+/// ".rgs, .ply or .glb": those that are read, or only those that are written.
+std::string format_list(bool writable = false);
+
 /// "right,down,forward", or "undeclared".
 std::string axes_text(const Axes& axes);
 /// The inverse; none unless three directions span space.
@@ -110,7 +136,7 @@ struct ReadOptions {
 /// of PlyFile::open, FileView::open() and PagedFile::open(); for other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
-/// or in meta.json).
+/// or in meta.json; inside .npz: in the array; inside .pt: in data.pkl).
 Result<SplatFile> read_splats(const std::string& path, const ReadOptions& options = {});
 /// The same from memory; a SOG must be zipped.
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options = {});
@@ -122,7 +148,7 @@ struct WriteOptions {
                                                      ///< mode's default
   float metres_per_unit = 0;                         ///< stated in these if it is not 0
   Axes axes = kAxes3dgs;                             ///< of the Gaussians; stated in ply and compressed_ply
-  /// Of the Gaussians; ply and glb keep it, others hold FP32 positions: position_rounding().
+  /// Of the Gaussians; ply, glb and npz keep it, others hold FP32 positions: position_rounding().
   Origin origin = kNoOrigin;
   bool keep_order = false;  ///< compressed.ply, sog: do not sort Gaussians, so that close ones are neighbours
   unsigned threads = 0;     ///< sog; 0: as many as the machine runs at once. The file does not depend on it
@@ -149,19 +175,13 @@ struct WriteReport {
   bool any() const { return mean.n + log_scale.n + opacity_logit.n + sh_dc.n + sh.n != 0; }
 };
 
-/// True for the formats of encode_splats(): ply, compressed_ply, spz, splat, sog and glb.
-bool is_writable(SplatFormat format);
-/// Whether files of that format hold an origin: rgs, ply (as double coordinates) and glb. All others hold FP32
-/// positions.
-bool keeps_origin(SplatFormat format);
-
-/// Encodes a file of that format. `splats` must be in format_axes(format) or of undeclared axes, for ply and
+/// Encodes a file of that format. `splats` must be in FormatInfo::axes or of undeclared axes, for ply and
 /// compressed_ply in options.axes, for spz in those that its readers assume. Values beyond the format's range are
 /// clamped and counted in `report`. Deterministic.
-/// Errors: bad_argument (not writable, inconsistent view, no such version of SPZ); limit_exceeded (more Gaussians than
-/// the format counts); bad_value with a Gaussian's index as offset (damaged, see find_defects(), in formats other than
-/// ply; or a mean beyond SPZ's range); bad_value without an offset (no Gaussians, of which a sog has at least one, or
-/// WriteOptions::strict refuses what `report` counts).
+/// Errors: bad_argument (rgs or not writable, inconsistent view, no such version of SPZ); limit_exceeded (more
+/// Gaussians than the format counts); bad_value with a Gaussian's index as offset (damaged, see find_defects(), in
+/// formats other than ply; or a mean beyond SPZ's range); bad_value without an offset (no Gaussians, of which a sog has at
+/// least one, or WriteOptions::strict refuses what `report` counts).
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
                                              const WriteOptions& options = {}, WriteReport* report = nullptr);
 

@@ -1,0 +1,99 @@
+// zip_archive.cpp - by libzip, which reads only through the archive's directory.
+// SPDX-License-Identifier: Apache-2.0
+#include "zip_archive.hpp"
+
+#include <zip.h>
+
+#include <new>
+
+#include "quantised.hpp"
+
+namespace rgs::detail {
+namespace {
+
+struct CloseEntry {
+  void operator()(zip_file_t* file) const { zip_fclose(file); }
+};
+
+}  // namespace
+
+void ZipArchive::Discard::operator()(zip* archive) const {
+  zip_discard(archive);
+}
+
+Result<ZipArchive> ZipArchive::open(std::span<const std::byte> bytes) {
+  zip_error_t error;
+  zip_error_init(&error);
+  zip_source_t* source = zip_source_buffer_create(bytes.data(), bytes.size(), 0, &error);
+  if (source == nullptr) throw std::bad_alloc();
+  zip_t* archive = zip_open_from_source(source, ZIP_RDONLY, &error);
+  if (archive == nullptr) {
+    zip_source_free(source);
+    zip_error_fini(&error);
+    return make_error(Errc::bad_header, Error::kNone, "the zip archive's directory is damaged or missing");
+  }
+  return ZipArchive(archive, bytes.size());
+}
+
+std::string ZipArchive::name_ending(std::string_view ending) const {
+  const zip_int64_t n = zip_get_num_entries(archive_.get(), 0);
+  for (zip_int64_t i = 0; i < n; ++i) {
+    const char* name = zip_get_name(archive_.get(), static_cast<zip_uint64_t>(i), 0);
+    if (name != nullptr && std::string_view(name).ends_with(ending)) return name;
+  }
+  return {};
+}
+
+bool ZipArchive::holds(const std::string& name) const {
+  return zip_name_locate(archive_.get(), name.c_str(), 0) >= 0;
+}
+
+Result<std::vector<std::byte>> ZipArchive::read(const std::string& name, const DecodeLimits& limits,
+                                                const char* missing) const {
+  zip_stat_t info;
+  if (zip_stat(archive_.get(), name.c_str(), 0, &info) != 0 || (info.valid & ZIP_STAT_SIZE) == 0)
+    return make_error(Errc::missing_section, Error::kNone, missing);
+  if (const Status s = check_expansion(info.size, bytes_, 0, limits); !s) return tl::unexpected(s.error());
+  const std::unique_ptr<zip_file_t, CloseEntry> entry(zip_fopen(archive_.get(), name.c_str(), 0));
+  std::vector<std::byte> bytes(info.size);
+  const zip_int64_t got = entry == nullptr ? -1 : zip_fread(entry.get(), bytes.data(), bytes.size());
+  std::byte extra{};
+  // One byte more: libzip compares its checksum only at the end of the entry.
+  if (got < 0 || static_cast<std::uint64_t>(got) != info.size || zip_fread(entry.get(), &extra, 1) != 0)
+    return make_error(Errc::checksum_mismatch, Error::kNone, "a file in the zip archive is damaged");
+  return bytes;
+}
+
+std::vector<std::byte> zip_stored(std::span<const std::pair<std::string, std::vector<std::byte>>> entries) {
+  constexpr zip_uint16_t kMidnight = 0, kFirstOf1980 = 0x21;  // any fixed time
+  const auto require = [](bool ok) {
+    if (!ok) throw std::bad_alloc();  // in memory, nothing else fails
+  };
+  zip_error_t error;
+  zip_error_init(&error);
+  zip_source_t* target = zip_source_buffer_create(nullptr, 0, 0, &error);
+  require(target != nullptr);
+  zip_source_keep(target);
+  const std::unique_ptr<zip_source_t, decltype(&zip_source_free)> kept(target, zip_source_free);
+  const auto discard = [](zip_t* open) { zip_discard(open); };
+  std::unique_ptr<zip_t, decltype(discard)> archive(zip_open_from_source(target, ZIP_TRUNCATE, &error));
+  require(archive != nullptr);
+  for (const auto& [name, bytes] : entries) {
+    zip_source_t* source = zip_source_buffer(archive.get(), bytes.data(), bytes.size(), 0);
+    const zip_int64_t added =
+        source == nullptr ? -1 : zip_file_add(archive.get(), name.c_str(), source, ZIP_FL_ENC_UTF_8);
+    const auto index = static_cast<zip_uint64_t>(added);
+    require(added >= 0 && zip_set_file_compression(archive.get(), index, ZIP_CM_STORE, 0) == 0 &&
+            zip_file_set_dostime(archive.get(), index, kMidnight, kFirstOf1980, 0) == 0);
+  }
+  require(zip_close(archive.get()) == 0);
+  (void)archive.release();  // closed
+  zip_stat_t info;
+  require(zip_source_stat(target, &info) == 0 && zip_source_open(target) == 0);
+  std::vector<std::byte> file(info.size);
+  require(zip_source_read(target, file.data(), file.size()) == static_cast<zip_int64_t>(file.size()));
+  zip_source_close(target);
+  return file;
+}
+
+}  // namespace rgs::detail
