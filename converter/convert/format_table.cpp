@@ -9,27 +9,18 @@ namespace {
 
 using Row = std::vector<std::string>;
 
-// Cells of all rows one below the other, two spaces apart.
-std::string text_table(const std::vector<Row>& rows) {
+// In Markdown, cells one below the other.
+std::string table(const std::vector<Row>& rows) {
   std::vector<std::size_t> widths(rows.front().size());
   for (const Row& row : rows)
     for (std::size_t i = 0; i < row.size(); ++i) widths[i] = std::max(widths[i], row[i].size());
   std::string text;
   for (const Row& row : rows) {
-    std::string line;
-    for (std::size_t i = 0; i < row.size(); ++i) line += row[i] + std::string(widths[i] - row[i].size() + 2, ' ');
-    text += line.substr(0, line.find_last_not_of(' ') + 1) + "\n";
-  }
-  return text;
-}
-
-std::string markdown_table(const std::vector<Row>& rows) {
-  std::string text;
-  for (const Row& row : rows) {
-    for (const std::string& cell : row) text += "| " + cell + " ";
+    for (std::size_t i = 0; i < row.size(); ++i)
+      text += "| " + row[i] + std::string(widths[i] - row[i].size() + 1, ' ');
     text += "|\n";
     if (&row != &rows.front()) continue;
-    for (std::size_t i = 0; i < row.size(); ++i) text += "| --- ";
+    for (const std::size_t width : widths) text += "|" + std::string(width + 2, '-');
     text += "|\n";
   }
   return text;
@@ -37,7 +28,7 @@ std::string markdown_table(const std::vector<Row>& rows) {
 
 }  // namespace
 
-std::string format_table(bool markdown) {
+std::string format_table() {
   std::vector<Row> keeps{
       {"format", "written", "frame", "SH", "levels", "origin", "anti-aliasing", "declarations", "in parts", "of"}};
   std::vector<Row> precision{{"format", "precision"}};
@@ -50,7 +41,6 @@ std::string format_table(bool markdown) {
                      f.title});
     precision.push_back({std::string(".") + f.name, f.precision});
   }
-  const auto table = markdown ? markdown_table : text_table;
   return table(keeps) + "\n" + table(precision);
 }
 

@@ -48,12 +48,11 @@ int parse_and_convert(int argc, char** argv) {
   arguments.run.add_to(app);
   many.add_to(app);
   parts.add_to(app);
-  std::string formats;
+  bool lists_formats = false;
   app.option_defaults()->group(rgs::kRunGroup);
-  app.add_flag("--formats{text}", formats, "List the formats and what each keeps; =markdown: as in its manual")
-      ->check(CLI::IsMember({"text", "markdown"}));
+  app.add_flag("--formats", lists_formats, "List the formats and what each keeps, in Markdown");
   if (const auto code = tool::parse(app, argc, argv)) return *code;
-  if (!formats.empty()) return tool::print(rgs::format_table(formats == "markdown")), tool::kSuccess;
+  if (lists_formats) return tool::print(rgs::format_table()), tool::kSuccess;
   note_options(app, arguments);
   if (!parts.step.empty()) return parts.convert(app, arguments, many.list);
   for (const char* name : {"--lod-input", "--ranges"}) {

@@ -178,8 +178,8 @@ struct SceneInParts {
   int convert(const CLI::App& app, ConvertArguments& arguments, const std::string& input_list) const;
 };
 
-/// The formats as a table, as text or Markdown.
-std::string format_table(bool markdown);
+/// The formats and what each keeps, in Markdown.
+std::string format_table();
 
 /// rgs-audit of a finished conversion, a program of its own: pictures need libraries that a converter should not depend
 /// on.

@@ -30,18 +30,15 @@ bool holds(const std::string& text, const std::string& part) {
 }  // namespace
 
 TEST_CASE("--formats lists what is read and written, and its manual has the same table") {
-  const ProgramResult text = rgs_convert({"--formats"}), table = rgs_convert({"--formats=markdown"});
-  CHECK(text.exit_code == 0);
+  const ProgramResult table = rgs_convert({"--formats"});
   CHECK(table.exit_code == 0);
   for (const FormatInfo& info : all_formats()) {
     CAPTURE(info.name);
-    CHECK(holds(text.out, std::string("\n.") + info.name));
-    CHECK(holds(text.out, info.title));
-    CHECK(holds(table.out, std::string("| ") + info.precision + " |"));
+    CHECK(holds(table.out, std::string("\n| .") + info.name));
+    CHECK(holds(table.out, std::string("| ") + info.title));
+    CHECK(holds(table.out, std::string("| ") + info.precision));
   }
-  // After a change: rgs-convert --formats=markdown.
   CHECK(holds(read_text(source_dir() + "/docs/user/INTERCHANGE.md"), table.out));
-  CHECK(rgs_convert({"--formats=html"}).exit_code == 2);
 }
 
 TEST_CASE("any format converts to any other, chosen by the output's name, each in its own frame") {

@@ -13,9 +13,13 @@ using namespace rgs::test;
 
 namespace {
 
-constexpr SplatFormat kWritable[] = {
-    SplatFormat::compressed_ply, SplatFormat::ply, SplatFormat::glb, SplatFormat::spz, SplatFormat::npz,
-    SplatFormat::splat};
+constexpr SplatFormat kWritable[] = {SplatFormat::compressed_ply,
+                                     SplatFormat::ply,
+                                     SplatFormat::glb,
+                                     SplatFormat::spz,
+                                     SplatFormat::npz,
+                                     SplatFormat::sog,
+                                     SplatFormat::splat};
 
 }  // namespace
 
