@@ -361,7 +361,7 @@ SplatFormat format_of_name(const std::string& path) {
   std::string name = std::filesystem::path(path).filename().string();
   std::ranges::transform(name, name.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   const auto* found = std::ranges::find_if(kFormats, [&](const Format& format) {
-    return name.ends_with(std::string(".") + format.info.name) || name == format.info.other_name;
+    return name.ends_with(std::string(".") + format.info.name) || (!name.empty() && name == format.info.other_name);
   });
   return found == std::end(kFormats) ? SplatFormat::unknown : found->info.format;
 }

@@ -113,8 +113,10 @@ Status parse_dictionary(Header& header, Array& array) {
     } else if (key == "shape" && !std::exchange(has_shape, true)) {
       if (!header.take("(")) return bad();
       while (!header.take(")")) {
-        if (!header.take_number(dims.emplace_back())) return bad();
-        if (!header.take(",") && dims.size() == 1) return bad();  // (3) is no tuple
+        if (dims.size() == 32 || !header.take_number(dims.emplace_back())) return bad();
+        if (header.take(",")) continue;
+        if (dims.size() == 1 || !header.take(")")) return bad();  // (3) is no tuple
+        break;
       }
     } else {
       return bad();

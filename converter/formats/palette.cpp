@@ -142,28 +142,38 @@ class Cells {
   std::vector<float> mean(Members members) const {
     double weight = 0;
     for (const std::uint32_t i : members) weight += static_cast<double>(weights_[i]);
-    std::vector<float> mean(rows_.width);
-    add_rows(rows_, weights_, members, mean.data());
-    for (float& x : mean) x = static_cast<float>(static_cast<double>(x) / weight);
+    std::vector<float> mean;
+    for (const double sum : summed(members, [&](Members part, float*sum) { add_rows(rows_, weights_, part, sum); }))
+      mean.push_back(static_cast<float>(sum / weight));
     return mean;
   }
 
  private:
-  // By coordinate.
-  std::vector<float> squares(Members members, const std::vector<float>& mean) const {
-    std::vector<float> sum(rows_.width);
-    add_squares(rows_, weights_, members, mean.data(), sum.data());
-    return sum;
+  // Sums by coordinate; of a few rows at a time, since sums of millions in FP32 stand still.
+  template <class Add>
+  std::vector<double> summed(Members members, const Add& add) const {
+    constexpr std::size_t kAtOnce = 4096;
+    std::vector<double> total(rows_.width);
+    for (std::size_t first = 0; first < members.size(); first += kAtOnce) {
+      std::vector<float> sum(rows_.width);
+      add(members.subspan(first, std::min(kAtOnce, members.size() - first)), sum.data());
+      for (std::size_t k = 0; k < sum.size(); ++k) total[k] += static_cast<double>(sum[k]);
+    }
+    return total;
+  }
+  std::vector<double> squares(Members members, const std::vector<float>& mean) const {
+    return summed(members, [&](Members part, float* sum) { add_squares(rows_, weights_, part, mean.data(), sum); });
   }
   double distortion(Members members) const {
-    const std::vector<float> sum = squares(members, mean(members));
+    const std::vector<double> sum = squares(members, mean(members));
     return members.size() < 2 ? 0 : std::accumulate(sum.begin(), sum.end(), 0.0);
   }
 
   // Keeps a half in `cell` and returns the other: empty if all rows are alike.
   Cell halve(Cell& cell) {
     const auto mine = std::span(members_).subspan(cell.begin, cell.end - cell.begin);
-    const std::vector<float> centre = mean(mine), spread = squares(mine, centre);
+    const std::vector<float> centre = mean(mine);
+    const std::vector<double> spread = squares(mine, centre);
     const auto widest = static_cast<std::size_t>(std::ranges::max_element(spread) - spread.begin());
     std::vector<float> direction(rows_.width), projected(mine.size());
     direction[widest] = 1;

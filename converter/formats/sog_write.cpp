@@ -1,7 +1,6 @@
 // sog_write.cpp - writes SOG of version 2, which sog.cpp describes.
 // SPDX-License-Identifier: Apache-2.0
 #include <webp/encode.h>
-#include <zip.h>
 
 #include <algorithm>
 #include <bit>
@@ -19,6 +18,7 @@
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 #include "sog.hpp"
+#include "zip_archive.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -62,54 +62,6 @@ Bytes encode_webp(const Image& image) {
   return {bytes, bytes + writer.size};
 }
 
-// ---- zip ------------------------------------------------------------------------------------------------------------
-
-struct NamedFile {
-  std::string name;
-  Bytes bytes;
-};
-
-struct DiscardArchive {
-  void operator()(zip_t* archive) const { zip_discard(archive); }
-};
-struct FreeSource {
-  void operator()(zip_source_t* source) const { zip_source_free(source); }
-};
-
-// Without compression, which WebP leaves nothing to, and without times. In memory, only memory can be missing.
-Bytes zip_files(const std::vector<NamedFile>& files) {
-  const auto needed = [](bool ok) {
-    if (!ok) throw std::bad_alloc();
-  };
-  const std::unique_ptr<zip_source_t, FreeSource> target(zip_source_buffer_create(nullptr, 0, 0, nullptr));
-  needed(target != nullptr);
-  zip_source_keep(target.get());  // for the archive
-  std::unique_ptr<zip_t, DiscardArchive> archive(zip_open_from_source(target.get(), ZIP_TRUNCATE, nullptr));
-  if (archive == nullptr) zip_source_free(target.get());
-  needed(archive != nullptr);
-  constexpr zip_uint16_t kMidnight = 0, kFirstOfJanuary1980 = 1 << 5 | 1;
-  for (const NamedFile& file : files) {
-    std::unique_ptr<zip_source_t, FreeSource> source(
-        zip_source_buffer(archive.get(), file.bytes.data(), file.bytes.size(), 0));
-    needed(source != nullptr);
-    const zip_int64_t added = zip_file_add(archive.get(), file.name.c_str(), source.get(), 0);
-    needed(added >= 0);
-    source.release();  // NOLINT: the archive's now
-    const auto index = static_cast<zip_uint64_t>(added);
-    needed(zip_set_file_compression(archive.get(), index, ZIP_CM_STORE, 0) == 0 &&
-           zip_file_set_dostime(archive.get(), index, kMidnight, kFirstOfJanuary1980, 0) == 0);
-  }
-  needed(zip_close(archive.get()) == 0);
-  archive.release();  // NOLINT: closed
-  zip_stat_t info;
-  needed(zip_source_stat(target.get(), &info) == 0 && zip_source_open(target.get()) == 0);
-  Bytes out(info.size);
-  const zip_int64_t got = zip_source_read(target.get(), out.data(), out.size());
-  zip_source_close(target.get());
-  needed(got == static_cast<zip_int64_t>(out.size()));
-  return out;
-}
-
 // ---- Gaussians ------------------------------------------------------------------------------------------------------
 
 double fold_mean(float mean) {
@@ -135,32 +87,38 @@ class Writer {
     width_ = 4 * static_cast<std::size_t>(std::ceil(std::sqrt(static_cast<double>(splats.n)) / 4));
     height_ = (splats.n + width_ - 1) / width_;
     meta_["version"] = 2;
-    meta_["asset"] = {{"generator", "rgs-convert"}};
+    meta_["asset"] = {{"generator", "RoofGS"}};
     meta_["count"] = splats.n;
     // The format's own name, and that of splat-transform.
     meta_["antialias"] = options.aa_mode == AaMode::mip_splatting;
     if (options.aa_mode == AaMode::mip_splatting) meta_["model"] = "antialiased";
   }
 
-  bool fits() const { return std::max(width_, height_) <= WEBP_MAX_DIMENSION; }
-
-  Bytes write() {
+  Result<Bytes> write() {
     weights_ = weigh();
     write_means();
     write_scales();
     write_rotations();
     write_colours();
     if (splats_.sh_degree > 0) write_harmonics();
-    std::vector<NamedFile> files(images_.size() + 1);
+    std::vector<std::pair<std::string, Bytes>> files(images_.size() + 1);
     const std::string text = meta_.dump();
     const auto bytes = std::as_bytes(std::span(text));
     files[0] = {"meta.json", Bytes(bytes.begin(), bytes.end())};
     run_in_parallel(images_.size(), threads_, [&](std::size_t i) {
       Image& image = images_[images_.size() - 1 - i];  // the palette, which takes longest, first
       files[images_.size() - i] = {image.name, encode_webp(image)};
-      image.rgba = {};
+      image.rgba = std::vector<std::uint8_t>();
     });
-    return zip_files(files);
+    std::uint64_t stored = 0;
+    for (std::size_t i = 1; i < files.size(); ++i) stored += files[i].second.size();
+    // As readers check; tens of thousands of equal Gaussians.
+    if (!check_expansion(4 * images_.size() * splats_.n, stored, 0, {})) {
+      return make_error(
+          Errc::limit_exceeded, Error::kNone,
+          "Gaussians are so alike that readers would refuse the SOG as too compressed; write .rgs or .ply");
+    }
+    return zip_stored(files);
   }
 
  private:
@@ -304,12 +262,12 @@ class Writer {
 
 Result<std::vector<std::byte>> encode_sog(const SplatView& splats, const WriteOptions& options) {
   if (splats.n == 0) return make_error(Errc::bad_value, Error::kNone, "a SOG holds at least one Gaussian");
-  Writer writer(splats, options);
-  if (!writer.fits()) {
+  constexpr std::uint64_t kSide = WEBP_MAX_DIMENSION / 4 * 4;
+  if (splats.n > kSide * kSide) {
     return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than an image of a SOG has pixels",
-                      std::uint64_t{WEBP_MAX_DIMENSION} * WEBP_MAX_DIMENSION, splats.n);
+                      kSide * kSide, splats.n);
   }
-  return writer.write();
+  return Writer(splats, options).write();
 }
 
 }  // namespace rgs::detail

@@ -21,7 +21,7 @@ namespace {
 
 using Index = std::uint32_t;
 
-constexpr std::uint64_t kMaxPickleBytes = std::uint64_t{1} << 24;  // a scene takes 2 kB
+constexpr std::uint64_t kMaxPickleBytes = std::uint64_t{1} << 18;  // a scene takes 2 kB; values take 64 times as much
 
 struct Value {
   enum class Kind { plain, number, text, global, tuple, list, dictionary, storage, tensor };
@@ -57,7 +57,8 @@ class Pickle {
   // A dictionary's value; null if there is none.
   const Value* find(const Value& dictionary, std::string_view key) const {
     if (dictionary.kind != Kind::dictionary) return nullptr;
-    for (std::size_t i = 0; i < dictionary.items.size(); i += 2) {
+    for (std::size_t i = dictionary.items.size(); i >= 2;) {  // of equal names the last counts
+      i -= 2;
       const Value& name = values_[dictionary.items[i]];
       if (name.kind == Kind::text && name.text == key) return &values_[dictionary.items[i + 1]];
     }
@@ -284,10 +285,11 @@ Result<SplatFile> decode_torch_checkpoint(std::span<const std::byte> bytes, cons
   if (!text) return tl::unexpected(text.error());
   if (archive->holds(folder + "byteorder")) {
     const auto order = archive->read(folder + "byteorder", limits, lacking);
-    if (!order || text_of(*order) != "little")
+    if (!order) return tl::unexpected(order.error());
+    if (text_of(*order) != "little")
       return make_error(Errc::unsupported_feature, 0, "the checkpoint's numbers are not little-endian");
   }
-  if (text->size() > kMaxPickleBytes) return make_error(Errc::limit_exceeded, 0, "data.pkl is longer than 16 MiB");
+  if (text->size() > kMaxPickleBytes) return make_error(Errc::limit_exceeded, 0, "data.pkl is longer than 256 KiB");
   Pickle pickle(*text);
   const auto whole = pickle.read();
   if (!whole) return tl::unexpected(whole.error());

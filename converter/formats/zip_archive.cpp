@@ -26,13 +26,22 @@ Result<ZipArchive> ZipArchive::open(std::span<const std::byte> bytes) {
   zip_error_init(&error);
   zip_source_t* source = zip_source_buffer_create(bytes.data(), bytes.size(), 0, &error);
   if (source == nullptr) throw std::bad_alloc();
-  zip_t* archive = zip_open_from_source(source, ZIP_RDONLY, &error);
-  if (archive == nullptr) {
+  ZipArchive archive(zip_open_from_source(source, ZIP_RDONLY, &error), bytes.size());
+  if (archive.archive_ == nullptr) {
+    const bool is_memory = zip_error_code_zip(&error) == ZIP_ER_MEMORY;
     zip_source_free(source);
     zip_error_fini(&error);
+    if (is_memory) throw std::bad_alloc();
     return make_error(Errc::bad_header, Error::kNone, "the zip archive's directory is damaged or missing");
   }
-  return ZipArchive(archive, bytes.size());
+  // Readers differ in which of two files of one name they take.
+  const zip_int64_t n = zip_get_num_entries(archive.archive_.get(), 0);
+  for (zip_int64_t i = 0; i < n; ++i) {
+    const char* name = zip_get_name(archive.archive_.get(), static_cast<zip_uint64_t>(i), 0);
+    if (name != nullptr && zip_name_locate(archive.archive_.get(), name, 0) != i)
+      return make_error(Errc::bad_header, Error::kNone, "the zip archive holds two files of one name");
+  }
+  return archive;
 }
 
 std::string ZipArchive::name_ending(std::string_view ending) const {
@@ -55,6 +64,10 @@ Result<std::vector<std::byte>> ZipArchive::read(const std::string& name, const D
     return make_error(Errc::missing_section, Error::kNone, missing);
   if (const Status s = check_expansion(info.size, bytes_, 0, limits); !s) return tl::unexpected(s.error());
   const std::unique_ptr<zip_file_t, CloseEntry> entry(zip_fopen(archive_.get(), name.c_str(), 0));
+  const int code = entry == nullptr ? zip_error_code_zip(zip_get_error(archive_.get())) : ZIP_ER_OK;
+  if (code == ZIP_ER_COMPNOTSUPP || code == ZIP_ER_ENCRNOTSUPP || code == ZIP_ER_NOPASSWD)
+    return make_error(Errc::unsupported_feature, Error::kNone,
+                      "a file in the zip archive is encrypted or compressed otherwise than by deflate");
   std::vector<std::byte> bytes(info.size);
   const zip_int64_t got = entry == nullptr ? -1 : zip_fread(entry.get(), bytes.data(), bytes.size());
   std::byte extra{};
@@ -73,15 +86,18 @@ std::vector<std::byte> zip_stored(std::span<const std::pair<std::string, std::ve
   zip_error_init(&error);
   zip_source_t* target = zip_source_buffer_create(nullptr, 0, 0, &error);
   require(target != nullptr);
-  zip_source_keep(target);
   const std::unique_ptr<zip_source_t, decltype(&zip_source_free)> kept(target, zip_source_free);
+  zip_source_keep(target);  // for the archive
   const auto discard = [](zip_t* open) { zip_discard(open); };
   std::unique_ptr<zip_t, decltype(discard)> archive(zip_open_from_source(target, ZIP_TRUNCATE, &error));
+  if (archive == nullptr) zip_source_free(target);
   require(archive != nullptr);
   for (const auto& [name, bytes] : entries) {
-    zip_source_t* source = zip_source_buffer(archive.get(), bytes.data(), bytes.size(), 0);
+    std::unique_ptr<zip_source_t, decltype(&zip_source_free)> source(
+        zip_source_buffer(archive.get(), bytes.data(), bytes.size(), 0), zip_source_free);
     const zip_int64_t added =
-        source == nullptr ? -1 : zip_file_add(archive.get(), name.c_str(), source, ZIP_FL_ENC_UTF_8);
+        source == nullptr ? -1 : zip_file_add(archive.get(), name.c_str(), source.get(), ZIP_FL_ENC_UTF_8);
+    if (added >= 0) (void)source.release();  // the archive's now
     const auto index = static_cast<zip_uint64_t>(added);
     require(added >= 0 && zip_set_file_compression(archive.get(), index, ZIP_CM_STORE, 0) == 0 &&
             zip_file_set_dostime(archive.get(), index, kMidnight, kFirstOf1980, 0) == 0);

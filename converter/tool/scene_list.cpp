@@ -36,12 +36,17 @@ bool is_unfinished(std::string_view name) {
 SplatFormat format_of(std::span<const std::byte> bytes, SplatFormat by_name) {
   const SplatFormat format = detect_format(bytes);
   const std::string_view text = text_of(bytes);
-  if (by_name != SplatFormat::unknown) return format;
-  if (format == SplatFormat::sog && text.starts_with("PK")) {
-    constexpr std::size_t kDirectory = 65536;  // at the end of a zip archive; a SOG has a dozen files
-    if (text.substr(text.size() - std::min(text.size(), kDirectory)).find("meta.json") == text.npos)
-      return SplatFormat::unknown;
+  constexpr std::size_t kDirectory = 65536;  // at the end of a zip archive; a scene has a dozen files
+  const std::string_view directory = text.substr(text.size() - std::min(text.size(), kDirectory));
+  // Other arrays and tensors are no scenes: training leaves many.
+  if (format == SplatFormat::npz || format == SplatFormat::pt) {
+    const bool is_scene =
+        (format == SplatFormat::npz ? directory : text.substr(0, kDirectory)).find("quats") != text.npos;
+    return is_scene && by_name != SplatFormat::unknown ? format : SplatFormat::unknown;
   }
+  if (by_name != SplatFormat::unknown) return format;
+  if (format == SplatFormat::sog && text.starts_with("PK") && directory.find("meta.json") == text.npos)
+    return SplatFormat::unknown;
   if (format == SplatFormat::ply && !text.starts_with("ply\n") && !text.starts_with("ply\r"))
     return SplatFormat::unknown;
   return format;
@@ -124,7 +129,8 @@ class Walk {
     if (file) scene.format = format_of(file->bytes(), by_name);
     if (!file && by_name != SplatFormat::unknown) scene.readable = tl::unexpected(file.error());
     const bool is_meta = by_name == SplatFormat::sog && name.ends_with(".json");  // others may have a meta.json too
-    if (scene.format == SplatFormat::unknown && (by_name == SplatFormat::unknown || (is_meta && file)))
+    const bool is_arrays = by_name == SplatFormat::npz || by_name == SplatFormat::pt;
+    if (scene.format == SplatFormat::unknown && (by_name == SplatFormat::unknown || ((is_meta || is_arrays) && file)))
       return void(++list_.n_others);
     if (scene.format == SplatFormat::sog && is_meta) {
       for (const std::string& picture : files_of_scene(path)) {

@@ -138,11 +138,22 @@ TEST_CASE("a folder of all formats becomes a folder of the same shape, byte for 
   scene(f.in + "/scene.v2", 3);
   for (const auto& [name, format] :
        {std::pair("sub/c.spz", SplatFormat::spz), std::pair("sub/d.glb", SplatFormat::glb),
-        std::pair("e.splat", SplatFormat::splat), std::pair("sub/f.compressed.ply", SplatFormat::compressed_ply)}) {
+        std::pair("e.splat", SplatFormat::splat), std::pair("sub/f.compressed.ply", SplatFormat::compressed_ply),
+        std::pair("g.npz", SplatFormat::npz), std::pair("a.ckpt", SplatFormat::npz)}) {
     const auto bytes = encode_splats(cloud.view(), format);
     REQUIRE(bytes);
     write_text(f.in + "/" + name, {reinterpret_cast<const char*>(bytes->data()), bytes->size()});
   }
+  // Poses of cameras and the state of a training, which are no scenes.
+  const auto zip_with = [](const std::string& name) {
+    std::string file = "PK\x03\x04";
+    file.resize(26);
+    file += static_cast<char>(name.size());
+    file.resize(30);
+    return file + name;
+  };
+  write_text(f.in + "/a.npz", zip_with("poses.npy"));
+  write_text(f.in + "/a.pt", zip_with("a/data.pkl"));
   write_text(f.in + "/README.md", "A folder of scenes.");
   write_text(f.in + "/cameras.json", R"([{"means": 3}])");
   write_text(f.in + "/sub/ply.txt", "plywood");
@@ -153,12 +164,12 @@ TEST_CASE("a folder of all formats becomes a folder of the same shape, byte for 
   INFO(one.err);
   CHECK(one.exit_code == 0);
   CHECK(names(contents(f.out)) == std::set<std::string>{"a.rgs", "sub/deep/b.rgs", "no ending.rgs", "scene.v2.rgs",
-                                                        "sub/c.rgs", "sub/d.rgs", "e.rgs", "sub/f.rgs"});
-  CHECK(one.count("converted") == 8);
+                                                        "sub/c.rgs", "sub/d.rgs", "e.rgs", "sub/f.rgs", "g.rgs"});
+  CHECK(one.count("converted") == 9);
   CHECK(one.count("skipped") == 1);
   CHECK(one.lines.at("input.ply")["error"]["code"] == "not_gaussian_splats");
-  CHECK(one.n_lines == 9);
-  CHECK(one.err.find("4 other files ignored") != std::string::npos);
+  CHECK(one.n_lines == 10);
+  CHECK(one.err.find("7 other files ignored") != std::string::npos);
   CHECK(one.lines.at("sub/c.spz")["output_path"] == "sub/c.rgs");
   CHECK(one.lines.at("sub/c.spz")["source"]["format"] == "spz");
   CHECK(one.lines.at("a.ply")["output"]["gaussians"] == kSmall);

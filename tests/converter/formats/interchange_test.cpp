@@ -224,7 +224,8 @@ TEST_CASE("formats that are not read are named, with what to do, and so is an em
       {R"({"asset":{"version":"1.1"},"geometricError":8,"root":{}})", "3D Tiles"},
       {R"({"asset":{"version":"2.0"},"bufferViews":[],"meshes":[]})", ".gltf"},
       {std::string("\x93NUMPY\1\0v", 9) + std::string(90, ' '), ".npy"}};
-  for (const auto& [text, what] : files) {
+  for (const auto& [text, named] : files) {
+    const std::string what = named;
     CAPTURE(what);
     const Bytes bytes = bytes_of(text);
     CHECK(detect_format(bytes) == SplatFormat::unknown);
@@ -264,6 +265,7 @@ TEST_CASE("every format has one entry, by which it is found") {
 }
 
 TEST_CASE("an output's extension chooses the format") {
+  for (const char* folder : {"", "a/", "a.ply/"}) CHECK(format_of_name(folder) == SplatFormat::unknown);
   CHECK(format_of_name("a/b.ply") == SplatFormat::ply);
   CHECK(format_of_name("b.compressed.ply") == SplatFormat::compressed_ply);
   CHECK(format_of_name("B.Compressed.PLY") == SplatFormat::compressed_ply);

@@ -159,6 +159,15 @@ TEST_CASE("npz: every fault of an array is an error at its byte") {
   }
 }
 
+TEST_CASE("npz: two arrays of one name are refused, since readers differ in which they take") {
+  Files files = zeros();
+  files["neans.npy"] = files["means.npy"];
+  Bytes bytes = zipped(files);
+  std::string text(text_of(bytes));
+  for (std::size_t at = 0; (at = text.find("neans.npy", at)) != text.npos;) text[at] = 'm';
+  CHECK(read_splats(bytes_of(text)).error().code == Errc::bad_header);
+}
+
 TEST_CASE("npz: damaged files are refused or read, and none unfolds beyond the limit") {
   check_hostile(encode_splats(ordinary_cloud(3, 1, 3).view(), SplatFormat::npz).value(), 1);
   check_hostile(zipped(zeros()), 2);

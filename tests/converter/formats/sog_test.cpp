@@ -368,6 +368,14 @@ TEST_CASE("a written SOG does not depend on the number of threads, and lies alon
   }
 }
 
+TEST_CASE("a SOG that readers would refuse as too compressed is not written") {
+  const SplatCloud one = ordinary_cloud(1, 0, 1);
+  SplatCloud equal;
+  equal.resize(100'000, 0);
+  for (std::uint64_t i = 0; i < equal.size(); ++i) equal.set(i, one.view().splat(0));
+  CHECK(encode_splats(equal.view(), SplatFormat::sog).error().code == Errc::limit_exceeded);
+}
+
 TEST_CASE("a written SOG declares anti-aliasing, and refuses what it cannot hold") {
   SplatCloud cloud = ordinary_cloud(10, 1, 11);
   for (const AaMode mode : {AaMode::classic, AaMode::mip_splatting}) {
