@@ -43,8 +43,8 @@ struct EntryGroups {
   }
 };
 
-/// Labels `members`, whose entries now are in `group`, with their nearest in the groups near to it. Of equals the first
-/// in these groups' order.
+/// Labels `members`, whose entries now are in `group`, with their nearest in the groups near to it. Of equals always
+/// the same.
 void search_groups(const Rows& rows, std::span<const std::uint32_t> members, const EntryGroups& entries,
                    std::size_t group, std::span<std::uint32_t> labels);
 

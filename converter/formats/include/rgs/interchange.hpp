@@ -101,8 +101,8 @@ struct SplatFile {
   /// its Gaussians.
   std::vector<std::string> unused = {};
   SplatCloud cloud;
-  Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, a PLY of doubles (ply.hpp) or a far node of a
-                                 ///< glb
+  Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, doubles of a PLY, npz or pt, or a far node of
+                                 ///< a glb
   double position_rounding = 0;  ///< largest rounding of a coordinate by reading, world units: of doubles, or of far
                                  ///< nodes of a glb
 };
@@ -169,7 +169,7 @@ struct WriteReport {
   Clamped mean;           ///< spz: means with coarser steps than usual, because some are far out; world units
   Clamped log_scale;      ///< spz, compressed.ply
   Clamped opacity_logit;  ///< glb: the opacity is 0 or 1 as a 32-bit float
-  Clamped sh_dc;          ///< spz, splat; of f_dc
+  Clamped sh_dc;          ///< spz, splat, sog; of f_dc
   Clamped sh;             ///< spz, compressed.ply, sog; splat, which has none: those not 0
 
   bool any() const { return mean.n + log_scale.n + opacity_logit.n + sh_dc.n + sh.n != 0; }
