@@ -37,8 +37,9 @@ TEST_CASE("npz: files of numpy have the values that it wrote, in every type and 
                                                {"float32_degree1.npz", 1},
                                                {"float16_fortran_degree2.npz", 2},
                                                {"float64_degree3.npz", 3}};
-  for (const auto& [name, degree] : files) {
-    CAPTURE(name);
+  for (const auto& [name, sh_degree] : files) {
+    const int degree = sh_degree;
+    CAPTURE(degree);
     const auto file = read_splats(source_dir() + "/tests/fuzz/corpus/npz/" + name);
     REQUIRE(file);
     CHECK(file->format == SplatFormat::npz);
