@@ -96,9 +96,10 @@ Difference difference(const Picture& truth, const Picture& drawn) {
 }
 
 std::vector<Frame> fit_frames(const Gaussians& group, float pixel) {
-  std::vector<Frame> frames;
+  std::vector<Frame> frames(kFitDirections);
   for (int i = 0; i < kFitDirections; ++i) {
-    frames.push_back(frame_around(group, direction(i, kFitDirections), i % 2 == 0 ? pixel : 2 * pixel, kMostPixels));
+    frames[static_cast<std::size_t>(i)] =
+        frame_around(group, direction(i, kFitDirections), i % 2 == 0 ? pixel : 2 * pixel, kMostPixels);
   }
   return frames;
 }
