@@ -9,7 +9,7 @@ LANGUAGE = {"libstdc++.so.6", "libm.so.6", "libgcc_s.so.1", "libc.so.6", "ld-lin
 NEEDED = {
     "librgs_format.so": {"libhwy.so.1", "libxxhash.so.0", "libzstd.so.1"},
     "librgs_cameras.so": {"librgs_format.so.0.1"},
-    "librgs_interchange.so": {"librgs_format.so.0.1", "libz.so.1", "libwebp.so.7", "libzip.so.4", "libzstd.so.1"},
+    "librgs_interchange.so": {"librgs_format.so.0.1", "libhwy.so.1", "libz.so.1", "libwebp.so.7", "libzip.so.4", "libzstd.so.1"},
     "librgs_runtime.so": {"librgs_format.so.0.1", "librgs_cameras.so.0.1", "libtbb.so.12", "libcurl.so.4", "libhwy.so.1"},
 }
 
