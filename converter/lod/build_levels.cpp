@@ -261,7 +261,7 @@ MergeCosts merge_costs(const SplatView& splats, std::uint64_t first, std::uint64
   for (std::uint64_t i = 0; i < n; ++i) {
     if (!is_far(splats, first + i, centre)) near.push_back(static_cast<std::uint32_t>(i));
   }
-  const Gaussians page = subset(activate(splats, first, n, centre), near);
+  const Gaussians page = subset(activate(splats, first, n, centre, 0), near);
   const std::vector<float> area = areas(page);
   if (std::ranges::none_of(area, [](float a) { return a > 0; })) return out;
   const auto kept = static_cast<std::size_t>(kKept * static_cast<double>(n));

@@ -24,6 +24,7 @@ namespace {
 // Much less than a pixel's own 0.3 px^2: a page is drawn from its error on, but nearer, its parts would show.
 constexpr float kBlur = 0.01F;                  // px^2
 constexpr std::size_t kLeftOfRound[] = {3, 4};  // rounds are short, so that costs are up to date
+constexpr std::size_t kWeighed = 4;             // one of so many leaves of neighbours tells what merges cost
 constexpr float kShConstant = 0.28209479F;
 
 // A cluster for each Gaussian.
@@ -46,9 +47,9 @@ std::vector<Cluster> clusters_of(const Gaussians& gaussians, std::span<const flo
 }
 
 // Clusters and their neighbours.
-void pair_neighbours(std::span<const Cluster> clusters, std::vector<Neighbours>& nearest,
+void pair_neighbours(std::span<const Cluster> clusters, std::size_t every, std::vector<Neighbours>& nearest,
                      std::vector<ClusterPair>& pairs) {
-  nearest_clusters(clusters, nearest);
+  nearest_clusters(clusters, every, nearest);
   pairs.clear();
   for (std::uint32_t i = 0; i < clusters.size(); ++i) {
     for (const std::uint32_t j : nearest[i]) {
@@ -155,7 +156,7 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> are
   std::vector<Cluster> after;
   std::vector<char> used;
   while (current.size() > n) {
-    pair_neighbours(current, nearest, pairs);
+    pair_neighbours(current, 1, nearest, pairs);
     if (pairs.empty()) {  // squared distances overflow FP32
       for (std::uint32_t i = 1; i < current.size(); ++i) pairs.push_back({i - 1, i});
     }
@@ -196,12 +197,16 @@ std::vector<float> cheapest_merges(const Gaussians& gaussians, std::span<const f
   const std::vector<Cluster> clusters = clusters_of(gaussians, area, pixel);
   std::vector<Neighbours> nearest;
   std::vector<ClusterPair> pairs;
-  std::vector<float> costs, overlaps, out(clusters.size(), std::numeric_limits<float>::max());
-  pair_neighbours(clusters, nearest, pairs);
+  std::vector<float> costs, overlaps, least(clusters.size(), std::numeric_limits<float>::max()), out;
+  pair_neighbours(clusters, kWeighed, nearest, pairs);
   merge_costs(clusters, pairs, kBlur * pixel * pixel, costs, overlaps);
   for (std::size_t k = 0; k < pairs.size(); ++k) {
-    for (const std::uint32_t i : {pairs[k].a, pairs[k].b}) out[i] = std::min(out[i], costs[k]);
+    for (const std::uint32_t i : {pairs[k].a, pairs[k].b}) least[i] = std::min(least[i], costs[k]);
   }
+  for (std::size_t i = 0; i < clusters.size(); ++i) {
+    if (nearest[i][0] != kNoNeighbour) out.push_back(least[i]);
+  }
+  if (out.empty()) out.push_back(least[0]);
   return out;
 }
 

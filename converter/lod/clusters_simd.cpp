@@ -10,8 +10,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
-#include <numeric>
 
 #include "lanes_inl.hpp"
 #include "rgs/math/constants.hpp"
@@ -22,8 +22,12 @@ namespace rgs::lod {
 // Points in the order of a tree of halves with eight points a leaf; the block in the middle of a range stores its axis.
 // Padding of the last leaf is infinitely far away.
 struct PointTree {
-  std::vector<std::uint32_t> order;
-  std::vector<float> at[3];
+  struct Point {
+    float at[3];
+    std::uint32_t index;
+  };
+  std::vector<Point> points;
+  std::vector<float> at[3];  // of the points, padded
   std::vector<std::uint8_t> axis;
   std::vector<float> cut;  // along the axis: where the second half begins
 };
@@ -34,65 +38,85 @@ HWY_BEFORE_NAMESPACE();
 namespace rgs::lod {
 namespace HWY_NAMESPACE {
 
+RGS_LOD_INLINE bool any(I mask) {
+  std::uint64_t words[4];
+  std::memcpy(words, &mask, sizeof words);
+  return ((words[0] | words[1]) | (words[2] | words[3])) != 0;
+}
+
+// The nearest neighbours of the points of a leaf, a point a lane.
 class Search {
  public:
-  Search(const PointTree& tree, std::uint32_t at) : tree_(tree), self_(at) {
-    for (int k = 0; k < 3; ++k) to_[k] = tree.at[k][at];
-    for (float& d : distance_) d = std::numeric_limits<float>::infinity();
-    found_.fill(kNoNeighbour);
+  Search(const PointTree& tree, std::size_t leaf) : tree_(tree), leaf_(leaf) {
+    for (int k = 0; k < 3; ++k) to_[k] = load(&tree.at[k][leaf * kLanes]), apart_[k] = set(0);
+    for (V& d : distance_) d = set(std::numeric_limits<float>::infinity());
+    for (I& at : found_) at = I{} - 1;
   }
-  void descend(std::size_t begin, std::size_t end) {
-    if (end - begin == 1) return scan_leaf(begin * kLanes);
+  // `squared`: distances to the box between the cuts around the leaves begin .. end - 1. The own leaf comes first, so
+  // that of many points that coincide each finds others.
+  void descend(std::size_t begin, std::size_t end, V squared) {
+    if (end - begin == 1) return scan(begin);
     const std::size_t middle = (begin + end) / 2;
-    const int axis = tree_.axis[middle];
-    const float d = to_[axis] - tree_.cut[middle];
-    d < 0 ? descend(begin, middle) : descend(middle, end);
-    if (d * d >= distance_[kNeighbours - 1]) return;  // stop at equality: many points may coincide
-    d < 0 ? descend(middle, end) : descend(begin, middle);
+    const auto both = [&](auto first_half) __attribute__((always_inline)) {
+      const int axis = tree_.axis[middle];
+      const V behind = first_half ? to_[axis] - set(tree_.cut[middle]) : set(tree_.cut[middle]) - to_[axis];
+      const V before = apart_[axis], after = select(behind > before, behind, before);
+      const V farther = squared - before * before + after * after;
+      if (!any(farther < distance_[kNeighbours - 1])) return;
+      apart_[axis] = after;
+      first_half ? descend(begin, middle, farther) : descend(middle, end, farther);
+      apart_[axis] = before;
+    };
+    both(leaf_ < middle);
+    both(leaf_ >= middle);
   }
-  void scan_own_leaf() { scan_leaf(self_ / kLanes * kLanes); }
-  // Whether the point coincides with all its neighbours.
-  bool is_crowded() const { return distance_[kNeighbours - 1] == 0; }
-  const Neighbours& found() const { return found_; }
+  void write(Neighbours* out) const {
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      const std::size_t i = leaf_ * kLanes + lane;
+      if (i >= tree_.points.size()) return;
+      for (std::size_t k = 0; k < kNeighbours; ++k) {
+        const auto at = static_cast<std::uint32_t>(found_[k][lane]);
+        out[tree_.points[i].index][k] = at == kNoNeighbour ? at : tree_.points[at].index;
+      }
+    }
+  }
 
  private:
-  RGS_LOD_INLINE void scan_leaf(std::size_t first) {
-    V squared = set(0);
-    for (int k = 0; k < 3; ++k) {
-      const V d = load(&tree_.at[k][first]) - set(to_[k]);
-      squared += d * d;
-    }
-    float lanes[kLanes];
-    store(lanes, squared);
-    for (std::size_t i = 0; i < kLanes; ++i) {
-      if (!(lanes[i] < distance_[kNeighbours - 1]) || first + i == self_) continue;
-      std::size_t at = kNeighbours - 1;
-      for (; at > 0 && lanes[i] < distance_[at - 1]; --at) {
-        distance_[at] = distance_[at - 1];
-        found_[at] = found_[at - 1];
+  RGS_LOD_INLINE void scan(std::size_t leaf) {
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      const std::size_t i = leaf * kLanes + lane;
+      V squared = set(0);
+      for (int k = 0; k < 3; ++k) {
+        const V d = to_[k] - set(tree_.at[k][i]);
+        squared += d * d;
       }
-      distance_[at] = lanes[i];
-      found_[at] = tree_.order[first + i];
+      if (leaf == leaf_) squared[lane] = std::numeric_limits<float>::infinity();
+      if (!any(squared < distance_[kNeighbours - 1])) continue;
+      I at = I{} + static_cast<std::int32_t>(i);
+      for (std::size_t k = 0; k < kNeighbours; ++k) {
+        const I nearer = squared < distance_[k];
+        const V d = distance_[k];
+        const I found = found_[k];
+        distance_[k] = nearer ? squared : d;
+        found_[k] = nearer ? at : found;
+        squared = nearer ? d : squared;
+        at = nearer ? found : at;
+      }
     }
   }
 
   const PointTree& tree_;
-  const std::size_t self_;
-  float to_[3], distance_[kNeighbours];
-  Neighbours found_;
+  const std::size_t leaf_;
+  V to_[3], apart_[3], distance_[kNeighbours];
+  I found_[kNeighbours];
 };
 
-void search_all(const PointTree& tree, Neighbours* out) {
-  const std::size_t n_blocks = tree.at[0].size() / kLanes;
-  for (std::uint32_t i = 0; i < tree.order.size(); ++i) {
-    Search search(tree, i);
-    search.descend(0, n_blocks);
-    out[tree.order[i]] = search.found();
-    if (!search.is_crowded()) continue;
-    // Coincident points all find the same few, each of which can merge only once.
-    Search nearby(tree, i);
-    nearby.scan_own_leaf();
-    if (nearby.is_crowded()) out[tree.order[i]] = nearby.found();
+void search_all(const PointTree& tree, std::size_t every, Neighbours* out) {
+  const std::size_t n_leaves = tree.at[0].size() / kLanes;
+  for (std::size_t leaf = 0; leaf < n_leaves; leaf += every) {
+    Search search(tree, leaf);
+    search.descend(0, n_leaves, set(0));
+    search.write(out);
   }
 }
 
@@ -226,14 +250,15 @@ namespace {
 
 constexpr std::size_t kLeaf = 8;
 
-void build(PointTree& tree, std::span<const Cluster> clusters, std::size_t begin, std::size_t end) {
+void build(PointTree& tree, std::size_t begin, std::size_t end) {
   if (end - begin <= kLeaf) return;
+  const auto at = [&tree](std::size_t i) { return tree.points.begin() + static_cast<std::ptrdiff_t>(i); };
   float low[3], high[3];
   for (int k = 0; k < 3; ++k) low[k] = std::numeric_limits<float>::max(), high[k] = -low[k];
   for (std::size_t i = begin; i < end; ++i) {
     for (int k = 0; k < 3; ++k) {
-      low[k] = std::min(low[k], clusters[tree.order[i]].mean[k]);
-      high[k] = std::max(high[k], clusters[tree.order[i]].mean[k]);
+      low[k] = std::min(low[k], tree.points[i].at[k]);
+      high[k] = std::max(high[k], tree.points[i].at[k]);
     }
   }
   int axis = 0;
@@ -241,34 +266,37 @@ void build(PointTree& tree, std::span<const Cluster> clusters, std::size_t begin
     if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
   }
   const std::size_t middle_block = (begin / kLeaf + (end + kLeaf - 1) / kLeaf) / 2, middle = middle_block * kLeaf;
-  const auto at = [&tree](std::size_t i) { return tree.order.begin() + static_cast<std::ptrdiff_t>(i); };
-  std::nth_element(at(begin), at(middle), at(end), [&](std::uint32_t a, std::uint32_t b) {
-    const float x = clusters[a].mean[axis], y = clusters[b].mean[axis];
-    return x != y ? x < y : a < b;
+  std::nth_element(at(begin), at(middle), at(end), [axis](const PointTree::Point& a, const PointTree::Point& b) {
+    return a.at[axis] != b.at[axis] ? a.at[axis] < b.at[axis] : a.index < b.index;
   });
   tree.axis[middle_block] = static_cast<std::uint8_t>(axis);
-  tree.cut[middle_block] = clusters[tree.order[middle]].mean[axis];
-  build(tree, clusters, begin, middle);
-  build(tree, clusters, middle, end);
+  tree.cut[middle_block] = tree.points[middle].at[axis];
+  build(tree, begin, middle);
+  build(tree, middle, end);
 }
 
 }  // namespace
 
-void nearest_clusters(std::span<const Cluster> clusters, std::vector<Neighbours>& out) {
+void nearest_clusters(std::span<const Cluster> clusters, std::size_t every, std::vector<Neighbours>& out) {
   constexpr float kFar = std::numeric_limits<float>::infinity();
-  const std::size_t n_blocks = (clusters.size() + kLeaf - 1) / kLeaf;
+  const std::size_t n_leaves = (clusters.size() + kLeaf - 1) / kLeaf;
   PointTree tree;
-  tree.order.resize(clusters.size());
-  std::iota(tree.order.begin(), tree.order.end(), 0U);
-  tree.axis.resize(n_blocks);
-  tree.cut.resize(n_blocks);
-  build(tree, clusters, 0, clusters.size());
-  for (int k = 0; k < 3; ++k) {
-    tree.at[k].assign(n_blocks * kLeaf, kFar);
-    for (std::size_t i = 0; i < clusters.size(); ++i) tree.at[k][i] = clusters[tree.order[i]].mean[k];
+  tree.points.resize(clusters.size());
+  for (std::uint32_t i = 0; i < clusters.size(); ++i) {
+    const float* const mean = clusters[i].mean;
+    tree.points[i] = {{mean[0], mean[1], mean[2]}, i};
   }
-  out.resize(clusters.size());
-  if (!clusters.empty()) HWY_DYNAMIC_DISPATCH(search_all)(tree, out.data());
+  tree.axis.resize(n_leaves);
+  tree.cut.resize(n_leaves);
+  build(tree, 0, clusters.size());
+  for (int k = 0; k < 3; ++k) {
+    tree.at[k].assign(n_leaves * kLeaf, kFar);
+    for (std::size_t i = 0; i < clusters.size(); ++i) tree.at[k][i] = tree.points[i].at[k];
+  }
+  Neighbours none;
+  none.fill(kNoNeighbour);
+  out.assign(clusters.size(), none);
+  HWY_DYNAMIC_DISPATCH(search_all)(tree, every, out.data());
 }
 
 void set_selves(std::span<Cluster> clusters, float blur) {

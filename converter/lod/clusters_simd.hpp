@@ -40,8 +40,8 @@ inline __attribute__((always_inline)) void merge_moments(const Clusters& a, cons
 using Neighbours = std::array<std::uint32_t, kNeighbours>;
 inline constexpr std::uint32_t kNoNeighbour = 0xffffffff;
 
-/// The nearest neighbours of each cluster, by their means.
-void nearest_clusters(std::span<const Cluster> clusters, std::vector<Neighbours>& out);
+/// The nearest neighbours, by their means, of the clusters in one of `every` leaves of eight; of others none.
+void nearest_clusters(std::span<const Cluster> clusters, std::size_t every, std::vector<Neighbours>& out);
 
 /// Cross-section that a merged cluster has at least, so that a point or a line of no width is drawn with a size.
 inline float least_section(float blur) {

@@ -26,9 +26,9 @@ void Gaussians::resize(std::size_t n, int sh_degree) {
   }
 }
 
-Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3]) {
-  Gaussians out(n, splats.sh_degree);
-  const auto n_sh = static_cast<std::size_t>(3 * sh_coefficients(splats.sh_degree));
+Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3],
+                   int most_degree) {
+  Gaussians out(n, std::min(splats.sh_degree, most_degree));
   for (std::size_t i = 0; i < n; ++i) {
     const std::size_t j = first + i;
     double norm = 0;
@@ -47,7 +47,16 @@ Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n
       out.of(kScale + k)[i] = std::exp(splats.log_scale[at]);
     }
     out.of(kOpacity)[i] = 1 / (1 + std::exp(-splats.opacity_logit[j]));
-    for (std::size_t k = 0; k < n_sh; ++k) out.of(kSh + static_cast<int>(k))[i] = splats.sh[n_sh * j + k];
+  }
+  // A cache line of each array at a time.
+  constexpr std::size_t kBlock = 16;
+  const auto n_sh = static_cast<std::size_t>(3 * sh_coefficients(splats.sh_degree));
+  for (std::size_t begin = 0; begin < n; begin += kBlock) {
+    const std::size_t end = std::min<std::size_t>(begin + kBlock, n);
+    for (int v = kSh; v < out.n_values(); ++v) {
+      const float* const from = &splats.sh[n_sh * first + static_cast<std::size_t>(v - kSh)];
+      for (std::size_t i = begin; i < end; ++i) out.of(v)[i] = from[n_sh * i];
+    }
   }
   return out;
 }

@@ -35,9 +35,10 @@ class Gaussians {
   std::vector<float> values_;
 };
 
-/// activate() converts parameters of training, with means relative to `centre`; append() converts back. It rounds
-/// harmonics to FP16: a file has 8 bits of them, and scratch files shrink by a third.
-Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3]);
+/// activate() converts parameters of training, with means relative to `centre` and harmonics up to `most_degree`;
+/// append() converts back. It rounds harmonics to FP16: a file has 8 bits of them, and scratch files shrink by a third.
+Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3],
+                   int most_degree = kMaxShDegree);
 void append(const Gaussians& gaussians, const float centre[3], SplatCloud& out);
 
 /// Rows `items`, in this order.
