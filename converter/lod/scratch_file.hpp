@@ -12,8 +12,8 @@
 
 namespace rgs::lod {
 
-/// In memory, or in an unnamed file that vanishes with the process. Reading is thread-safe, and so is writing to a
-/// file.
+/// In memory, or in an unnamed file that vanishes with the process. Reading is thread-safe, and so is writing, unless
+/// it makes memory grow.
 class ScratchFile {
  public:
   ScratchFile() = default;  ///< in memory

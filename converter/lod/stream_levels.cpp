@@ -26,12 +26,18 @@
 namespace rgs::lod {
 namespace {
 
-constexpr std::size_t kValues = 11;                             // of a Gaussian without its harmonics
-constexpr std::uint64_t kGroupBytes = std::uint64_t{64} << 20;  // memory of a group while it is simplified
-constexpr std::uint64_t kWeighing = 4;  // to weigh a Gaussian's merges is a quarter of what Quality::fast does with it
+constexpr std::size_t kValues = 11;     // of a Gaussian without its harmonics
+constexpr std::uint64_t kWeighing = 8;  // to weigh a Gaussian's merges is an eighth of what Quality::fast does with it
 
 Error source_changed() {
   return {Errc::read_failed, Error::kNone, "the source changed while it was read", Error::kNone, Error::kNone, 0};
+}
+
+// Memory of a group while it is simplified: of its Gaussians, and of pictures.
+std::uint64_t group_bytes(const BuildOptions& build) {
+  const std::uint64_t rows = std::uint64_t{build.children} * build.page_chunks * build.chunk_size;
+  const bool fits_pictures = build.quality == Quality::best && build.device == nullptr;
+  return 1536 * rows + (std::uint64_t{fits_pictures ? 56U : 12U} << 20);
 }
 
 template <class F>
@@ -457,7 +463,7 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
   return detail::guard_memory([&]() -> Status {
     const BuildOptions build = build_options(encode, options);
     const int sh_degree = out.rows.back().sh_degree();
-    const std::uint64_t at_once = most_at_once(options, kGroupBytes), batch = 32 * at_once;
+    const std::uint64_t at_once = most_at_once(options, group_bytes(build)), batch = 32 * at_once;
     std::vector<SplatCloud> parts(batch);
     while (out.pages.back().size() > 1 && out.pages.back().front().level < last) {
       std::vector<Page>& below = out.pages.back();
@@ -500,11 +506,13 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
         });
         if (!built) return built;
         for (std::uint64_t k = 0; k < n; ++k) {
-          Page& page = pages[first + k];
-          page.first = n_above;
-          n_above += page.count;
-          if (Status s = to.write(page.first, parts[k].view()); !s) return s;
+          pages[first + k].first = n_above;
+          n_above += pages[first + k].count;
         }
+        // The last one first: in memory, only a write behind the end must be alone.
+        const auto write = [&](std::size_t k) { return to.write(pages[first + k].first, parts[k].view()); };
+        if (Status s = write(n - 1); !s) return s;
+        if (Status s = each_at_once(n - 1, at_once, write); !s) return s;
       }
       out.rows.push_back(std::move(to));
       out.pages.push_back(std::move(pages));

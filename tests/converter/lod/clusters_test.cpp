@@ -132,6 +132,48 @@ TEST_CASE("neighbours of one colour are merged before those of two") {
   }
 }
 
+TEST_CASE("the nearest neighbours are those that comparing all finds") {
+  for (const std::uint32_t n : {1U, 3U, 8U, 9U, 700U}) {
+    CAPTURE(n);
+    rgs::test::SplitMix random(n);
+    std::vector<Cluster> clusters(n);
+    for (Cluster& cluster : clusters) {
+      for (float& x : cluster.mean) x = random.dyadic(-1, 1);
+    }
+    const auto squared = [&](std::uint32_t i, std::uint32_t j) {
+      float total = 0;
+      for (int k = 0; k < 3; ++k) {
+        const float apart = clusters[i].mean[k] - clusters[j].mean[k];
+        total += apart * apart;
+      }
+      return total;
+    };
+    std::vector<Neighbours> nearest, some;
+    nearest_clusters(clusters, 1, nearest);
+    for (std::uint32_t i = 0; i < n; ++i) {
+      std::vector<float> expected, found;
+      for (std::uint32_t j = 0; j < n; ++j) {
+        if (j != i) expected.push_back(squared(i, j));
+      }
+      std::ranges::sort(expected);
+      expected.resize(std::min(expected.size(), nearest[i].size()));
+      for (const std::uint32_t j : nearest[i]) {
+        if (j != kNoNeighbour) found.push_back(squared(i, j));
+      }
+      CHECK(found == expected);
+    }
+    nearest_clusters(clusters, 4, some);
+    std::size_t n_asked = 0;
+    for (std::uint32_t i = 0; i < n; ++i) {
+      if (some[i][0] == kNoNeighbour) continue;
+      CHECK(some[i] == nearest[i]);
+      ++n_asked;
+    }
+    CHECK(n_asked <= (n + 31) / 32 * 8);
+    CHECK((n_asked > 0) == (n > 1));
+  }
+}
+
 TEST_CASE("many Gaussians at one position are merged in pairs in one round") {
   constexpr std::uint32_t kAlike = 3000, kOthers = 1000;
   rgs::test::SplitMix random(5);
@@ -140,7 +182,7 @@ TEST_CASE("many Gaussians at one position are merged in pairs in one round") {
     for (float& x : clusters[i].mean) x = i < kAlike ? 0.25F : random.dyadic(-1, 1);
   }
   std::vector<Neighbours> nearest;
-  nearest_clusters(clusters, nearest);
+  nearest_clusters(clusters, 1, nearest);
   std::vector<char> used(clusters.size(), 0);
   std::uint32_t n_pairs = 0;
   for (std::uint32_t i = 0; i < kAlike; ++i) {
