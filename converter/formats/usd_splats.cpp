@@ -157,7 +157,7 @@ class StageReader {
   void statement(Prim& prim, std::string_view first, int depth);
   void property(Prim& prim, std::string_view first);
   void value(Prim& prim, std::string_view type, bool is_array, std::string_view name, std::uint64_t at);
-  bool splat_value(std::string_view type, bool is_array, std::string_view name, std::uint64_t at);
+  bool splat_value(SplatPrim& splats, std::string_view type, bool is_array, std::string_view name, std::uint64_t at);
   Floats floats(std::uint64_t each);
   Op numbers(std::uint64_t at);
   std::vector<std::string_view> texts();
@@ -331,7 +331,7 @@ void StageReader::property(Prim& prim, std::string_view first) {
 
 void StageReader::value(Prim& prim, std::string_view type, bool is_array, std::string_view name, std::uint64_t at) {
   if (text_.next() == 'N') return text_.skip_value();  // None: as if it were not here
-  if (prim.is_splats() && splat_value(type, is_array, name, at)) return;
+  if (prim.is_splats() && splat_value(splats_[prim.first], type, is_array, name, at)) return;
   const std::string_view base = name.substr(0, name.find('.'));
   if (base.starts_with("xformOp:")) {
     Op& op = prim.ops[base];
@@ -353,8 +353,8 @@ void StageReader::value(Prim& prim, std::string_view type, bool is_array, std::s
 }
 
 // Reads the value of one of the schema's own attributes; false if it is none.
-bool StageReader::splat_value(std::string_view type, bool is_array, std::string_view name, std::uint64_t at) {
-  SplatPrim& splats = splats_.back();
+bool StageReader::splat_value(SplatPrim& splats, std::string_view type, bool is_array, std::string_view name,
+                              std::uint64_t at) {
   const std::string_view base = name.substr(0, name.find('.'));
   const auto* const known = std::ranges::find_if(kSchema, [&](const Parameters& p) {
     return base.starts_with(p.name) && (base.size() == p.name.size() || base.substr(p.name.size()) == "h");

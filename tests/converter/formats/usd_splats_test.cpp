@@ -244,6 +244,13 @@ TEST_CASE("usda: prims move, turn and scale their Gaussians in the order that th
         moved.mean);
 }
 
+TEST_CASE("usda: a prim's attributes may follow its children, also those with Gaussians") {
+  const SplatFile file = read_text(stage(stage("float[] opacities = [0.25]").substr(10) + "float[] opacities = [0.5]"));
+  REQUIRE(file.cloud.size() == 2);
+  CHECK(file.cloud.opacity_logit[0] == 0);
+  CHECK(file.cloud.opacity_logit[1] < -1);
+}
+
 TEST_CASE("usda: far prims get one origin in the middle of theirs, and the rounding is stated") {
   const auto at = [](const std::string& where) {
     return "double3 xformOp:translate = " + where + "\n uniform token[] xformOpOrder = [\"xformOp:translate\"]";
