@@ -260,7 +260,8 @@ std::optional<std::string> OutputOptions::check_format(const SceneOptions& scene
   if (!format_info(format).writable) return std::string("the format ") + format_name(format) + " is read only";
   if (format != SplatFormat::rgs && !rgs_option.empty()) return rgs_option + " is for .rgs outputs";
   if (format != SplatFormat::spz && spz_version) return "--spz-version is for .spz outputs";
-  if (format == SplatFormat::glb && scene.to_axes) return "the axes of glb are prescribed by the format";
+  if (format_info(format).axes != kAxes3dgs && scene.to_axes)
+    return std::string("the axes of ") + format_name(format) + " are prescribed by the format";
   if (format == SplatFormat::spz && scene.to_axes) return "--spz-axes chooses the axes of .spz outputs";
   return std::nullopt;
 }

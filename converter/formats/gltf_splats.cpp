@@ -10,7 +10,6 @@
 #include <cstring>
 #include <glm/geometric.hpp>
 #include <glm/gtc/type_ptr.hpp>
-#include <glm/matrix.hpp>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -18,6 +17,7 @@
 #include <utility>
 
 #include "json_member.hpp"
+#include "matrix_similarity.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/splat_edit.hpp"
@@ -235,20 +235,6 @@ bool read_numbers(const json& object, const char* name, std::span<double> out) {
     if (!std::isfinite(out[i])) return false;
   }
   return true;
-}
-
-// As rotation, uniform scale and translation; nullopt if it is anything else.
-std::optional<Similarity> similarity_of(const glm::dmat4& m) {
-  double length[3];
-  for (int k = 0; k < 3; ++k) length[k] = std::hypot(m[k].x, m[k].y, m[k].z);
-  constexpr double kTolerance = 1e-4;  // files store rounded decimals
-  if (!(length[0] > 0) || std::abs(length[1] / length[0] - 1) > kTolerance ||
-      std::abs(length[2] / length[0] - 1) > kTolerance) {
-    return std::nullopt;
-  }
-  const Similarity s{glm::dmat3(m) / length[0], length[0], glm::dvec3(m[3])};
-  if (std::abs(glm::determinant(s.rotation) - 1) > kTolerance) return std::nullopt;
-  return s;
 }
 
 Result<Similarity> node_transform(const json& node) {

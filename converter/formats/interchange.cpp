@@ -27,6 +27,7 @@
 #include "spz.hpp"
 #include "stated_scene.hpp"
 #include "torch_checkpoint.hpp"
+#include "usd_splats.hpp"
 #include "write_report.hpp"
 
 namespace rgs {
@@ -248,6 +249,14 @@ constexpr Format kFormats[] = {
       "FP32",
       kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
      is_glb, read_within<detail::decode_glb>, detail::encode_glb},
+    {{SplatFormat::usda, "usda", "", "OpenUSD 26.03, text with ParticleField3DGaussianSplat",
+      "FP32; read from FP16 or 32",
+      kAxesOpenGl, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
+     detail::is_usda, read_within<detail::decode_usda>, detail::encode_usda},
+    {{SplatFormat::usdz, "usdz", "", "the same, a package whose first file is a .usda",
+      "as .usda",
+      kAxesOpenGl, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
+     detail::is_usdz, read_within<detail::decode_usdz>, detail::encode_usdz},
     {{SplatFormat::spz, "spz", "", "Niantic, versions 2 and 3 (gzip) and 4 (zstd)",
       "mean 24 bits; rotation 32 (version 2: 24); scale, opacity, colour 8; harmonics 5 and 4",
       kAxes3dgs, 3, true, {.aa_mode = true}},
@@ -292,7 +301,6 @@ constexpr const char* kStreamedSog =
     "a streamed SOG, whose SOGs hold parts of a scene, is not read: convert the scene that it was made from";
 constexpr const char* kSpark = "a .rad of Spark is not read: convert the scene that it was made from";
 constexpr const char* kLcc2 = "an .lcc2 of XGRIDS is not read: convert the .sog, .spz or .ply files in its data folder";
-constexpr const char* kOpenUsd = "OpenUSD is not read: export the scene as .ply or .glb";
 constexpr Foreign kForeign[] = {
     {detail::is_json_with, "\"lodLevels\"", kStreamedSog},
     {detail::is_zip_with, "lod-meta.json", kStreamedSog},
@@ -301,9 +309,7 @@ constexpr Foreign kForeign[] = {
     {detail::is_json_with, "\"cellLengthX\"", "an .lcc of XGRIDS is not read: export the scene as .ply"},
     {detail::is_json_with, "\"lodSplats\"", kLcc2},
     {detail::is_json_with, "\"lod_3dgs_info\"", kLcc2},
-    {detail::begins_with, "#usda", kOpenUsd},
-    {detail::begins_with, "PXR-USDC", kOpenUsd},
-    {detail::is_zip_with, ".usd", kOpenUsd},
+    {detail::begins_with, "PXR-USDC", detail::kUsdCrate},
     {detail::is_json_with, "\"geometricError\"",
      "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
     {detail::is_json_with, "\"bufferViews\"", "a .gltf is not read: pack it with its buffers into one .glb"},
@@ -452,7 +458,7 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       if (options.strict) {
         return make_error(Errc::bad_value, Error::kNone,
                           "the format holds no origin: positions would be rounded to FP32; write "
-                          ".rgs, .ply, .glb or .npz, or drop --strict");
+                          ".rgs, .ply, .glb, .usda or .npz, or drop --strict");
       }
       positions = positions_of(splats, options.origin);
       placed.mean = positions;

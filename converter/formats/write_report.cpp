@@ -51,7 +51,7 @@ Ranges ranges_of(SplatFormat format) {
   } else if (format == SplatFormat::sog) {
     r.sh_dc = {-static_cast<double>(kMaxSogHarmonic), static_cast<double>(kMaxSogHarmonic)};
     std::ranges::fill(r.sh, r.sh_dc);
-  } else if (format == SplatFormat::glb) {
+  } else if (format == SplatFormat::glb || format == SplatFormat::usda || format == SplatFormat::usdz) {
     r.opacity_logit = {-103.97, 17.328679, 0, 0};  // beyond these it is 0 or 1 as a 32-bit float; infinite, exactly
   }
   return r;

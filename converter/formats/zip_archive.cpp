@@ -77,7 +77,10 @@ Result<std::vector<std::byte>> ZipArchive::read(const std::string& name, const D
   return bytes;
 }
 
-std::vector<std::byte> zip_stored(std::span<const std::pair<std::string, std::vector<std::byte>>> entries) {
+std::vector<std::byte> zip_stored(std::span<const std::pair<std::string, std::vector<std::byte>>> entries,
+                                  std::uint64_t alignment) {
+  constexpr std::uint64_t kHeader = 30, kFieldHeader = 4;
+  constexpr zip_uint16_t kPadding = 0x1986;                   // the id that OpenUSD's packages have
   constexpr zip_uint16_t kMidnight = 0, kFirstOf1980 = 0x21;  // any fixed time
   const auto require = [](bool ok) {
     if (!ok) throw std::bad_alloc();  // in memory, nothing else fails
@@ -92,6 +95,7 @@ std::vector<std::byte> zip_stored(std::span<const std::pair<std::string, std::ve
   std::unique_ptr<zip_t, decltype(discard)> archive(zip_open_from_source(target, ZIP_TRUNCATE, &error));
   if (archive == nullptr) zip_source_free(target);
   require(archive != nullptr);
+  std::uint64_t offset = 0;
   for (const auto& [name, bytes] : entries) {
     std::unique_ptr<zip_source_t, decltype(&zip_source_free)> source(
         zip_source_buffer(archive.get(), bytes.data(), bytes.size(), 0), zip_source_free);
@@ -101,6 +105,15 @@ std::vector<std::byte> zip_stored(std::span<const std::pair<std::string, std::ve
     const auto index = static_cast<zip_uint64_t>(added);
     require(added >= 0 && zip_set_file_compression(archive.get(), index, ZIP_CM_STORE, 0) == 0 &&
             zip_file_set_dostime(archive.get(), index, kMidnight, kFirstOf1980, 0) == 0);
+    offset += kHeader + name.size();
+    if (alignment > 1) {
+      offset += kFieldHeader;
+      const std::vector<zip_uint8_t> zeros((alignment - offset % alignment) % alignment);
+      require(zip_file_extra_field_set(archive.get(), index, kPadding, ZIP_EXTRA_FIELD_NEW, zeros.data(),
+                                       static_cast<zip_uint16_t>(zeros.size()), ZIP_FL_LOCAL) == 0);
+      offset += zeros.size();
+    }
+    offset += bytes.size();
   }
   require(zip_close(archive.get()) == 0);
   (void)archive.release();  // closed

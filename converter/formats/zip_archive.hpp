@@ -37,7 +37,9 @@ class ZipArchive {
   std::uint64_t bytes_;
 };
 
-/// An archive of these entries, by name, stored without compression. Deterministic.
-std::vector<std::byte> zip_stored(std::span<const std::pair<std::string, std::vector<std::byte>>> entries);
+/// An archive of these entries, by name, stored without compression, each at a multiple of `alignment` bytes.
+/// Deterministic.
+std::vector<std::byte> zip_stored(std::span<const std::pair<std::string, std::vector<std::byte>>> entries,
+                                  std::uint64_t alignment = 1);
 
 }  // namespace rgs::detail

@@ -167,14 +167,15 @@ def by_place(scene):
     return np.lexsort(scene.means.T)
 
 
-@pytest.mark.parametrize("name", ["a.rgs", "a.ply", "a.compressed.ply", "a.spz", "a.splat", "a.sog", "a.glb", "a.npz"])
+@pytest.mark.parametrize("name", ["a.rgs", "a.ply", "a.compressed.ply", "a.spz", "a.splat", "a.sog", "a.glb", "a.usda", "a.usdz",
+                                  "a.npz"])
 def test_saved_scenes_come_back(name, tmp_path, examples):
     scene = roofgs.load(examples / "scene.ply")
     n_bytes = scene.save(tmp_path / name)
     assert n_bytes == (tmp_path / name).stat().st_size
     again = roofgs.load(tmp_path / name)
     assert len(again) == len(scene) and again.format in name
-    exact = name in ("a.rgs", "a.ply", "a.glb", "a.npz")
+    exact = name in ("a.rgs", "a.ply", "a.glb", "a.usda", "a.usdz", "a.npz")
     np.testing.assert_allclose(np.sort(again.means, axis=0), np.sort(scene.means, axis=0), atol=0 if exact else 0.3)  # of 600
     if name == "a.ply":
         for attribute in ("means", "sh"):

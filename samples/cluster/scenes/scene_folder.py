@@ -15,6 +15,8 @@ ENDINGS = {
     ".ksplat": 24,
     ".sog": 10,
     ".glb": 60,
+    ".usda": 100,
+    ".usdz": 100,
     ".npz": 236,
     ".pt": 236,
     ".rgs": 9,

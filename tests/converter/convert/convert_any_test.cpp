@@ -45,7 +45,8 @@ TEST_CASE("any format converts to any other, chosen by the output's name, each i
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(600, 2, 1);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud);
-  const std::array<std::string, 8> endings{"rgs", "ply", "compressed.ply", "spz", "splat", "sog", "glb", "npz"};
+  const std::array<std::string, 10> endings{"rgs", "ply", "compressed.ply", "spz", "splat", "sog",
+                                            "glb", "npz", "usda",           "usdz"};
   for (const std::string& first : endings) {
     const std::string one = folder.file("one." + first);
     REQUIRE(rgs_convert({"--keep-order", ply, one}).exit_code == 0);
@@ -286,7 +287,8 @@ TEST_CASE("values that a format clamps are counted in text and JSON, and --stric
   };
   const std::vector<std::pair<std::string, Counts>> formats{
       {"spz", {300, 2, 0, 1, 1}}, {"splat", {0, 0, 0, 1, 300}}, {"compressed.ply", {0, 1, 0, 0, 1}},
-      {"glb", {0, 0, 1, 0, 0}},   {"sog", {0, 0, 0, 0, 0}},     {"ply", {0, 0, 0, 0, 0}}};
+      {"glb", {0, 0, 1, 0, 0}},   {"usda", {0, 0, 1, 0, 0}},    {"sog", {0, 0, 0, 0, 0}},
+      {"ply", {0, 0, 0, 0, 0}}};
   for (const auto& entry : formats) {
     CAPTURE(entry.first);
     const auto& [format, counts] = entry;
@@ -354,7 +356,7 @@ TEST_CASE("infinite logits and scales of 0 survive every format") {
   cloud.log_scale[3 * 30 + 2] = -kInfinity;
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), text = folder.file("text.ply");
   write_text(text, other_ply(cloud, true));
-  for (const std::string ending : {"rgs", "ply", "compressed.ply", "spz", "splat", "sog", "glb"}) {
+  for (const std::string ending : {"rgs", "ply", "compressed.ply", "spz", "splat", "sog", "glb", "usda"}) {
     CAPTURE(ending);
     const std::string one = folder.file("one." + ending), two = folder.file("two.ply");
     const ProgramResult run =

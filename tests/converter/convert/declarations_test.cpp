@@ -61,13 +61,13 @@ bool holds(const nlohmann::json& texts, const std::string& part) {
 
 }  // namespace
 
-TEST_CASE("the anti-aliasing flag of an SPZ survives PLY, compressed PLY, SOG and glTF") {
+TEST_CASE("the anti-aliasing flag of an SPZ survives PLY, compressed PLY, SOG, glTF and OpenUSD") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(300, 1, 1);
   const std::string spz = folder.file("scene.spz"), rgs = folder.file("scene.rgs");
   for (const AaMode mode : {AaMode::classic, AaMode::mip_splatting}) {
     write_bytes(spz, encode_splats(cloud.view(), SplatFormat::spz, {.aa_mode = mode}).value());
-    for (const std::string between : {"ply", "compressed.ply", "glb", "rgs", "spz", "sog"}) {
+    for (const std::string between : {"ply", "compressed.ply", "glb", "usda", "rgs", "spz", "sog"}) {
       CAPTURE(between);
       const std::string file = folder.file("between." + between);
       CHECK(converted({spz, file})["lost"] == nlohmann::json::array());

@@ -349,7 +349,8 @@ TEST_CASE("formats without an origin hold FP32 positions, and the rounding is re
   const auto rounding = [&](SplatFormat format, const Origin& origin) {
     return position_rounding(file.cloud.view(), format, origin).value();
   };
-  for (const SplatFormat format : {SplatFormat::rgs, SplatFormat::ply, SplatFormat::glb, SplatFormat::npz}) {
+  for (const SplatFormat format :
+       {SplatFormat::rgs, SplatFormat::ply, SplatFormat::glb, SplatFormat::usda, SplatFormat::npz}) {
     CHECK(format_info(format).keeps.origin);
     CHECK(rounding(format, file.origin) == 0);
   }

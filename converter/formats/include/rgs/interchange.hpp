@@ -31,6 +31,8 @@ enum class SplatFormat : std::uint8_t {
   ksplat,          ///< GaussianSplats3D, levels 0 to 2; read only
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; written zipped
   glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
+  usda,            ///< OpenUSD text with ParticleField3DGaussianSplat
+  usdz,            ///< OpenUSD package of a .usda
   npz,             ///< NumPy archive of gsplat's parameters
   pt,              ///< gsplat's checkpoint of PyTorch; read only
 };
@@ -38,7 +40,7 @@ enum class SplatFormat : std::uint8_t {
 /// "ply", "compressed.ply", "spz", ...: FormatInfo::name.
 const char* format_name(SplatFormat format);
 /// Detects a file's format from its first bytes; .ksplat and .splat, which have no signature, from plausible sizes and
-/// records. unknown also for formats that read_splats() names in its error, such as OpenUSD.
+/// records. unknown also for formats that read_splats() names in its error, such as a .gltf.
 SplatFormat detect_format(std::span<const std::byte> bytes);
 /// The format that a file name's ending (or meta.json) implies.
 SplatFormat format_of_name(const std::string& path);
@@ -98,13 +100,13 @@ struct SplatFile {
   std::uint32_t n_levels = 0;
   bool finest = true;
   /// What the file also holds and SplatCloud has no field for, one phrase each: extensions of SPZ that do not change
-  /// its Gaussians.
+  /// its Gaussians, and what of an OpenUSD stage is not shown or not followed.
   std::vector<std::string> unused = {};
   SplatCloud cloud;
-  Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, doubles of a PLY, npz or pt, or a far node of
-                                 ///< a glb
+  Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, doubles of a PLY, npz or pt, or a far node or
+                                 ///< prim of a glb or usda
   double position_rounding = 0;  ///< largest rounding of a coordinate by reading, world units: of doubles, or of far
-                                 ///< nodes of a glb
+                                 ///< nodes or prims
 };
 
 /// `options` with the file's declarations: all, and the provenance, of an .rgs; axes, colours, anti-aliasing, low-pass
@@ -136,19 +138,18 @@ struct ReadOptions {
 /// of PlyFile::open, FileView::open() and PagedFile::open(); for other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
-/// or in meta.json; inside .npz: in the array; inside .pt: in data.pkl).
+/// or in meta.json; inside .npz: in the array; inside .pt: in data.pkl; inside .usdz: in its first file).
 Result<SplatFile> read_splats(const std::string& path, const ReadOptions& options = {});
 /// The same from memory; a SOG must be zipped.
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options = {});
 
 struct WriteOptions {
-  ColourSpace colour_space = ColourSpace::srgb_display;  ///< stated in ply, compressed_ply and glb
-  AaMode aa_mode = AaMode::classic;                      ///< stated in these, spz and sog
-  std::optional<float> low_pass_px2 = std::nullopt;  ///< stated in ply, compressed_ply and glb if it differs from the
-                                                     ///< mode's default
-  float metres_per_unit = 0;                         ///< stated in these if it is not 0
-  Axes axes = kAxes3dgs;                             ///< of the Gaussians; stated in ply and compressed_ply
-  /// Of the Gaussians; ply, glb and npz keep it, others hold FP32 positions: position_rounding().
+  ColourSpace colour_space = ColourSpace::srgb_display;  ///< stated in ply, compressed_ply, glb and usda
+  AaMode aa_mode = AaMode::classic;                      ///< stated in these four, spz and sog
+  std::optional<float> low_pass_px2 = std::nullopt;      ///< stated in these four if it differs from the mode's default
+  float metres_per_unit = 0;                             ///< stated in these four if it is not 0
+  Axes axes = kAxes3dgs;                                 ///< of the Gaussians; stated in ply and compressed_ply
+  /// Of the Gaussians; ply, glb, usda and npz keep it, others hold FP32 positions: position_rounding().
   Origin origin = kNoOrigin;
   bool keep_order = false;  ///< compressed.ply, sog: do not sort Gaussians, so that close ones are neighbours
   unsigned threads = 0;     ///< sog; 0: as many as the machine runs at once. The file does not depend on it
@@ -168,7 +169,7 @@ struct Clamped {
 struct WriteReport {
   Clamped mean;           ///< spz: means with coarser steps than usual, because some are far out; world units
   Clamped log_scale;      ///< spz, compressed.ply
-  Clamped opacity_logit;  ///< glb: the opacity is 0 or 1 as a 32-bit float
+  Clamped opacity_logit;  ///< glb, usda: the opacity is 0 or 1 as a 32-bit float
   Clamped sh_dc;          ///< spz, splat, sog; of f_dc
   Clamped sh;             ///< spz, compressed.ply, sog; splat, which has none: those not 0
 
