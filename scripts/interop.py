@@ -235,6 +235,10 @@ def main():
                 read = [load(ours, file, "here.ply"), load(theirs, file, "there.ply")]
                 check(f"ksplat of level {level}, degree {degree}: read here and there", *read, same(scene))
 
+        ours(scene_path, path("ours.ksplat"))
+        check("ksplat: written here, read there and here", load(theirs, path("ours.ksplat"), "there.ply"),
+              load(ours, path("ours.ksplat"), "here.ply"), same(scene))
+
         # The other tool moves scenes in axes of its own, which are half a turn about z away from the file's.
         moves = [("-t", "1,-2,3", "--translate=-1,2,3"), ("-s", "2.5", "--scale=2.5"),
                  ("-r", "30,0,0", "--rotate=-30,0,0"), ("-r", "0,50,0", "--rotate=0,-50,0"),

@@ -503,7 +503,7 @@ TEST_CASE("a list names inputs, and outputs after a tab") {
   CHECK(convert_all({"--list", list, f.in, f.file("mixed")}).count("converted") == 2);
   CHECK(read_text(f.file("mixed/y.rgs")).substr(1, 3) == "RGS");
   for (const std::string text : {"a.ply\tx.rgs\nb.ply\t./x.rgs\n", "a.ply\tx\ty\n", "\tx\n", "a.ply\t\n", "a.ply\n", "",
-                                 "a.ply\tx.nothing\n", "a.ply\tx.ksplat\n"}) {
+                                 "a.ply\tx.nothing\n", "a.ply\tx.pt\n"}) {
     CAPTURE(text);
     write_text(list, text);
     CHECK(convert_all({"--list", list, f.in, f.file("none")}).exit_code == 2);
@@ -516,7 +516,7 @@ TEST_CASE("a list names inputs, and outputs after a tab") {
 TEST_CASE("options that do not suit many scenes are refused") {
   const Folders f(1);
   CHECK(convert_all({f.in, f.out}).exit_code == 2);
-  CHECK(convert_all({f.in, f.out, "--to", "ksplat"}).exit_code == 2);
+  CHECK(convert_all({f.in, f.out, "--to", "pt"}).exit_code == 2);
   for (const std::vector<std::string>& more : {std::vector<std::string>{"--merge"},
                                                {"--audit"},
                                                {"--shard", "0/2"},

@@ -28,7 +28,7 @@ enum class SplatFormat : std::uint8_t {
   compressed_ply,  ///< PLY with packed_position (PlayCanvas, SuperSplat, gsplat)
   spz,             ///< Niantic SPZ; versions 2 to 4
   splat,           ///< 32 bytes a Gaussian, no harmonics
-  ksplat,          ///< GaussianSplats3D, levels 0 to 2; read only
+  ksplat,          ///< GaussianSplats3D, levels 0 to 2; written with level 1
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; written zipped
   glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
   npz,             ///< NumPy archive of gsplat's parameters
@@ -58,7 +58,7 @@ struct FormatInfo {
   /// The frame that it prescribes. The description of SPZ says OpenGL's, but its tools leave coordinates as a PLY has
   /// them: ReadOptions::spz_axes.
   Axes axes = kAxes3dgs;
-  int sh_degree = 3;      ///< the highest
+  int sh_degree = 3;      ///< the highest that is written; of ksplat 3 is read
   bool writable = false;  ///< by encode_splats(), .rgs by encode()
   struct Keeps {
     bool levels = false;  ///< of detail
@@ -167,10 +167,10 @@ struct Clamped {
 /// docs/user/INTERCHANGE.md gives it.
 struct WriteReport {
   Clamped mean;           ///< spz: means with coarser steps than usual, because some are far out; world units
-  Clamped log_scale;      ///< spz, compressed.ply
+  Clamped log_scale;      ///< spz, compressed.ply, ksplat
   Clamped opacity_logit;  ///< glb: the opacity is 0 or 1 as a 32-bit float
-  Clamped sh_dc;          ///< spz, splat, sog; of f_dc
-  Clamped sh;             ///< spz, compressed.ply, sog; splat, which has none: those not 0
+  Clamped sh_dc;          ///< spz, splat, ksplat, sog; of f_dc
+  Clamped sh;             ///< spz, compressed.ply, sog; splat and ksplat: also those not 0 above their degree
 
   bool any() const { return mean.n + log_scale.n + opacity_logit.n + sh_dc.n + sh.n != 0; }
 };
@@ -186,8 +186,8 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
                                              const WriteOptions& options = {}, WriteReport* report = nullptr);
 
 /// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
-/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply and sog,
-/// which are proportional to the size of chunks or the scene. Errors: those of encode_splats() for SPZ.
+/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat
+/// and sog, which are proportional to the size of chunks, buckets or the scene. Errors: those of encode_splats() for SPZ.
 Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin);
 
 }  // namespace rgs
