@@ -221,7 +221,7 @@ Axes SceneOptions::target_axes(const Axes& source, SplatFormat from_format, Spla
   if (to_format == SplatFormat::spz) return spz_axes;
   if (to_format == SplatFormat::glb) return format_info(to_format).axes;
   if (to_axes) return *to_axes;
-  const bool prescribed = from_format == SplatFormat::spz || from_format == SplatFormat::glb;
+  const bool prescribed = from_format == SplatFormat::spz || format_info(from_format).axes != kAxes3dgs;
   return to_format == SplatFormat::rgs && (!prescribed || axes) ? source : kAxes3dgs;
 }
 

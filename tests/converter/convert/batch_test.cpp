@@ -694,6 +694,19 @@ TEST_CASE("a streamed SOG is named as what it is, and its parts are no scenes") 
   CHECK(convert_all(f.command()).n_lines == 3);
 }
 
+TEST_CASE("the chunks of an LCC2 are no scenes of their own") {
+  const Folders f(1);
+  fs::create_directories(f.in + "/b/data/3dgs");
+  write_text(f.in + "/b/b.lcc2", R"({"totalLevels": 1, "lodSplats": [1], "root": {"splatFiles": ["data/3dgs/0.sog"],
+             "child": [{"data": {"3dgs": {"name": 0}}}]}})");
+  REQUIRE(convert_all({f.in + "/a.ply", f.in + "/b/data/3dgs/0.sog"}).exit_code == 0);
+  const Batch run = convert_all(f.command());
+  CHECK(run.exit_code == 0);
+  CHECK(run.n_lines == 2);
+  CHECK(run.lines.at("b/b.lcc2")["status"] == "converted");
+  CHECK(fs::exists(f.out + "/b/b.rgs"));
+}
+
 TEST_CASE("--overwrite-damaged replaces the outputs that are damaged, says so, and touches no other") {
   const Folders f(5);
   const auto again = [&](const std::vector<std::string>& more) {

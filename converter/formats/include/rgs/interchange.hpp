@@ -33,6 +33,8 @@ enum class SplatFormat : std::uint8_t {
   glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
   npz,             ///< NumPy archive of gsplat's parameters
   pt,              ///< gsplat's checkpoint of PyTorch; read only
+  lcc,             ///< XGRIDS, the finest level; read only
+  lcc2,            ///< the same
 };
 
 /// "ply", "compressed.ply", "spz", ...: FormatInfo::name.
@@ -48,6 +50,7 @@ using Axes = std::array<Axis, 3>;
 inline constexpr Axes kAxes3dgs{Axis::right, Axis::down, Axis::forward};
 inline constexpr Axes kAxesOpenGl{Axis::right, Axis::up, Axis::backward};
 inline constexpr Axes kAxesGltf{Axis::left, Axis::up, Axis::forward};
+inline constexpr Axes kAxesLcc{Axis::right, Axis::forward, Axis::up};
 /// What a format is and keeps. `rgs-convert --formats` prints it for all.
 struct FormatInfo {
   SplatFormat format = SplatFormat::unknown;
@@ -67,7 +70,8 @@ struct FormatInfo {
     bool declarations = false;  ///< low-pass, colour space and metres per unit; axes, where none are prescribed
   };
   Keeps keeps = {};
-  bool in_parts = false;  ///< rgs-convert can read and write it in less memory than the file takes
+  bool in_parts = false;   ///< rgs-convert can read and write it in less memory than the file takes
+  bool in_folder = false;  ///< its Gaussians are, or may be, in files beside it
 };
 const FormatInfo& format_info(SplatFormat format);
 /// All but unknown.
@@ -82,7 +86,7 @@ std::optional<Axes> axes_of_text(std::string_view text);
 
 struct SplatFile {
   SplatFormat format = SplatFormat::unknown;
-  std::uint64_t bytes = 0;    ///< size of the file; for a SOG folder, of all its files
+  std::uint64_t bytes = 0;    ///< size of the file; of all files that belong to it, if they are in a folder
   Axes axes = kAxes3dgs;      ///< of `cloud`
   bool axes_assumed = false;  ///< an SPZ without a coordinate record: ReadOptions::spz_axes
   ColourSpace colour_space = ColourSpace::srgb_display;
@@ -98,7 +102,7 @@ struct SplatFile {
   std::uint32_t n_levels = 0;
   bool finest = true;
   /// What the file also holds and SplatCloud has no field for, one phrase each: extensions of SPZ that do not change
-  /// its Gaussians.
+  /// its Gaussians; coarser levels, the environment, meshes and the georeference of an LCC.
   std::vector<std::string> unused = {};
   SplatCloud cloud;
   Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, doubles of a PLY, npz or pt, or a far node of
@@ -136,9 +140,10 @@ struct ReadOptions {
 /// of PlyFile::open, FileView::open() and PagedFile::open(); for other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
-/// or in meta.json; inside .npz: in the array; inside .pt: in data.pkl).
+/// or in meta.json; inside .npz: in the array; inside .pt: in data.pkl; of .lcc and .lcc2 in the file that the text
+/// names).
 Result<SplatFile> read_splats(const std::string& path, const ReadOptions& options = {});
-/// The same from memory; a SOG must be zipped.
+/// The same from memory; a SOG must be zipped, an .lcc or .lcc2 is refused.
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options = {});
 
 struct WriteOptions {
