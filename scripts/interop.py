@@ -6,6 +6,7 @@
 # $RGS_SPLAT_TRANSFORM; without either the script does nothing. Tests of web/ run it with the version that they lock.
 # SPDX-License-Identifier: Apache-2.0
 import argparse
+import json
 import os
 import shlex
 import shutil
@@ -161,6 +162,46 @@ def write_ksplat(path, scene, level, degree):
     Path(path).write_bytes(bytes(header) + bytes(section) + data + np.concatenate(columns, 1).tobytes())
 
 
+def write_lcc(folder, scene):
+    """XGRIDS' format, for which the other tool has a reader only: two cells of two levels each; returns the finest, in order."""
+    n = len(scene["mean"]) // 4
+    scale = np.exp(scene["scale"])
+    low, high = scale.min(0), scale.max(0)
+    sh_low, sh_high = scene["sh"][:, 1:].min((0, 1)) - 0.1, scene["sh"][:, 1:].max((0, 1)) + 0.2
+    code = lambda values, least, most, codes: np.round((values - least) / (most - least) * codes).clip(0, codes).astype(np.uint64)
+    q = scene["rotation"][:, [1, 2, 3, 0]]
+    largest = np.abs(q).argmax(1)
+    q = q * np.sign(q[np.arange(len(q)), largest])[:, None]
+    rest = np.stack([np.delete(row, i) for row, i in zip(q, largest)])
+    rotation = (code(rest, -0.5 ** 0.5, 0.5 ** 0.5, 1023) << np.array([0, 10, 20], np.uint64)).sum(1) | largest.astype(np.uint64) << 30
+    raw = lambda values, kind: np.ascontiguousarray(values.astype(kind)).view(np.uint8).reshape(len(values), -1)
+    byte = lambda values: code(values, 0, 1, 255)
+    data = np.concatenate([raw(scene["mean"], "<f4"), raw(byte(0.5 + 0.28209479 * scene["sh"][:, 0]), "u1"),
+                           raw(byte(scene["opacity"][:, None]), "u1"), raw(code(scale, low, high, 65535), "<u2"),
+                           raw(rotation[:, None], "<u4"), np.zeros((len(q), 6), np.uint8)], 1)
+    sh = code(scene["sh"][:, 1:], sh_low, sh_high, np.array([2047, 1023, 2047]))
+    sh = raw((sh << np.array([0, 11, 21], np.uint64)).sum(2), "<u4")
+    cells = [(0, n), (n, 2 * n + 1)], [(3 * n, 4 * n), (2 * n + 1, 3 * n)]  # ranges of the two levels
+    index = b"".join(struct.pack("<hh", -3, i) + b"".join(struct.pack("<IQI", b - a, 32 * a, 32 * (b - a)) for a, b in cell)
+                     for i, cell in enumerate(cells))
+    attributes = [{"name": name, "min": list(a), "max": list(b)} for name, a, b in (("scale", low, high), ("shcoef", sh_low, sh_high))]
+    (folder / "scene.lcc").write_text(json.dumps({
+        "version": "5.0", "totalLevel": 2, "cellLengthX": 30, "cellLengthY": 30, "encoding": "COMPRESS", "fileType": "Quality",
+        "splats": [sum(b - a for a, b in level) for level in zip(*cells)], "attributes": attributes}))
+    (folder / "index.bin").write_bytes(index)
+    (folder / "data.bin").write_bytes(data.tobytes())
+    (folder / "shcoef.bin").write_bytes(np.pad(sh, ((0, 0), (0, 4))).tobytes())
+
+
+def shaped(scene):
+    """The scene, its covariances as scales: readers may turn a Gaussian's own axes along."""
+    w, x, y, z = scene["rotation"].T
+    turn = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y), 2 * (x * y + w * z), 1 - 2 * (x * x + z * z),
+                     2 * (y * z - w * x), 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1).reshape(-1, 3, 3)
+    axes = turn * np.exp(scene["scale"] - scene["scale"].max(1, keepdims=True))[:, None]
+    return scene | {"scale": (axes @ axes.transpose(0, 2, 1)).reshape(-1, 9), "rotation": np.tile([1.0, 0, 0, 0], (len(w), 1))}
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--bin", default="build/release/bin", help="folder with rgs-convert")
@@ -234,6 +275,26 @@ def main():
                 write_ksplat(file, scene, level, degree)
                 read = [load(ours, file, "here.ply"), load(theirs, file, "there.ply")]
                 check(f"ksplat of level {level}, degree {degree}: read here and there", *read, same(scene))
+
+        ours(scene_path, path("ours.ksplat"))
+        check("ksplat: written here, read there and here", load(theirs, path("ours.ksplat"), "there.ply"),
+              load(ours, path("ours.ksplat"), "here.ply"), same(scene))
+
+        write_lcc(Path(folder), scene)
+        chunks = [f"data/3dgs/{i}" for i in range(3)]
+        path("data/3dgs").mkdir(parents=True)
+        for kind in ("sog", "spz"):
+            for i, chunk in enumerate(chunks):
+                theirs(*(["-i", "2"] if kind == "sog" else []), scene_path, "-t", f"{i},{-2 * i},{3 * i}", path(f"{chunk}.{kind}"))
+            nodes = [{"data": {"3dgs": {"name": i}}} for i in (2, 1)]
+            path(f"{kind}.lcc2").write_text(json.dumps({
+                "totalSplats": 1, "lodSplats": [1, 1], "totalLevels": 2, "splatType": f".{kind}",
+                "root": {"splatFiles": [f"{chunk}.{kind}" for chunk in chunks],
+                         "child": [{"data": {"3dgs": {"name": 0}}, "child": nodes}]}}))
+        for name in ("scene.lcc", "sog.lcc2", "spz.lcc2"):
+            theirs("-L", "0", path(name), path("there.ply"))
+            check(f"{name}: read here and there", shaped(load(ours, path(name), "here.ply")), shaped(read_ply(path("there.ply"))),
+                  same(scene))
 
         # The other tool moves scenes in axes of its own, which are half a turn about z away from the file's.
         moves = [("-t", "1,-2,3", "--translate=-1,2,3"), ("-s", "2.5", "--scale=2.5"),

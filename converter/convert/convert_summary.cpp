@@ -61,7 +61,7 @@ double total_seconds(const ConvertSummary& s) {
 
 // One line for each attribute that was clamped to a format's range.
 std::string clamped_text(const WriteReport& clamped, const std::string& format) {
-  const bool no_sh = format == format_name(SplatFormat::splat);
+  const bool no_sh = format == format_name(SplatFormat::splat) || format == format_name(SplatFormat::ksplat);
   const struct {
     const Clamped& of;
     const char* what;

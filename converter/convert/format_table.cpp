@@ -36,6 +36,7 @@ std::string format_table() {
   for (const FormatInfo& f : all_formats()) {
     const char* frame = f.axes == kAxesGltf     ? "gltf"
                         : f.axes == kAxesOpenGl ? "opengl"
+                        : f.axes == kAxesLcc    ? "lcc"
                         : f.keeps.declarations  ? "3dgs or declared"
                                                 : "3dgs";
     const std::string names = std::string(".") + f.name + (*f.other_name == 0 ? "" : ", ") + f.other_name;

@@ -15,6 +15,7 @@
 #include "compressed_ply.hpp"
 #include "gltf_splats.hpp"
 #include "ksplat.hpp"
+#include "lcc.hpp"
 #include "npz.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/guard_memory.hpp"
@@ -271,12 +272,20 @@ constexpr Format kFormats[] = {
      detail::is_torch_checkpoint, read_within<detail::decode_torch_checkpoint>},
     {{SplatFormat::sog, "sog", "meta.json", "PlayCanvas, versions 1 and 2, zipped or beside its WebP images; written zipped",
       "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
-      kAxes3dgs, 3, true, {.aa_mode = true}},
+      kAxes3dgs, 3, true, {.aa_mode = true}, false, true},
      detail::is_sog, read_within<detail::decode_sog>, detail::encode_sog},
-    {{SplatFormat::ksplat, "ksplat", "", "GaussianSplats3D, levels 0 to 2",
+    {{SplatFormat::lcc, "lcc", "", "XGRIDS, beside its index.bin, data.bin and shcoef.bin; the finest level",
+      "mean FP32; scale 16 bits; rotation 32; opacity, colour 8; harmonics 11, 10, 11",
+      kAxesLcc, 3, false, {}, false, true},
+     detail::is_lcc, read_within<detail::decode_lone_lcc>},
+    {{SplatFormat::lcc2, "lcc2", "", "XGRIDS, beside its .sog or .spz; the finest level",
+      "that of .sog or .spz",
+      kAxesLcc, 3, false, {.aa_mode = true}, false, true},
+     detail::is_lcc2, read_within<detail::decode_lone_lcc>},
+    {{SplatFormat::ksplat, "ksplat", "", "GaussianSplats3D, levels 0 to 2; written with level 1",
       "level 0 FP32, 1 and 2 FP16; opacity, colour 8 bits",
-      kAxes3dgs, 3, false},
-     detail::looks_like_ksplat, read_within<detail::decode_ksplat>},
+      kAxes3dgs, detail::kKsplatShDegree, true},
+     detail::looks_like_ksplat, read_within<detail::decode_ksplat>, detail::encode_ksplat},
     {{SplatFormat::splat, "splat", "", "antimatter15",
       "mean, scale FP32; rotation, opacity, colour 8 bits",
       kAxes3dgs, 0, true},
@@ -300,15 +309,11 @@ struct Foreign {
 constexpr const char* kStreamedSog =
     "a streamed SOG, whose SOGs hold parts of a scene, is not read: convert the scene that it was made from";
 constexpr const char* kSpark = "a .rad of Spark is not read: convert the scene that it was made from";
-constexpr const char* kLcc2 = "an .lcc2 of XGRIDS is not read: convert the .sog, .spz or .ply files in its data folder";
 constexpr Foreign kForeign[] = {
     {detail::is_json_with, "\"lodLevels\"", kStreamedSog},
     {detail::is_zip_with, "lod-meta.json", kStreamedSog},
     {detail::begins_with, "RAD0", kSpark},
     {detail::begins_with, "RADC", kSpark},
-    {detail::is_json_with, "\"cellLengthX\"", "an .lcc of XGRIDS is not read: export the scene as .ply"},
-    {detail::is_json_with, "\"lodSplats\"", kLcc2},
-    {detail::is_json_with, "\"lod_3dgs_info\"", kLcc2},
     {detail::begins_with, "PXR-USDC", detail::kUsdCrate},
     {detail::is_json_with, "\"geometricError\"",
      "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
@@ -323,9 +328,32 @@ const char* advice_for(Bytes bytes) {
   return found == std::end(kForeign) ? nullptr : found->advice;
 }
 
+tl::unexpected<Error> no_levels() {
+  return make_error(Errc::bad_argument, Error::kNone, "no levels of detail are read from this file");
+}
+
+// An .lcc or .lcc2 with the files in its folder, which it keeps open.
+Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOptions& options) {
+  if (options.level_of_detail) return no_levels();
+  std::vector<MappedFile> files;
+  std::uint64_t total = bytes.size();
+  const detail::FetchBeside fetch = [&](const std::string& name) -> Result<Bytes> {
+    auto file = MappedFile::open(folder + "/" + name);
+    if (!file) return tl::unexpected(file.error());
+    total += file->bytes().size();
+    files.push_back(std::move(*file));
+    return files.back().bytes();
+  };
+  const bool is_lcc = detail::is_lcc(bytes);
+  auto splats = (is_lcc ? detail::decode_lcc : detail::decode_lcc2)(bytes, fetch, options.limits);
+  for (const MappedFile& file : files) {
+    if (const Status s = file.check_unchanged(); !s) return tl::unexpected(s.error());
+  }
+  return finish(std::move(splats), is_lcc ? SplatFormat::lcc : SplatFormat::lcc2, total, options);
+}
+
 Result<SplatFile> decode_format(Bytes bytes, const Format& format, const ReadOptions& options) {
-  if (options.level_of_detail && !has_levels(bytes))
-    return make_error(Errc::bad_argument, Error::kNone, "the file has no levels of detail");
+  if (options.level_of_detail && !has_levels(bytes)) return no_levels();
   if (format.read != nullptr) return format.read(bytes, options);
   if (const char* advice = advice_for(bytes)) return make_error(Errc::unsupported_feature, 0, advice);
   static const std::string none = "is not a " + format_list() + " file";
@@ -404,15 +432,16 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
   return detail::guard_memory([&]() -> Result<SplatFile> {
     const auto file = MappedFile::open(path);
     if (!file) return tl::unexpected(file.error());
-    if (!detail::is_sog_meta(file->bytes())) {
-      auto splats = read_splats(file->bytes(), options);
+    const std::string parent = std::filesystem::path(path).parent_path().string(),
+                      folder = parent.empty() ? "." : parent;
+    const bool is_lcc = detail::is_lcc(file->bytes()) || detail::is_lcc2(file->bytes());
+    if (is_lcc || !detail::is_sog_meta(file->bytes())) {
+      auto splats = is_lcc ? read_lcc(file->bytes(), folder, options) : read_splats(file->bytes(), options);
       // A change of the file explains any other error.
       if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
       return splats;
     }
-    const std::string folder = std::filesystem::path(path).parent_path().string();
-    return finish(detail::decode_sog_folder(file->bytes(), folder.empty() ? "." : folder, options.limits),
-                  SplatFormat::sog, 0, options);
+    return finish(detail::decode_sog_folder(file->bytes(), folder, options.limits), SplatFormat::sog, 0, options);
   });
 }
 

@@ -4,19 +4,23 @@
 //   header   0 u8 version 0, 1   4 u32 sections   8 u32 sections loaded   12 u32 Gaussians   16 u32 Gaussians loaded
 //            20 u16 level   36 f32 smallest, 40 f32 largest SH of level 2 (0: -3/2, 3/2)
 //   section  0 u32 Gaussians loaded   4 u32 Gaussians   8 u32 Gaussians a bucket   12 u32 buckets
-//            16 f32 width of a bucket   20 u16 bytes a bucket   24 u32 code range   32 u32 full buckets
-//            36 u32 partly filled buckets   40 u16 SH degree
+//            16 f32 width of a bucket   20 u16 bytes a bucket   24 u32 code range   28 u32 bytes
+//            32 u32 full buckets   36 u32 partly filled buckets   40 u16 SH degree
 // Counts of what is loaded are those of the page that wrote the file, which may have streamed it: GaussianSplats3D itself
 // reads all sections and all their places whatever these say. See choose_sections().
 //   data     u32 lengths of the partly filled buckets; f32 centre [3] of each bucket; Gaussians
 //   Gaussian mean, scale [3] (activated), rotation w, x, y, z; u8 red, green, blue, opacity; SH by degree, then channel
 // Level 0 has floats; level 1 FP16, and means as u16 about the bucket's centre; level 2 SH as u8 besides.
+// Level 1 is written, as GaussianSplats3D does unless told otherwise: half of level 0's size, and pictures as good.
 // SPDX-License-Identifier: Apache-2.0
 #include "ksplat.hpp"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+#include <map>
+#include <utility>
 #include <vector>
 
 #include "quantised.hpp"
@@ -28,6 +32,9 @@ namespace {
 constexpr std::uint64_t kHeaderSize = 4096, kSectionHeaderBytes = 1024;
 constexpr std::uint32_t kDefaultCodeRange = 32767;
 constexpr float kDefaultShBound = 1.5F;
+// As GaussianSplats3D writes them: cubes, each of whose sides has its codes, and Gaussians in one.
+constexpr double kBucketWidth = 5;
+constexpr std::uint32_t kBucketSize = 256, kCentreBytes = 12;
 
 struct Section {
   // room: capacity in Gaussians; n: how many are loaded, later how many are read.
@@ -83,7 +90,7 @@ Result<Section> parse_section(std::span<const std::byte> bytes, std::uint64_t at
     return make_error(Errc::bad_header, at, "a section has more Gaussians than its capacity", s.room, s.n);
   }
   if (level == 0 || s.room == 0) {  // buckets, if any, take space but mean nothing
-  } else if (s.bucket_bytes < 12 || !std::isfinite(s.bucket_width)) {
+  } else if (s.bucket_bytes < kCentreBytes || !std::isfinite(s.bucket_width)) {
     return make_error(Errc::bad_header, at + 16, "a section's buckets are too short for a centre, or have no width");
   } else if (s.n_full > s.n_buckets || s.n_partial > s.n_buckets - s.n_full || (s.n_full != 0 && s.bucket_size == 0)) {
     return make_error(Errc::bad_header, at + 32, "a section's numbers of buckets contradict each other", s.n_buckets,
@@ -243,6 +250,72 @@ class RecordReader {
   const Section& section_;
 };
 
+// ---- writing --------------------------------------------------------------------------------------------------------
+
+struct Bucket {
+  std::array<float, 3> centre{};
+  std::vector<std::uint32_t> members;  // Gaussians, in the view's order
+};
+
+// Full buckets in the order in which they fill up, then the others from cube to cube along x, y and z. Returns them and
+// the number of full ones. Cubes count from the smallest coordinates; FP64 holds their numbers for any FP32 mean.
+std::pair<std::vector<Bucket>, std::uint32_t> fill_buckets(const SplatView& splats) {
+  std::array<double, 3> low;
+  low.fill(std::numeric_limits<double>::infinity());
+  for (std::size_t i = 0; i < splats.mean.size(); ++i) {
+    low[i % 3] = std::min(low[i % 3], static_cast<double>(splats.mean[i]));
+  }
+  std::vector<Bucket> buckets;
+  std::map<std::array<double, 3>, Bucket> open;
+  for (std::uint32_t i = 0; i < splats.n; ++i) {
+    std::array<double, 3> cube{};
+    for (std::size_t k = 0; k < 3; ++k) {
+      cube[k] = std::floor((static_cast<double>(splats.mean[3 * std::size_t{i} + k]) - low[k]) / kBucketWidth);
+    }
+    Bucket& bucket = open[cube];
+    for (std::size_t k = 0; k < 3 && bucket.members.empty(); ++k) {
+      bucket.centre[k] = static_cast<float>((cube[k] + 0.5) * kBucketWidth + low[k]);
+    }
+    bucket.members.push_back(i);
+    if (bucket.members.size() == kBucketSize) buckets.push_back(std::exchange(bucket, {}));
+  }
+  const auto n_full = static_cast<std::uint32_t>(buckets.size());
+  for (auto& [cube, bucket] : open) {
+    if (!bucket.members.empty()) buckets.push_back(std::move(bucket));
+  }
+  return {std::move(buckets), n_full};
+}
+
+std::uint16_t half_within(float value, float low) {
+  return half_from_float(std::clamp(value, low, kMaxKsplatHalf));
+}
+
+void write_record(const Splat& s, const std::array<float, 3>& centre, int degree, std::span<std::byte> record) {
+  double squared = 0;
+  for (const float x : s.rotation) squared += static_cast<double>(x) * static_cast<double>(x);
+  for (std::uint64_t k = 0; k < 3; ++k) {
+    const double offset = static_cast<double>(s.mean[k]) - static_cast<double>(centre[k]);
+    const double code = std::floor(offset / (kBucketWidth / 2 / kDefaultCodeRange) + 0.5) + kDefaultCodeRange;
+    store(record, 2 * k, static_cast<std::uint16_t>(std::clamp(code, 0.0, 65535.0)));
+    store(record, 6 + 2 * k, half_within(scale_from_log(s.log_scale[k]), kMinKsplatScale));
+    store(record, 20 + k, static_cast<std::uint8_t>(unit_code(colour_from_dc(s.sh[k]), 255)));
+  }
+  for (std::uint64_t k = 0; k < 4; ++k) {
+    store(record, 12 + 2 * k,
+          half_from_float(static_cast<float>(static_cast<double>(s.rotation[k]) / std::sqrt(squared))));
+  }
+  const auto opacity = static_cast<double>(opacity_from_logit(s.opacity_logit));
+  store(record, 23, static_cast<std::uint8_t>(unit_code(opacity, 255)));
+  std::uint64_t at = 24;
+  for (int d = 1; d <= degree; ++d) {
+    for (int c = 0; c < 3; ++c) {
+      for (int k = sh_coefficients(d - 1); k < sh_coefficients(d); ++k, at += 2) {
+        store(record, at, half_within(s.sh[3 * k + c], -kMaxKsplatHalf));
+      }
+    }
+  }
+}
+
 }  // namespace
 
 bool looks_like_ksplat(std::span<const std::byte> bytes) {
@@ -280,6 +353,54 @@ Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLi
       file.cloud.set(written++, reader.read(bytes.subspan(section.data + stride * i, stride), centre));
     }
   }
+  return file;
+}
+
+Result<std::vector<std::byte>> encode_ksplat(const SplatView& splats, const WriteOptions&) {
+  const int degree = std::min(splats.sh_degree, kKsplatShDegree);
+  const auto [buckets, n_full] = fill_buckets(splats);
+  const auto n = static_cast<std::uint32_t>(splats.n), n_buckets = static_cast<std::uint32_t>(buckets.size());
+  const std::uint64_t start = kHeaderSize + kSectionHeaderBytes, stride = splat_bytes(1, degree);
+  const std::uint64_t centres = start + 4 * std::uint64_t{n_buckets - n_full};
+  std::uint64_t at = centres + std::uint64_t{kCentreBytes} * n_buckets;
+  std::vector<std::byte> file(at + stride * n);
+  float low = 0, high = 0;
+  for (std::size_t b = 0; b < buckets.size(); ++b) {
+    const auto& [centre, members] = buckets[b];
+    if (b >= n_full) store(file, start + 4 * (b - n_full), static_cast<std::uint32_t>(members.size()));
+    store(file, centres + kCentreBytes * b, centre);
+    for (const std::uint32_t i : members) {
+      const Splat s = splats.splat(i);
+      write_record(s, centre, degree, std::span(file).subspan(at, stride));
+      for (int k = 3; k < 3 * sh_coefficients(degree); ++k)
+        low = std::min(low, s.sh[k]), high = std::max(high, s.sh[k]);
+      at += stride;
+    }
+  }
+  const auto u32 = [&file](std::uint64_t offset, std::uint64_t value) {
+    store(file, offset, static_cast<std::uint32_t>(value));
+  };
+  file[1] = std::byte{1};  // version 0.1
+  u32(4, 1);
+  u32(8, 1);
+  u32(12, n);
+  u32(16, n);
+  store(file, 20, std::uint16_t{1});  // level
+  // The viewer, asked for SH of 8 bits, makes them of this range.
+  store(file, 36, low < 0 ? low : -kDefaultShBound);
+  store(file, 40, high > 0 ? high : kDefaultShBound);
+  const std::uint64_t section = kHeaderSize;
+  u32(section, n);
+  u32(section + 4, n);
+  u32(section + 8, kBucketSize);
+  u32(section + 12, n_buckets);
+  store(file, section + 16, static_cast<float>(kBucketWidth));
+  store(file, section + 20, std::uint16_t{kCentreBytes});
+  u32(section + 24, kDefaultCodeRange);
+  u32(section + 28, file.size() - start);
+  u32(section + 32, n_full);
+  u32(section + 36, n_buckets - n_full);
+  store(file, section + 40, static_cast<std::uint16_t>(degree));
   return file;
 }
 

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "compressed_ply.hpp"
+#include "ksplat.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 #include "sog.hpp"
@@ -45,6 +46,13 @@ Ranges ranges_of(SplatFormat format) {
   } else if (format == SplatFormat::splat) {
     r.sh_dc = {-0.5 / kSh0, 0.5 / kSh0, 0.5 / 255 / kSh0};
     std::ranges::fill(r.sh, Range{0, 0, 0});
+  } else if (format == SplatFormat::ksplat) {
+    constexpr double kHalf = static_cast<double>(kMaxKsplatHalf);
+    const double smallest = std::log(static_cast<double>(kMinKsplatScale));
+    r.log_scale = {smallest, std::log(kHalf), 1e-6, -smallest};  // a flat Gaussian's -inf is the smallest
+    r.sh_dc = {-0.5 / kSh0, 0.5 / kSh0, 0.5 / 255 / kSh0};
+    std::fill_n(r.sh, kKsplatShDegree, Range{-kHalf, kHalf, kHalf / 0x1p12});
+    std::fill(r.sh + kKsplatShDegree, std::end(r.sh), Range{0, 0, 0});
   } else if (format == SplatFormat::compressed_ply) {
     r.log_scale = {-kMaxCompressedLogScale, kMaxCompressedLogScale, 0, static_cast<double>(kMaxLogScale)};
     std::ranges::fill(r.sh, Range{-4, 4, 1 / 64.0});

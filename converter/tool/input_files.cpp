@@ -77,10 +77,13 @@ void InputFiles::add(const std::string& path) {
 void InputFiles::add_scene(const std::string& path) {
   add(path);
   const fs::path place(path);
-  if (place.filename() != "meta.json") return;
-  for (const std::string& picture :
-       files_of(place.has_parent_path() ? place.parent_path() : ".", std::array<std::string_view, 1>{".webp"}))
-    add(picture);
+  const fs::path folder = place.has_parent_path() ? place.parent_path() : ".";
+  const std::string ending = lower_case(place.extension().string());
+  std::vector<std::string> beside;
+  if (place.filename() == "meta.json") beside = files_of(folder, std::array<std::string_view, 1>{".webp"});
+  if (ending == ".lcc") beside = files_of(folder, std::array<std::string_view, 1>{".bin"});
+  if (ending == ".lcc2") beside = files_of(folder / "data" / "3dgs", std::array<std::string_view, 2>{".sog", ".spz"});
+  for (const std::string& file : beside) add(file);
 }
 
 void InputFiles::add_cameras(const std::string& path) {

@@ -91,16 +91,19 @@ class Walk {
       }
     }
     above_.push_back(self);
+    // So are the chunks of an .lcc2.
+    const bool chunks = std::ranges::any_of(names, [](const std::string& name) { return name.ends_with(".lcc2"); });
     for (const std::string& name : names)
-      if (name != "." && name != "..") entry(inside + name, prefix + name, name[0] == '.');
+      if (name != "." && name != ".." && !(chunks && name == "data"))
+        entry(inside + name, prefix + name, name[0] == '.');
     above_.pop_back();
     return {};
   }
 
   SceneList finish() {
     std::ranges::sort(list_.scenes, {}, &ListedScene::name);
-    // A SOG's pictures do not count as other files.
-    list_.n_others -= std::min(list_.n_others, n_pictures_);
+    // A SOG's pictures do not count as other files, nor an LCC's.
+    list_.n_others -= std::min(list_.n_others, n_beside_);
     return std::move(list_);
   }
 
@@ -132,11 +135,11 @@ class Walk {
     const bool is_arrays = by_name == SplatFormat::npz || by_name == SplatFormat::pt;
     if (scene.format == SplatFormat::unknown && (by_name == SplatFormat::unknown || ((is_meta || is_arrays) && file)))
       return void(++list_.n_others);
-    if (scene.format == SplatFormat::sog && is_meta) {
-      for (const std::string& picture : files_of_scene(path)) {
-        if (picture == path || ::stat(picture.c_str(), &info) != 0) continue;
+    if (format_info(scene.format).in_folder) {
+      for (const std::string& file_of_it : files_of_scene(path)) {
+        if (file_of_it == path || ::stat(file_of_it.c_str(), &info) != 0) continue;
         scene.bytes += static_cast<std::uint64_t>(info.st_size);
-        ++n_pictures_;
+        n_beside_ += scene.format == SplatFormat::lcc2 ? 0 : 1;
       }
     }
     list_.scenes.push_back(std::move(scene));
@@ -144,7 +147,7 @@ class Walk {
 
   SceneList list_;
   std::vector<Identity> without_, above_;
-  std::uint64_t n_pictures_ = 0;
+  std::uint64_t n_beside_ = 0;
   bool hidden_ = false;
 };
 

@@ -262,7 +262,7 @@ def test_options_that_a_format_does_not_have_are_refused(name, options, tmp_path
 
 
 def test_names_that_no_format_has(tmp_path, scene):
-    for name in ("a.obj", "a", "a.ksplat"):
+    for name in ("a.obj", "a", "a.pt"):
         with pytest.raises(roofgs.ArgumentError):
             scene.save(tmp_path / name)
     assert not list(tmp_path.iterdir())

@@ -503,7 +503,7 @@ TEST_CASE("a list names inputs, and outputs after a tab") {
   CHECK(convert_all({"--list", list, f.in, f.file("mixed")}).count("converted") == 2);
   CHECK(read_text(f.file("mixed/y.rgs")).substr(1, 3) == "RGS");
   for (const std::string text : {"a.ply\tx.rgs\nb.ply\t./x.rgs\n", "a.ply\tx\ty\n", "\tx\n", "a.ply\t\n", "a.ply\n", "",
-                                 "a.ply\tx.nothing\n", "a.ply\tx.ksplat\n"}) {
+                                 "a.ply\tx.nothing\n", "a.ply\tx.pt\n"}) {
     CAPTURE(text);
     write_text(list, text);
     CHECK(convert_all({"--list", list, f.in, f.file("none")}).exit_code == 2);
@@ -516,7 +516,7 @@ TEST_CASE("a list names inputs, and outputs after a tab") {
 TEST_CASE("options that do not suit many scenes are refused") {
   const Folders f(1);
   CHECK(convert_all({f.in, f.out}).exit_code == 2);
-  CHECK(convert_all({f.in, f.out, "--to", "ksplat"}).exit_code == 2);
+  CHECK(convert_all({f.in, f.out, "--to", "pt"}).exit_code == 2);
   for (const std::vector<std::string>& more : {std::vector<std::string>{"--merge"},
                                                {"--audit"},
                                                {"--shard", "0/2"},
@@ -692,6 +692,20 @@ TEST_CASE("a streamed SOG is named as what it is, and its parts are no scenes") 
   // Another file of that name is no scene.
   write_text(f.in + "/tree/lod-meta.json", "{}");
   CHECK(convert_all(f.command()).n_lines == 3);
+}
+
+TEST_CASE("the chunks of an LCC2 are no scenes of their own") {
+  const Folders f(1);
+  fs::create_directories(f.in + "/b/data/3dgs");
+  write_text(f.in + "/b/b.lcc2", R"({"totalLevels": 1, "lodSplats": [1], "root": {"splatFiles": ["data/3dgs/0.sog"],
+             "child": [{"data": {"3dgs": {"name": 0}}}]}})");
+  const std::string sog = f.in + "/b/data/3dgs/0.sog";
+  REQUIRE(run_program({built("rgs-convert"), "--no-sync", f.in + "/a.ply", sog}).exit_code == 0);
+  const Batch run = convert_all(f.command());
+  CHECK(run.exit_code == 0);
+  CHECK(run.n_lines == 2);
+  CHECK(run.lines.at("b/b.lcc2")["status"] == "converted");
+  CHECK(fs::exists(f.out + "/b/b.rgs"));
 }
 
 TEST_CASE("--overwrite-damaged replaces the outputs that are damaged, says so, and touches no other") {

@@ -1,4 +1,5 @@
-// ksplat_test.cpp - .ksplat: files built from the format's layout, all levels and degrees, buckets, hostile files.
+// ksplat_test.cpp - .ksplat: files built from the format's layout, all levels and degrees, buckets, hostile files; files
+// that are written.
 // SPDX-License-Identifier: Apache-2.0
 #include <cstring>
 
@@ -277,6 +278,134 @@ TEST_CASE("growth: .ksplat: reading is linear in sections and buckets, empty one
     return file;
   };
   CHECK(growth(5000, buckets, read) < kLinearGrowth);
+}
+
+// ---- writing --------------------------------------------------------------------------------------------------------
+
+TEST_CASE(".ksplat: written Gaussians come back within half a step of level 1, degree 3 without its harmonics") {
+  for (int degree = 0; degree <= 3; ++degree) {
+    CAPTURE(degree);
+    const SplatCloud cloud = ordinary_cloud(900, degree, 21);
+    WriteReport report;
+    const Bytes bytes = encode_splats(cloud.view(), SplatFormat::ksplat, {}, &report).value();
+    CHECK(report.sh.n == (degree == 3 ? 900 : 0));
+    CHECK((report.sh.largest > 0.9) == (degree == 3));
+    CHECK(report.log_scale.n + report.sh_dc.n + report.mean.n + report.opacity_logit.n == 0);
+    const auto file = read_splats(bytes);
+    REQUIRE(file);
+    REQUIRE(file->cloud.size() == 900);
+    CHECK(file->cloud.sh_degree == std::min(degree, 2));
+    SplatError step;
+    std::ranges::fill(step.mean, kBucketWidth / 2 / kCodeRange);
+    Matcher matcher(cloud);
+    for (std::uint64_t i = 0; i < 900; ++i) {
+      const Splat s = file->cloud.view().splat(i);
+      check_within_steps(compare(s, cloud.view().splat(matcher.nearest(s, step)), std::min(degree, 2)), 1);
+    }
+    CHECK(matcher.n_found() == 900);
+  }
+}
+
+TEST_CASE(".ksplat: header, buckets and a record are those of GaussianSplats3D, byte for byte") {
+  // 300 Gaussians in the cube of the smallest coordinates, 3 in the next but one along x, 2 in the next along z.
+  SplatCloud cloud = ordinary_cloud(305, 1, 22);
+  for (std::uint64_t i = 0; i < 305; ++i) {
+    const bool along_x = i % 100 == 50, along_z = i == 7 || i == 300;
+    for (std::uint64_t k = 0; k < 3; ++k) cloud.mean[3 * i + k] = static_cast<float>(k + 1) + static_cast<float>(i % 4);
+    if (along_x) cloud.mean[3 * i] += 10;
+    if (along_z) cloud.mean[3 * i + 2] += 5;
+  }
+  const Bytes bytes = encode_splats(cloud.view(), SplatFormat::ksplat).value();
+  const auto u32 = [&](std::size_t at) { return get<std::uint32_t>(bytes, at); };
+  const auto u16 = [&](std::size_t at) { return get<std::uint16_t>(bytes, at); };
+  const auto f32 = [&](std::size_t at) { return get<float>(bytes, at); };
+  CHECK(u32(0) == 0x100);  // version 0.1
+  for (const std::size_t at : {4U, 8U}) CHECK(u32(at) == 1);
+  for (const std::size_t at : {12U, 16U, 4096U, 4100U}) CHECK(u32(at) == 305);
+  CHECK(u16(20) == 1);
+  for (const std::size_t at : {24U, 28U, 32U}) CHECK(f32(at) == 0);  // the scene's centre
+  float low = 0, high = 0;
+  for (std::size_t i = 0; i < cloud.sh.size(); ++i) {
+    if (i % 12 >= 3) low = std::min(low, cloud.sh[i]), high = std::max(high, cloud.sh[i]);
+  }
+  CHECK(f32(36) == low);
+  CHECK(f32(40) == high);
+  CHECK(u32(4096 + 8) == 256);
+  CHECK(u32(4096 + 12) == 4);  // buckets
+  CHECK(f32(4096 + 16) == 5);
+  CHECK(u16(4096 + 20) == 12);
+  CHECK(u32(4096 + 24) == 32767);
+  CHECK(u32(4096 + 28) == bytes.size() - 5120);
+  CHECK(u32(4096 + 32) == 1);
+  CHECK(u32(4096 + 36) == 3);
+  CHECK(u16(4096 + 40) == 1);
+  CHECK(bytes.size() == 5120 + 3 * 4 + 4 * 12 + 305 * 42);
+  for (const std::size_t at : {22U, 44U, 4095U, 4096U + 42, 5119U}) CHECK(bytes[at] == std::byte{0});
+  const std::array<std::uint32_t, 3> lengths{44, 2, 3};
+  for (std::size_t b = 0; b < 3; ++b) CHECK(u32(5120 + 4 * b) == lengths[b]);
+  const float centres[4][3] = {{3.5F, 4.5F, 5.5F}, {3.5F, 4.5F, 5.5F}, {3.5F, 4.5F, 10.5F}, {13.5F, 4.5F, 5.5F}};
+  for (std::size_t i = 0; i < 12; ++i) CHECK(f32(5132 + 4 * i) == centres[i / 3][i % 3]);
+  // The third along z's first Gaussian, 7, at the corner of its bucket farthest along x.
+  const std::size_t record = 5180 + 42 * 300;
+  const Splat s = cloud.view().splat(7);
+  for (std::size_t k = 0; k < 3; ++k) {
+    CHECK(u16(record + 2 * k) == 32767 + std::lround(0.5 * 32767 / 2.5));
+    CHECK(u16(record + 6 + 2 * k) == half_from_float(std::exp(s.log_scale[k])));
+    CHECK(bytes[record + 20 + k] == static_cast<std::byte>(byte_of(0.5 + 0.28209479 * static_cast<double>(s.sh[k]))));
+  }
+  for (std::size_t k = 0; k < 4; ++k) CHECK(u16(record + 12 + 2 * k) == half_from_float(s.rotation[k]));
+  CHECK(bytes[record + 23] ==
+        static_cast<std::byte>(byte_of(static_cast<double>(opacity_from_logit(s.opacity_logit)))));
+  for (std::size_t k = 0; k < 9; ++k) CHECK(u16(record + 24 + 2 * k) == half_from_float(s.sh[3 + k % 3 * 3 + k / 3]));
+}
+
+TEST_CASE(".ksplat: what FP16 and colours of 8 bits cannot hold is clamped and counted, and flat Gaussians stay flat") {
+  SplatCloud cloud = ordinary_cloud(5, 1, 23);
+  cloud.log_scale[0] = 12;  // FP16 ends at exp(11.09)
+  cloud.log_scale[4] = -17;
+  cloud.log_scale[8] = -std::numeric_limits<float>::infinity();
+  cloud.sh[12 * 3] = 3;
+  cloud.sh[12 * 4 + 5] = -70000;
+  for (float& x : cloud.mean) x += 3e6F;  // FP32 has quarters there
+  WriteReport report;
+  const Bytes bytes = encode_splats(cloud.view(), SplatFormat::ksplat, {}, &report).value();
+  CHECK(report.log_scale.n == 2);
+  CHECK(report.log_scale.largest == doctest::Approx(12 - std::log(65504.0)));
+  CHECK(report.sh_dc.n == 1);
+  CHECK(report.sh_dc.largest == doctest::Approx(3 - 0.5 / 0.28209479));
+  CHECK(report.sh.n == 1);
+  CHECK(report.sh.largest == doctest::Approx(70000 - 65504));
+  CHECK(encode_splats(cloud.view(), SplatFormat::ksplat, {.strict = true}).error().code == Errc::bad_value);
+  const SplatCloud copy = read_splats(bytes).value().cloud;
+  Matcher matcher(copy);
+  SplatError step;
+  std::ranges::fill(step.mean, 0.125);
+  for (std::uint64_t i = 0; i < 5; ++i) {
+    const Splat s = copy.view().splat(matcher.nearest(cloud.view().splat(i), step));
+    for (int k = 0; k < 3; ++k) {
+      CHECK(std::abs(s.mean[k] - cloud.mean[3 * i + static_cast<std::uint64_t>(k)]) <= 0.25F);
+      const float log_scale = cloud.log_scale[3 * i + static_cast<std::uint64_t>(k)];
+      CHECK(s.log_scale[k] ==
+            doctest::Approx(std::clamp(log_scale, std::log(0x1p-24F), std::log(65504.F))).epsilon(1e-3));
+    }
+  }
+}
+
+TEST_CASE(".ksplat: an empty scene, and one in a plane across many cubes, where GaussianSplats3D mixes buckets up") {
+  SplatCloud none;
+  none.resize(0, 1);
+  const auto empty = read_splats(encode_splats(none.view(), SplatFormat::ksplat).value());
+  REQUIRE(empty);
+  CHECK(empty->cloud.size() == 0);
+  SplatCloud plane = ordinary_cloud(40, 0, 24);
+  for (std::uint64_t i = 0; i < 40; ++i) {
+    plane.mean[3 * i] = 7.F * static_cast<float>(i / 2);
+    plane.mean[3 * i + 1] = 5.F * static_cast<float>(i % 2);
+    plane.mean[3 * i + 2] = 1;
+  }
+  const SplatCloud copy = read_splats(encode_splats(plane.view(), SplatFormat::ksplat).value()).value().cloud;
+  CHECK(compare(copy, plane).mean[0] <= 0.501 * kBucketWidth / 2 / kCodeRange + 1e-5);
+  CHECK(compare(copy, plane).mean[1] <= 0.501 * kBucketWidth / 2 / kCodeRange + 1e-5);
 }
 
 TEST_CASE("damaged .ksplat files are refused or read, but never crash") {

@@ -28,13 +28,15 @@ enum class SplatFormat : std::uint8_t {
   compressed_ply,  ///< PLY with packed_position (PlayCanvas, SuperSplat, gsplat)
   spz,             ///< Niantic SPZ; versions 2 to 4
   splat,           ///< 32 bytes a Gaussian, no harmonics
-  ksplat,          ///< GaussianSplats3D, levels 0 to 2; read only
+  ksplat,          ///< GaussianSplats3D, levels 0 to 2; written with level 1
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; written zipped
   glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
   usda,            ///< OpenUSD text with ParticleField3DGaussianSplat
   usdz,            ///< OpenUSD package of a .usda
   npz,             ///< NumPy archive of gsplat's parameters
   pt,              ///< gsplat's checkpoint of PyTorch; read only
+  lcc,             ///< XGRIDS, the finest level; read only
+  lcc2,            ///< the same
 };
 
 /// "ply", "compressed.ply", "spz", ...: FormatInfo::name.
@@ -50,6 +52,7 @@ using Axes = std::array<Axis, 3>;
 inline constexpr Axes kAxes3dgs{Axis::right, Axis::down, Axis::forward};
 inline constexpr Axes kAxesOpenGl{Axis::right, Axis::up, Axis::backward};
 inline constexpr Axes kAxesGltf{Axis::left, Axis::up, Axis::forward};
+inline constexpr Axes kAxesLcc{Axis::right, Axis::forward, Axis::up};
 /// What a format is and keeps. `rgs-convert --formats` prints it for all.
 struct FormatInfo {
   SplatFormat format = SplatFormat::unknown;
@@ -60,7 +63,7 @@ struct FormatInfo {
   /// The frame that it prescribes. The description of SPZ says OpenGL's, but its tools leave coordinates as a PLY has
   /// them: ReadOptions::spz_axes.
   Axes axes = kAxes3dgs;
-  int sh_degree = 3;      ///< the highest
+  int sh_degree = 3;      ///< the highest that is written; of ksplat 3 is read
   bool writable = false;  ///< by encode_splats(), .rgs by encode()
   struct Keeps {
     bool levels = false;  ///< of detail
@@ -69,7 +72,8 @@ struct FormatInfo {
     bool declarations = false;  ///< low-pass, colour space and metres per unit; axes, where none are prescribed
   };
   Keeps keeps = {};
-  bool in_parts = false;  ///< rgs-convert can read and write it in less memory than the file takes
+  bool in_parts = false;   ///< rgs-convert can read and write it in less memory than the file takes
+  bool in_folder = false;  ///< its Gaussians are, or may be, in files beside it
 };
 const FormatInfo& format_info(SplatFormat format);
 /// All but unknown.
@@ -84,7 +88,7 @@ std::optional<Axes> axes_of_text(std::string_view text);
 
 struct SplatFile {
   SplatFormat format = SplatFormat::unknown;
-  std::uint64_t bytes = 0;    ///< size of the file; for a SOG folder, of all its files
+  std::uint64_t bytes = 0;    ///< size of the file; of all files that belong to it, if they are in a folder
   Axes axes = kAxes3dgs;      ///< of `cloud`
   bool axes_assumed = false;  ///< an SPZ without a coordinate record: ReadOptions::spz_axes
   ColourSpace colour_space = ColourSpace::srgb_display;
@@ -100,7 +104,8 @@ struct SplatFile {
   std::uint32_t n_levels = 0;
   bool finest = true;
   /// What the file also holds and SplatCloud has no field for, one phrase each: extensions of SPZ that do not change
-  /// its Gaussians, and what of an OpenUSD stage is not shown or not followed.
+  /// its Gaussians, what of an OpenUSD stage is not shown or not followed, coarser levels, the environment, meshes and
+  /// the georeference of an LCC.
   std::vector<std::string> unused = {};
   SplatCloud cloud;
   Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, doubles of a PLY, npz or pt, or a far node or
@@ -138,9 +143,10 @@ struct ReadOptions {
 /// of PlyFile::open, FileView::open() and PagedFile::open(); for other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
-/// or in meta.json; inside .npz: in the array; inside .pt: in data.pkl; inside .usdz: in its first file).
+/// or in meta.json; inside .npz: in the array; inside .pt: in data.pkl; inside .usdz: in its first file; of .lcc and
+/// .lcc2 in the file that the text names).
 Result<SplatFile> read_splats(const std::string& path, const ReadOptions& options = {});
-/// The same from memory; a SOG must be zipped.
+/// The same from memory; a SOG must be zipped, an .lcc or .lcc2 is refused.
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options = {});
 
 struct WriteOptions {
@@ -168,10 +174,10 @@ struct Clamped {
 /// docs/user/INTERCHANGE.md gives it.
 struct WriteReport {
   Clamped mean;           ///< spz: means with coarser steps than usual, because some are far out; world units
-  Clamped log_scale;      ///< spz, compressed.ply
+  Clamped log_scale;      ///< spz, compressed.ply, ksplat
   Clamped opacity_logit;  ///< glb, usda: the opacity is 0 or 1 as a 32-bit float
-  Clamped sh_dc;          ///< spz, splat, sog; of f_dc
-  Clamped sh;             ///< spz, compressed.ply, sog; splat, which has none: those not 0
+  Clamped sh_dc;          ///< spz, splat, ksplat, sog; of f_dc
+  Clamped sh;             ///< spz, compressed.ply, sog; splat and ksplat: also those not 0 above their degree
 
   bool any() const { return mean.n + log_scale.n + opacity_logit.n + sh_dc.n + sh.n != 0; }
 };
@@ -187,8 +193,8 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
                                              const WriteOptions& options = {}, WriteReport* report = nullptr);
 
 /// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
-/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply and sog,
-/// which are proportional to the size of chunks or the scene. Errors: those of encode_splats() for SPZ.
+/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat
+/// and sog, which are proportional to the size of chunks, buckets or the scene. Errors: those of encode_splats() for SPZ.
 Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin);
 
 }  // namespace rgs

@@ -1,0 +1,392 @@
+// lcc.cpp - LCC and LCC2 of XGRIDS (github.com/xgrids, LCCWhitepaper and LCC2Whitepaper): JSON, and files beside it.
+//
+// LCC has all levels of detail, the finest first, in the same files:
+//   index.bin   for each cell i16 x, y, then for each level u32 Gaussians, u64 offset in data.bin, u32 bytes there
+//   data.bin    0 f32 mean [3]   12 u8 red, green, blue, opacity   16 u16 scale [3]   22 u32 rotation   26 u16 normal [3]
+//   shcoef.bin  at twice the offset u32 coefficient [15], u32 unused; red 11 bits, green 10, blue 11
+// Rotations are the smallest three of x, y, z, w, 10 bits each, below the index of the largest; scales (activated) and
+// harmonics lie between the JSON's bounds.
+//
+// LCC2 has a tree whose nodes name chunks, SOG or SPZ: at depth 1 those of the coarsest level, at depth totalLevels
+// those of the finest. Chunks are in LCC's frame, whatever their format says.
+// SPDX-License-Identifier: Apache-2.0
+#include "lcc.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <filesystem>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
+#include <utility>
+#include <vector>
+
+#include "json_member.hpp"
+#include "quantised.hpp"
+#include "rgs/quantize.hpp"
+#include "rgs/splat_edit.hpp"
+#include "signature.hpp"
+
+namespace rgs::detail {
+namespace {
+
+using nlohmann::json;
+using Bytes = std::span<const std::byte>;
+
+constexpr std::uint64_t kMaxJsonBytes = std::uint64_t{1} << 24;  // a node of LCC2 takes 0.4 kB
+constexpr std::uint64_t kRecordBytes = 32, kHarmonicsBytes = 64, kCellBytes = 4, kLevelBytes = 16;
+
+tl::unexpected<Error> bad_json(const char* what) {
+  return make_error(Errc::bad_syntax, 0, what);
+}
+
+Result<json> parse_json(Bytes bytes) {
+  if (bytes.size() > kMaxJsonBytes) return make_error(Errc::limit_exceeded, 0, "the JSON is longer than 16 MiB");
+  json root = json::parse(text_of(bytes), nullptr, false);
+  if (!root.is_object()) return bad_json("the .lcc or .lcc2 is not a JSON object");
+  return root;
+}
+
+std::optional<std::uint64_t> whole(const json* value) {
+  return value != nullptr && value->is_number_unsigned() ? std::optional(value->get<std::uint64_t>()) : std::nullopt;
+}
+
+std::optional<std::array<double, 3>> three(const json* array) {
+  if (array == nullptr || !array->is_array() || array->size() != 3) return std::nullopt;
+  std::array<double, 3> numbers{};
+  for (std::size_t i = 0; i < 3; ++i) {
+    if (!(*array)[i].is_number()) return std::nullopt;
+    numbers[i] = (*array)[i].get<double>();
+  }
+  return numbers;
+}
+
+// What the fields `offset`, `shift`, `scale` and `epsg` say, and no viewer applies.
+void note_georeference(const json& root, std::vector<std::string>& unused) {
+  for (const char* name : {"offset", "shift", "scale"}) {
+    const auto stated = three(json_member(root, name));
+    if (!stated || *stated == std::array<double, 3>{} || *stated == std::array<double, 3>{1, 1, 1}) continue;
+    unused.push_back(std::string(name) + " " + std::to_string((*stated)[0]) + ", " + std::to_string((*stated)[1]) +
+                     ", " + std::to_string((*stated)[2]));
+  }
+  const auto code = whole(json_member(root, "epsg"));
+  if (code && *code != 0) unused.push_back("coordinate reference system EPSG:" + std::to_string(*code));
+}
+
+void note_levels(std::uint64_t n_levels, std::vector<std::string>& unused) {
+  if (n_levels > 1) unused.push_back(std::to_string(n_levels - 1) + " coarser levels of detail");
+}
+
+SplatFile file_of(SplatFormat format) {
+  SplatFile file;
+  file.format = format;
+  file.axes = kAxesLcc;
+  return file;
+}
+
+// ---- LCC ------------------------------------------------------------------------------------------------------------
+
+struct Bounds {
+  std::array<double, 3> low{}, high{};
+  double value(std::size_t k, std::uint32_t code, std::uint32_t max_code) const {
+    const double t = static_cast<double>(code) / max_code;
+    return (1 - t) * low[k] + t * high[k];
+  }
+};
+
+std::optional<Bounds> bounds_of(const json& root, const char* name) {
+  const json* attributes = json_member(root, "attributes");
+  if (attributes == nullptr || !attributes->is_array()) return std::nullopt;
+  for (const json& attribute : *attributes) {
+    const json* its_name = json_member(attribute, "name");
+    if (its_name == nullptr || *its_name != name) continue;
+    const auto low = three(json_member(attribute, "min")), high = three(json_member(attribute, "max"));
+    return low && high ? std::optional(Bounds{*low, *high}) : std::nullopt;
+  }
+  return std::nullopt;
+}
+
+struct Meta {
+  std::uint64_t n = 0, n_levels = 0;
+  Bounds scale;
+  std::optional<Bounds> sh;
+};
+
+Result<Meta> parse_meta(const json& root) {
+  Meta meta;
+  const json* splats = json_member(root, "splats");
+  const auto n = whole(splats != nullptr && splats->is_array() && !splats->empty() ? &(*splats)[0] : nullptr);
+  const auto n_levels = whole(json_member(root, "totalLevel"));
+  if (!n || !n_levels || *n_levels == 0) return bad_json("the .lcc lacks totalLevel or splats");
+  meta.n = *n;
+  meta.n_levels = *n_levels;
+  if (const json* encoding = json_member(root, "encoding"); encoding != nullptr && *encoding != "COMPRESS")
+    return make_error(Errc::unsupported_feature, 0, "the .lcc has another encoding than COMPRESS");
+  const auto scale = bounds_of(root, "scale");
+  if (!scale) return bad_json("the .lcc lacks bounds of the attribute scale");
+  meta.scale = *scale;
+  // Before version 4 nothing says whether there are harmonics; without, their bounds are 0 and 1.
+  const json* type = json_member(root, "fileType");
+  meta.sh = bounds_of(root, "shcoef");
+  const bool is_stub =
+      meta.sh && meta.sh->low == std::array<double, 3>{0, 0, 0} && meta.sh->high == std::array<double, 3>{1, 1, 1};
+  if (type != nullptr && *type == "Quality") {
+    if (!meta.sh) return bad_json("the .lcc lacks bounds of the attribute shcoef");
+  } else if (is_stub || (type != nullptr && *type == "Portable")) {
+    meta.sh.reset();
+  }
+  return meta;
+}
+
+// Gaussians of a cell's finest level.
+struct Run {
+  std::uint64_t n = 0, offset = 0;
+};
+
+Result<std::vector<Run>> find_runs(const Meta& meta, Bytes index, Bytes data, Bytes harmonics) {
+  if (meta.n > data.size() / kRecordBytes) {
+    return make_error(Errc::truncated, data.size(), "data.bin is shorter than the finest level", kRecordBytes * meta.n,
+                      data.size());
+  }
+  if (meta.n_levels > index.size() / kLevelBytes && !index.empty()) {
+    return make_error(Errc::truncated, index.size(), "index.bin ends inside its first cell", meta.n_levels,
+                      index.size() / kLevelBytes);
+  }
+  const std::uint64_t cell_bytes = kCellBytes + kLevelBytes * (index.empty() ? 1 : meta.n_levels);
+  if (index.size() % cell_bytes != 0) {
+    return make_error(Errc::truncated, index.size(), "index.bin ends inside a cell", cell_bytes,
+                      index.size() % cell_bytes);
+  }
+  std::vector<Run> runs;
+  std::uint64_t n = 0;
+  for (std::uint64_t at = kCellBytes; at < index.size(); at += cell_bytes) {
+    const Run run{load<std::uint32_t>(index, at), load<std::uint64_t>(index, at + 4)};
+    if (run.n == 0) continue;
+    const std::uint64_t bytes = load<std::uint32_t>(index, at + 12);
+    if (bytes < kRecordBytes * run.n) {
+      return make_error(Errc::bad_header, at + 12, "index.bin: a cell has fewer bytes than its Gaussians",
+                        kRecordBytes * run.n, bytes);
+    }
+    if (run.offset > data.size() || kRecordBytes * run.n > data.size() - run.offset) {
+      return make_error(Errc::truncated, at + 4, "index.bin: a cell ends past the end of data.bin", data.size(),
+                        run.offset);
+    }
+    if (meta.sh && (2 * run.offset > harmonics.size() || kHarmonicsBytes * run.n > harmonics.size() - 2 * run.offset)) {
+      return make_error(Errc::truncated, at + 4, "index.bin: a cell ends past the end of shcoef.bin", harmonics.size(),
+                        2 * run.offset);
+    }
+    n += run.n;  // 32 bits each
+    runs.push_back(run);
+  }
+  if (n != meta.n) {
+    return make_error(Errc::size_mismatch, index.size(),
+                      "index.bin has another number of Gaussians of the finest level than the .lcc", meta.n, n);
+  }
+  return runs;
+}
+
+Splat read_record(Bytes record, Bytes harmonics, const Meta& meta) {
+  Splat s;
+  for (std::size_t k = 0; k < 3; ++k) {
+    s.mean[k] = load<float>(record, 4 * k);
+    s.sh[k] = dc_from_colour(load_u8(record, 12 + k) / 255.0);
+    const double scale = meta.scale.value(k, load<std::uint16_t>(record, 16 + 2 * k), 65535);
+    s.log_scale[k] = log_from_scale(static_cast<float>(scale), 0);
+  }
+  s.opacity_logit = logit_from_opacity(static_cast<float>(load_u8(record, 15)) / 255.F);
+  const auto code = load<std::uint32_t>(record, 22);
+  SmallestThree rotation;
+  rotation.largest = code >> 30;
+  for (std::uint32_t k = 0; k < 3; ++k) rotation.rest[k] = ((code >> 10 * k & 1023) / 1023.0 * 2 - 1) * kRootHalf;
+  float q[4];  // x, y, z, w
+  from_smallest_three(rotation, q);
+  for (std::size_t k = 0; k < 4; ++k) s.rotation[k] = q[(k + 3) % 4];
+  for (std::size_t i = 0; i < 15 && meta.sh; ++i) {
+    const auto packed = load<std::uint32_t>(harmonics, 4 * i);
+    s.sh[3 * i + 3] = static_cast<float>(meta.sh->value(0, packed & 2047, 2047));
+    s.sh[3 * i + 4] = static_cast<float>(meta.sh->value(1, packed >> 11 & 1023, 1023));
+    s.sh[3 * i + 5] = static_cast<float>(meta.sh->value(2, packed >> 21, 2047));
+  }
+  return s;
+}
+
+// ---- LCC2 -----------------------------------------------------------------------------------------------------------
+
+struct Tree {
+  std::vector<std::string> files;
+  std::uint64_t n_levels = 0;
+  std::optional<std::uint64_t> environment;  // index of its file
+  SplatFormat chunks = SplatFormat::sog;
+};
+
+// Empty if the name leaves the folder; one spelling for each file.
+std::string path_within(std::string name, bool legacy) {
+  if (legacy) {  // "/data/3dgs/0" is data/3dgs/0.sog
+    if (name.starts_with('/')) name.erase(0, 1);
+    if (!name.ends_with(".sog")) name += ".sog";
+  }
+  const auto path = std::filesystem::path(name).lexically_normal();
+  const bool stays = !path.empty() && !path.is_absolute() && path.begin()->string() != ".." && path.has_filename() &&
+                     name.find('\\') == std::string::npos && name.find('\0') == std::string::npos;
+  return stays && path != "." ? path.string() : std::string();
+}
+
+Result<Tree> parse_tree(const json& root, const json& top) {
+  Tree tree;
+  const bool legacy = json_member(root, "lod_3dgs_info") != nullptr;
+  const auto n_levels = whole(json_member(root, legacy ? "lod_level" : "totalLevels"));
+  const json* files = json_member(top, legacy ? "files" : "splatFiles");
+  if (!n_levels || *n_levels == 0 || files == nullptr || !files->is_array())
+    return bad_json("the .lcc2 lacks totalLevels or root.splatFiles");
+  tree.n_levels = *n_levels;
+  const json* type = json_member(root, "splatType");
+  if (type != nullptr && !legacy && *type != ".sog") {
+    if (*type != ".spz") {
+      return make_error(
+          Errc::unsupported_feature, 0,
+          "an .lcc2 of other chunks than .sog and .spz is not read: convert the files in its data folder");
+    }
+    tree.chunks = SplatFormat::spz;
+  }
+  for (const json& name : *files) {
+    tree.files.push_back(path_within(name.is_string() ? name.get<std::string>() : std::string(), legacy));
+    if (tree.files.back().empty()) return bad_json("a name in root.splatFiles is no path inside the folder");
+  }
+  const json* data = json_member(top, "data");
+  const json* environment = data != nullptr ? json_member(*data, "env") : nullptr;
+  if (environment != nullptr) tree.environment = whole(json_member(*environment, "name"));
+  return tree;
+}
+
+// Chunks of the finest level in the order of their files, each with its Gaussians, if the nodes say how many.
+Result<std::map<std::uint64_t, std::optional<std::uint64_t>>> finest_chunks(const json& top, const Tree& tree) {
+  std::map<std::uint64_t, std::optional<std::uint64_t>> chunks;
+  std::vector<std::pair<const json*, std::uint64_t>> open{{&top, 0}};  // nodes, with their depth
+  while (!open.empty()) {
+    const auto [node, depth] = open.back();
+    open.pop_back();
+    if (depth < tree.n_levels) {
+      const json* children = json_member(*node, "child");
+      const bool has_children = children != nullptr && (children->is_array() || children->is_object());
+      if (!has_children) continue;
+      for (const json& child : *children) open.emplace_back(&child, depth + 1);
+      continue;
+    }
+    const json* data = json_member(*node, "data");
+    const json* splats = data != nullptr ? json_member(*data, "3dgs") : nullptr;
+    if (splats == nullptr || splats->is_null()) continue;
+    const auto file = whole(json_member(*splats, "name")), count = whole(json_member(*splats, "count"));
+    if (!file || *file >= tree.files.size()) {
+      return make_error(Errc::bad_value, 0, "a node of the .lcc2 names a chunk that root.splatFiles lacks",
+                        tree.files.size(), file.value_or(Error::kNone));
+    }
+    if (file == tree.environment) continue;
+    const auto [known, is_new] = chunks.emplace(*file, count);
+    if (!is_new) known->second = known->second && count ? std::optional(*known->second + *count) : std::nullopt;
+  }
+  if (chunks.empty()) return bad_json("the .lcc2 has no chunks of its finest level");
+  return chunks;
+}
+
+}  // namespace
+
+bool is_lcc(std::span<const std::byte> bytes) {
+  return is_json_with(bytes, "\"cellLengthX\"");
+}
+
+bool is_lcc2(std::span<const std::byte> bytes) {
+  return is_json_with(bytes, "\"lodSplats\"") || is_json_with(bytes, "\"lod_3dgs_info\"");
+}
+
+Result<SplatFile> decode_lone_lcc(std::span<const std::byte>, const DecodeLimits&) {
+  return make_error(Errc::unsupported_feature, 0, "an .lcc or .lcc2 without the files beside it: name the file");
+}
+
+Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const DecodeLimits& limits) {
+  const auto root = parse_json(bytes);
+  if (!root) return tl::unexpected(root.error());
+  const auto meta = parse_meta(*root);
+  if (!meta) return tl::unexpected(meta.error());
+  if (meta->n > limits.max_gaussians) {
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, meta->n);
+  }
+  // Linux tells Index.bin, as the white paper writes, from index.bin, as the files are called.
+  const auto open = [&](std::string name, const char* missing) -> Result<Bytes> {
+    auto file = fetch(name);
+    name[0] = static_cast<char>(name[0] - 'a' + 'A');
+    if (!file) file = fetch(name);
+    if (!file) {
+      Error error = file.error();
+      error.what = missing;
+      return tl::unexpected(error);
+    }
+    return file;
+  };
+  const auto index = open("index.bin", "cannot open index.bin beside the .lcc");
+  if (!index) return tl::unexpected(index.error());
+  const auto data = open("data.bin", "cannot open data.bin beside the .lcc");
+  if (!data) return tl::unexpected(data.error());
+  auto harmonics = meta->sh ? open("shcoef.bin", "cannot open shcoef.bin beside the .lcc") : Result<Bytes>(Bytes());
+  if (!harmonics) return tl::unexpected(harmonics.error());
+  const auto runs = find_runs(*meta, *index, *data, *harmonics);
+  if (!runs) return tl::unexpected(runs.error());
+  SplatFile file = file_of(SplatFormat::lcc);
+  file.cloud.resize(meta->n, meta->sh ? 3 : 0);
+  std::uint64_t written = 0;
+  for (const Run& run : *runs) {
+    for (std::uint64_t i = 0; i < run.n; ++i) {
+      const Bytes sh = meta->sh ? harmonics->subspan(2 * run.offset + kHarmonicsBytes * i, kHarmonicsBytes) : Bytes();
+      file.cloud.set(written++, read_record(data->subspan(run.offset + kRecordBytes * i, kRecordBytes), sh, *meta));
+    }
+  }
+  note_levels(meta->n_levels, file.unused);
+  if (open("environment.bin", "")) file.unused.emplace_back("environment");
+  if (open("collision.lci", "")) file.unused.emplace_back("collision mesh");
+  note_georeference(*root, file.unused);
+  return file;
+}
+
+Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const DecodeLimits& limits) {
+  const auto root = parse_json(bytes);
+  if (!root) return tl::unexpected(root.error());
+  static const json none;
+  const json* stated = json_member(*root, "root");
+  const json& top = stated != nullptr ? *stated : none;
+  const auto tree = parse_tree(*root, top);
+  if (!tree) return tl::unexpected(tree.error());
+  const auto chunks = finest_chunks(top, *tree);
+  if (!chunks) return tl::unexpected(chunks.error());
+  SplatFile file = file_of(SplatFormat::lcc2);
+  std::set<std::string> names;
+  ReadOptions options{.limits = limits, .format = tree->chunks, .keep_axes = true};
+  for (const auto& [index, count] : *chunks) {
+    if (!names.insert(tree->files[index]).second) {
+      return make_error(Errc::bad_value, 0, "root.splatFiles names a chunk twice", Error::kNone, index);
+    }
+    const auto chunk_bytes = fetch(tree->files[index]);
+    if (!chunk_bytes) {
+      Error error = chunk_bytes.error();
+      error.what = "cannot open a chunk that root.splatFiles names";
+      return tl::unexpected(error);
+    }
+    const auto chunk = read_splats(*chunk_bytes, options);
+    if (!chunk) return tl::unexpected(chunk.error());
+    if (count && *count != chunk->cloud.size()) {
+      return make_error(Errc::size_mismatch, 0, "a chunk has another number of Gaussians than its nodes", *count,
+                        chunk->cloud.size());
+    }
+    if (names.size() == 1) file.aa_mode = chunk->aa_mode;
+    options.limits.max_gaussians -= chunk->cloud.size();
+    append_splats(file.cloud, chunk->cloud);
+  }
+  note_levels(tree->n_levels, file.unused);
+  if (tree->environment) file.unused.emplace_back("environment");
+  if (const json* meshes = json_member(top, "meshFiles"); meshes != nullptr && !meshes->empty())
+    file.unused.emplace_back("meshes");
+  note_georeference(*root, file.unused);
+  return file;
+}
+
+}  // namespace rgs::detail

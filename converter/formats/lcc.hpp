@@ -1,0 +1,30 @@
+// lcc.hpp - LCC and LCC2 of XGRIDS: levels of detail in a folder, of which the finest is read.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <span>
+#include <string>
+
+#include "rgs/interchange.hpp"
+
+namespace rgs::detail {
+
+/// Returns the bytes of a file in the scene's folder, by its path from there.
+using FetchBeside = std::function<Result<std::span<const std::byte>>(const std::string&)>;
+
+/// A meta.lcc, or a .lcc2, by its first keys.
+bool is_lcc(std::span<const std::byte> bytes);
+bool is_lcc2(std::span<const std::byte> bytes);
+
+/// Refuses bytes without a folder.
+Result<SplatFile> decode_lone_lcc(std::span<const std::byte> bytes, const DecodeLimits& limits);
+
+/// The JSON (`bytes`) with the files that `fetch` returns. SplatFile::unused names coarser levels, the environment, the
+/// collision mesh and a georeference. Error offsets are in the file that the text names.
+Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const DecodeLimits& limits);
+/// Chunks are .sog or .spz.
+Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const DecodeLimits& limits);
+
+}  // namespace rgs::detail

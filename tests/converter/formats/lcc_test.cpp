@@ -1,0 +1,403 @@
+// lcc_test.cpp - LCC and LCC2: folders built from the published layouts, what is refused, hostile files.
+// SPDX-License-Identifier: Apache-2.0
+#include <cstring>
+#include <map>
+#include <nlohmann/json.hpp>
+
+#include "interchange_samples.hpp"
+#include "rgs/splat_edit.hpp"
+#include "temporary_folder.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+using nlohmann::json;
+using Files = std::map<std::string, Bytes>;
+
+constexpr double kSmallest = 1e-5, kLargest[3] = {3, 4, 5};             // scales
+constexpr double kLow[3] = {-1, -1.5, -2}, kHigh[3] = {1.25, 1.75, 2};  // harmonics
+constexpr std::uint64_t kLevels = 3, kCell = 4 + 16 * kLevels;
+
+std::uint32_t code_of(double value, double low, double high, std::uint32_t max_code) {
+  return static_cast<std::uint32_t>(std::lround((value - low) / (high - low) * max_code));
+}
+
+template <class T>
+void add(Bytes& bytes, T value) {
+  const auto raw = std::as_bytes(std::span(&value, 1));
+  bytes.insert(bytes.end(), raw.begin(), raw.end());
+}
+
+void add_record(const Splat& s, Bytes& data, Bytes& harmonics) {
+  for (const float x : s.mean) add(data, x);
+  for (int k = 0; k < 3; ++k) {
+    add(data, static_cast<std::uint8_t>(code_of(0.5 + 0.28209479 * static_cast<double>(s.sh[k]), 0, 1, 255)));
+  }
+  add(data, static_cast<std::uint8_t>(code_of(static_cast<double>(opacity_from_logit(s.opacity_logit)), 0, 1, 255)));
+  for (int k = 0; k < 3; ++k) {
+    const double scale = std::exp(static_cast<double>(s.log_scale[k]));
+    add(data, static_cast<std::uint16_t>(code_of(scale, kSmallest, kLargest[k], 65535)));
+  }
+  const float xyzw[4] = {s.rotation[1], s.rotation[2], s.rotation[3], s.rotation[0]};
+  std::uint32_t largest = 0, rotation = 0;
+  for (std::uint32_t k = 1; k < 4; ++k) largest = std::abs(xyzw[k]) > std::abs(xyzw[largest]) ? k : largest;
+  for (std::uint32_t k = 0, at = 0; k < 4; ++k) {
+    if (k == largest) continue;
+    const double part = static_cast<double>(xyzw[largest] < 0 ? -xyzw[k] : xyzw[k]);
+    rotation |= code_of(part, -std::sqrt(0.5), std::sqrt(0.5), 1023) << at;
+    at += 10;
+  }
+  add(data, rotation | largest << 30);
+  for (int k = 0; k < 3; ++k) add(data, std::uint16_t{7});  // normal
+  for (int i = 1; i < 16; ++i) {
+    const auto code = [&](int c, std::uint32_t most) {
+      return code_of(static_cast<double>(s.sh[3 * i + c]), kLow[c], kHigh[c], most);
+    };
+    add(harmonics, code(0, 2047) | code(1, 1023) << 11 | code(2, 2047) << 21);
+  }
+  add(harmonics, 0xFFFFFFFFU);  // unused
+}
+
+json attribute(const char* name, const double (&low)[3], const double (&high)[3]) {
+  return {{"name", name}, {"min", low}, {"max", high}};
+}
+
+// `cells`: Gaussians of each cell's finest level; two coarser levels lie between them.
+Files lcc(const std::vector<SplatCloud>& cells) {
+  Files files;
+  Bytes &index = files["index.bin"], &data = files["data.bin"], &harmonics = files["shcoef.bin"];
+  std::uint64_t n = 0;
+  for (const SplatCloud& cell : cells) {
+    add(index, static_cast<std::uint16_t>(7 * n));
+    add(index, std::uint16_t{3});
+    for (std::uint64_t level = 0; level < kLevels; ++level) {
+      const std::uint64_t n_here = level == 0 ? cell.size() : cell.size() / 4, offset = data.size();
+      for (std::uint64_t i = 0; i < n_here; ++i) {
+        Splat splat = cell.view().splat(i);
+        if (level > 0) splat.mean[0] += 100;
+        add_record(splat, data, harmonics);
+      }
+      add(index, static_cast<std::uint32_t>(n_here));
+      add(index, offset);
+      add(index, static_cast<std::uint32_t>(data.size() - offset));
+    }
+    n += cell.size();
+  }
+  const double smallest[3] = {kSmallest, kSmallest, kSmallest};
+  const json meta = {{"version", "5.0"},
+                     {"totalLevel", kLevels},
+                     {"cellLengthX", 30},
+                     {"splats", {n, 3, 3}},
+                     {"encoding", "COMPRESS"},
+                     {"fileType", "Quality"},
+                     {"attributes", {attribute("shcoef", kLow, kHigh), attribute("scale", smallest, kLargest)}}};
+  files["a.lcc"] = bytes_of(meta.dump());
+  return files;
+}
+
+Files edited(Files files, const char* name, const std::function<void(json&)>& edit) {
+  json meta = json::parse(text_of(files.at(name)));
+  edit(meta);
+  files[name] = bytes_of(meta.dump());
+  return files;
+}
+
+Result<SplatFile> read_folder(const Files& files, const char* name, const ReadOptions& options = kKeepAxes) {
+  const TemporaryFolder folder;
+  for (const auto& [file, bytes] : files) {
+    std::filesystem::create_directories(std::filesystem::path(folder.file(file)).parent_path());
+    write_bytes(folder.file(file), bytes);
+  }
+  return read_splats(folder.file(name), options);
+}
+
+void check_refused(const Files& files, const char* name, Errc code, std::uint64_t offset) {
+  const auto file = read_folder(files, name);
+  REQUIRE_FALSE(file);
+  CHECK(std::string(errc_name(file.error().code)) == errc_name(code));
+  CHECK(file.error().offset == offset);
+  CHECK(file.error().what[0] != '\0');
+}
+
+// Unlike along each axis, scales as lcc() holds them.
+SplatCloud cell_cloud(std::uint64_t n, std::uint64_t seed) {
+  SplatCloud cloud = ordinary_cloud(n, 3, seed);
+  for (std::size_t i = 0; i < cloud.mean.size(); ++i) cloud.mean[i] += static_cast<float>(10 * (i % 3));
+  for (float& x : cloud.log_scale) x = x / 4 - 1;
+  return cloud;
+}
+
+void check_within_steps(const SplatError& e) {
+  for (int k = 0; k < 3; ++k) {
+    CHECK(e.mean[k] == 0);
+    CHECK(e.log_scale[k] <= 0.51 * kLargest[k] / 65535 / std::exp(-3.25));
+  }
+  CHECK(e.rotation <= 3 * 0.51 * std::sqrt(2) / 1023);
+  CHECK(e.opacity <= 0.501 / 255);
+  CHECK(e.sh[0] <= 0.501 / 255 / 0.28209479);
+  for (int d = 1; d < 4; ++d) {
+    CHECK(e.sh[d] <= 0.501 * 3.25 / 1023);
+    CHECK(e.sh[d] > 0);
+  }
+}
+
+const std::vector<SplatCloud> kCells{cell_cloud(5, 1), cell_cloud(0, 2), cell_cloud(9, 3)};
+
+SplatCloud finest() {
+  SplatCloud cloud;
+  for (const SplatCloud& cell : kCells) append_splats(cloud, cell);
+  return cloud;
+}
+
+}  // namespace
+
+TEST_CASE("LCC: the finest level of all cells, within half a step; what is not read is named") {
+  Files files = lcc(kCells);
+  for (const bool capitals : {false, true}) {
+    const auto file = read_folder(files, "a.lcc");
+    REQUIRE(file);
+    CHECK(file->format == SplatFormat::lcc);
+    CHECK(file->axes == kAxesLcc);
+    std::uint64_t bytes = 0;
+    for (const auto& [name, content] : files) bytes += content.size();
+    CHECK(file->bytes == bytes);
+    check_within_steps(compare(file->cloud, finest()));
+    CHECK(file->unused == std::vector<std::string>{"2 coarser levels of detail"});
+    for (const std::string name : {"index.bin", "data.bin", "shcoef.bin"}) {
+      if (capitals) continue;
+      files[static_cast<char>(name[0] - 32) + name.substr(1)] = files.at(name);
+      files.erase(name);
+    }
+  }
+  files = edited(files, "a.lcc", [](json& meta) {
+    meta["offset"] = {689605.5, 0, -3};
+    meta["shift"] = {0, 0, 0};
+    meta["scale"] = {1, 1, 1};
+    meta["epsg"] = 32632;
+  });
+  files["environment.bin"] = files["collision.lci"] = Bytes(7);
+  CHECK(read_folder(files, "a.lcc").value().unused ==
+        std::vector<std::string>{"2 coarser levels of detail", "environment", "collision mesh",
+                                 "offset 689605.500000, 0.000000, -3.000000",
+                                 "coordinate reference system EPSG:32632"});
+}
+
+TEST_CASE("LCC is right, forward, up, and comes in 3DGS's frame") {
+  const auto there = read_folder(lcc(kCells), "a.lcc"), here = read_folder(lcc(kCells), "a.lcc", {});
+  REQUIRE(there);
+  REQUIRE(here);
+  CHECK(here->axes == kAxes3dgs);
+  for (std::size_t i = 0; i < 3 * std::size_t{14}; i += 3) {
+    CHECK(here->cloud.mean[i] == there->cloud.mean[i]);
+    CHECK(here->cloud.mean[i + 1] == -there->cloud.mean[i + 2]);
+    CHECK(here->cloud.mean[i + 2] == there->cloud.mean[i + 1]);
+  }
+}
+
+TEST_CASE("LCC: harmonics are there if fileType is Quality, or nothing says that they are not") {
+  const Files files = lcc(kCells);
+  const auto degree = [&](const std::function<void(json&)>& edit) {
+    return read_folder(edited(files, "a.lcc", edit), "a.lcc").value().cloud.sh_degree;
+  };
+  CHECK(degree([](json& meta) { meta["fileType"] = "Portable"; }) == 0);
+  CHECK(degree([](json& meta) { meta.erase("fileType"); }) == 3);
+  const auto stub = [](json& meta) {
+    meta.erase("fileType");
+    meta["attributes"][0]["min"] = {0, 0, 0};
+    meta["attributes"][0]["max"] = {1, 1, 1};
+  };
+  CHECK(degree(stub) == 0);
+  CHECK(degree([&](json& meta) { stub(meta), meta["fileType"] = "Quality"; }) == 3);
+  CHECK(degree([](json& meta) { meta.erase("fileType"), meta["attributes"].erase(0); }) == 0);
+}
+
+TEST_CASE("LCC: what contradicts itself is refused where it does, and nothing is read twice") {
+  const Files files = lcc(kCells);
+  const auto by_json = [&](Errc code, std::uint64_t offset, const std::function<void(json&)>& edit) {
+    check_refused(edited(files, "a.lcc", edit), "a.lcc", code, offset);
+  };
+  const auto by_index = [&](Errc code, std::uint64_t offset, std::uint64_t at, auto value) {
+    Files damaged = files;
+    put(damaged.at("index.bin"), at, value);
+    check_refused(damaged, "a.lcc", code, offset);
+  };
+  by_json(Errc::bad_syntax, 0, [](json& meta) { meta.erase("splats"); });
+  by_json(Errc::bad_syntax, 0, [](json& meta) { meta["totalLevel"] = 0; });
+  by_json(Errc::bad_syntax, 0, [](json& meta) { meta["attributes"].erase(1); });
+  by_json(Errc::bad_syntax, 0, [](json& meta) { meta["attributes"].erase(0); });
+  by_json(Errc::bad_syntax, 0, [](json& meta) { meta["attributes"][1]["max"] = {1, 2}; });
+  by_json(Errc::unsupported_feature, 0, [](json& meta) { meta["encoding"] = "RAW"; });
+  by_json(Errc::truncated, 3 * kCell, [](json& meta) { meta["totalLevel"] = 4; });
+  by_json(Errc::truncated, 3 * kCell, [](json& meta) { meta["totalLevel"] = ~std::uint64_t{0}; });
+  by_json(Errc::size_mismatch, 3 * kCell, [](json& meta) { meta["splats"][0] = 13; });
+  const std::uint64_t data_bytes = files.at("data.bin").size();
+  by_json(Errc::truncated, data_bytes, [](json& meta) { meta["splats"][0] = 1000000; });
+  by_index(Errc::size_mismatch, 3 * kCell, 4, 4U);
+  by_index(Errc::bad_header, 16, 4, 6U);
+  by_index(Errc::bad_header, 2 * kCell + 16, 2 * kCell + 16, 32U * 9 - 1);
+  by_index(Errc::truncated, 2 * kCell + 8, 2 * kCell + 8, data_bytes - 32 * 9 + 1);
+  by_index(Errc::truncated, 8, 8, ~std::uint64_t{0});
+  Files cut = files;
+  cut.at("shcoef.bin").resize(2 * (data_bytes - 32 * 4) - 1);
+  check_refused(cut, "a.lcc", Errc::truncated, 2 * kCell + 8);
+  // All cells with the Gaussians of one.
+  Files many = files;
+  const Bytes cell(files.at("index.bin").begin(), files.at("index.bin").begin() + kCell);
+  for (int i = 0; i < 1000; ++i) many.at("index.bin").insert(many.at("index.bin").end(), cell.begin(), cell.end());
+  many = edited(many, "a.lcc", [](json& meta) { meta["splats"][0] = 14 + 1000 * 5; });
+  check_refused(many, "a.lcc", Errc::truncated, data_bytes);
+  ReadOptions options = kKeepAxes;
+  options.limits.max_gaussians = 13;
+  CHECK(read_folder(files, "a.lcc", options).error().code == Errc::limit_exceeded);
+  options = {};
+  options.level_of_detail = 0;
+  CHECK(read_folder(files, "a.lcc", options).error().code == Errc::bad_argument);
+  const auto lone = read_splats(files.at("a.lcc"));
+  CHECK(lone.error().code == Errc::unsupported_feature);
+  for (const std::string name : {"index.bin", "data.bin", "shcoef.bin"}) {
+    Files without = files;
+    without.erase(name);
+    const auto file = read_folder(without, "a.lcc");
+    REQUIRE_FALSE(file);
+    CHECK(file.error().code == Errc::open_failed);
+    CHECK(std::string(file.error().what).find(name) != std::string::npos);
+  }
+}
+
+TEST_CASE("damaged files of an LCC are refused or read, but never crash") {
+  const Files files = lcc(kCells);
+  SplitMix random(31);
+  for (const auto& [name, whole] : files) {
+    CAPTURE(name);
+    Files damaged = files;
+    for (std::size_t size = 0; size < whole.size(); size += 1 + whole.size() / 200) {
+      damaged[name].assign(whole.begin(), whole.begin() + static_cast<std::ptrdiff_t>(size));
+      const auto file = read_folder(damaged, "a.lcc");
+      if (!file) CHECK(exit_code(file.error().code) == 4);
+      // Coarser levels, which come last, may be missing; the first bytes of the JSON pass for .splat.
+      if (file && file->format == SplatFormat::lcc) CHECK((name.ends_with(".bin") && file->cloud.size() == 14));
+    }
+    for (int i = 0; i < 200; ++i) {
+      damaged[name] = whole;
+      damaged[name][random.below(whole.size())] = static_cast<std::byte>(random.below(256));
+      const auto file = read_folder(damaged, "a.lcc");
+      if (!file) CHECK(exit_code(file.error().code) == 4);
+      if (file) CHECK(file->cloud.size() <= files.at("data.bin").size() / 32);
+    }
+  }
+}
+
+// ---- LCC2 -----------------------------------------------------------------------------------------------------------
+
+namespace {
+
+const std::vector<SplatCloud> kChunks{cell_cloud(4, 11), cell_cloud(3, 12), cell_cloud(6, 13), cell_cloud(8, 14)};
+
+json node(int file, std::optional<int> count) {
+  json out = {{"data", {{"3dgs", {{"name", file}, {"start", 0}}}}}};
+  if (count) out["data"]["3dgs"]["count"] = *count;
+  return out;
+}
+
+// Chunk 0 is coarse, 1 the environment, 3 that of two nodes.
+Files lcc2(SplatFormat format, bool legacy = false) {
+  Files files;
+  const std::string ending = std::string(".") + format_name(format);
+  json names = json::array();
+  for (std::size_t i = 0; i < kChunks.size(); ++i) {
+    const std::string name = "data/3dgs/" + std::to_string(i);
+    files[name + ending] = encode_splats(kChunks[i].view(), format, {.keep_order = true}).value();
+    names.push_back(legacy ? "/" + name : name + ending);
+  }
+  json coarse = node(0, 4);
+  coarse["child"] = {{"0", node(3, 5)}, {"1", node(2, 6)}, {"2", node(3, 3)}, {"3", node(1, 3)}};
+  json root = {{"data", {{"env", {{"name", 1}}}}}, {legacy ? "files" : "splatFiles", names}, {"child", {coarse}}};
+  const json meta =
+      legacy
+          ? json{{"total_splats", 18}, {"lod_3dgs_info", {4, 14}}, {"lod_level", 2}, {"root", root}}
+          : json{
+                {"totalSplats", 18}, {"lodSplats", {14, 4}}, {"totalLevels", 2}, {"splatType", ending}, {"root", root}};
+  files["a.lcc2"] = bytes_of(meta.dump());
+  return files;
+}
+
+}  // namespace
+
+TEST_CASE("LCC2: chunks of the finest level in the order of their files, in LCC's frame whatever their format says") {
+  for (const auto& [format, legacy] :
+       {std::pair(SplatFormat::sog, false), std::pair(SplatFormat::spz, false), std::pair(SplatFormat::sog, true)}) {
+    const std::string name = format_name(format);
+    CAPTURE(name);
+    const Files files = lcc2(format, legacy);
+    const auto file = read_folder(files, "a.lcc2");
+    REQUIRE(file);
+    CHECK(file->format == SplatFormat::lcc2);
+    CHECK(file->axes == kAxesLcc);
+    CHECK_FALSE(file->axes_assumed);
+    CHECK(file->unused == std::vector<std::string>{"1 coarser levels of detail", "environment"});
+    SplatCloud chunks;
+    for (const std::size_t i : {2U, 3U}) {
+      append_splats(chunks, read_splats(files.at("data/3dgs/" + std::to_string(i) + "." + name), kKeepAxes)->cloud);
+    }
+    CHECK(compare(file->cloud, chunks).sum() == 0);
+    CHECK(read_folder(files, "a.lcc2", {}).value().cloud.mean[1] == -chunks.mean[2]);
+  }
+}
+
+TEST_CASE("LCC2: what names no chunk in the folder, or one twice, is refused") {
+  const Files files = lcc2(SplatFormat::spz);
+  const auto refused = [&](Errc code, const std::function<void(json&)>& edit) {
+    check_refused(edited(files, "a.lcc2", edit), "a.lcc2", code, 0);
+  };
+  for (const char* name : {"", ".", "..", "/etc/passwd", "../3.spz", "data/../../3.spz", "data\\3.spz", "data/3dgs/"}) {
+    CAPTURE(std::string(name));
+    refused(Errc::bad_syntax, [&](json& meta) { meta["root"]["splatFiles"][3] = name; });
+  }
+  CHECK(read_folder(
+      edited(files, "a.lcc2", [](json& meta) { meta["root"]["splatFiles"][3] = "./data//x/../3dgs/3.spz"; }),
+      "a.lcc2"));
+  refused(Errc::bad_value, [](json& meta) { meta["root"]["splatFiles"][3] = "data/3dgs/./2.spz"; });
+  refused(Errc::bad_value, [](json& meta) { meta["root"]["child"][0]["child"]["1"]["data"]["3dgs"]["name"] = 4; });
+  refused(Errc::bad_value, [](json& meta) { meta["root"]["child"][0]["child"]["1"]["data"]["3dgs"]["name"] = -1; });
+  refused(Errc::size_mismatch, [](json& meta) { meta["root"]["child"][0]["child"]["1"]["data"]["3dgs"]["count"] = 5; });
+  CHECK(read_folder(edited(files, "a.lcc2",
+                           [](json& meta) { meta["root"]["child"][0]["child"]["1"]["data"]["3dgs"].erase("count"); }),
+                    "a.lcc2"));
+  refused(Errc::bad_syntax, [](json& meta) { meta["totalLevels"] = 3; });
+  refused(Errc::bad_syntax, [](json& meta) { meta["totalLevels"] = 0; });
+  refused(Errc::bad_syntax, [](json& meta) { meta.erase("root"); });
+  refused(Errc::bad_syntax, [](json& meta) { meta["root"] = 7; });
+  refused(Errc::unsupported_feature, [](json& meta) { meta["splatType"] = ".ply"; });
+  Files without = files;
+  without.erase("data/3dgs/3.spz");
+  CHECK(read_folder(without, "a.lcc2").error().code == Errc::open_failed);
+  without["data/3dgs/3.spz"] = bytes_of("no chunk");
+  CHECK(exit_code(read_folder(without, "a.lcc2").error().code) == 4);
+  ReadOptions options = kKeepAxes;
+  options.limits.max_gaussians = 13;
+  CHECK(read_folder(files, "a.lcc2", options).error().code == Errc::limit_exceeded);
+  CHECK(read_splats(files.at("a.lcc2")).error().code == Errc::unsupported_feature);
+}
+
+TEST_CASE("a damaged .lcc2 is refused or read, but never crashes") {
+  const Files files = lcc2(SplatFormat::spz);
+  const Bytes& whole = files.at("a.lcc2");
+  SplitMix random(32);
+  Files damaged = files;
+  for (int i = 0; i < 400; ++i) {
+    damaged["a.lcc2"] = whole;
+    damaged["a.lcc2"][random.below(whole.size())] = static_cast<std::byte>(random.below(256));
+    const auto file = read_folder(damaged, "a.lcc2");
+    // A name may have changed into that of no file.
+    if (!file) CHECK((exit_code(file.error().code) == 4 || file.error().code == Errc::open_failed));
+    if (file) CHECK(file->cloud.size() <= 21);
+  }
+  // Nodes as deep as the text is long.
+  std::string deep = R"({"totalLevels": 200000, "lodSplats": [], "root": )";
+  for (int i = 0; i < 100000; ++i) deep += R"({"splatFiles": [], "child": [)";
+  for (int i = 0; i < 100000; ++i) deep += "]}";
+  damaged["a.lcc2"] = bytes_of(deep + "}");
+  check_refused(damaged, "a.lcc2", Errc::bad_syntax, 0);
+}
