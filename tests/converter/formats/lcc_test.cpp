@@ -270,7 +270,8 @@ TEST_CASE("damaged files of an LCC are refused or read, but never crash") {
   const Files files = lcc(kCells);
   SplitMix random(31);
   for (const auto& [name, whole] : files) {
-    CAPTURE(name);
+    const std::string damaged_file = name;
+    CAPTURE(damaged_file);
     Files damaged = files;
     for (std::size_t size = 0; size < whole.size(); size += 1 + whole.size() / 200) {
       damaged[name].assign(whole.begin(), whole.begin() + static_cast<std::ptrdiff_t>(size));
