@@ -1,6 +1,7 @@
 // gltf_splats.cpp - binary glTF 2.0 with KHR_gaussian_splatting (github.com/KhronosGroup/glTF): a POINTS primitive with
 // the attributes POSITION and, each after "KHR_gaussian_splatting:", ROTATION (x, y, z, w), SCALE (activated), OPACITY
-// (activated) and SH_DEGREE_l_COEF_m. Scales are linear, not logarithms, as ratified and as files have them.
+// (activated) and SH_DEGREE_l_COEF_m. Scales are linear, not logarithms. After the release candidate of the extension as
+// of 17 July 2026.
 // SPDX-License-Identifier: Apache-2.0
 #include "gltf_splats.hpp"
 
@@ -17,6 +18,7 @@
 #include <string>
 #include <utility>
 
+#include "gltf_document.hpp"
 #include "json_member.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
@@ -29,9 +31,7 @@ namespace {
 using nlohmann::json;
 using nlohmann::ordered_json;
 
-constexpr std::uint32_t kMagicGlb = 0x46546C67, kChunkJson = 0x4E4F534A, kChunkBin = 0x004E4942;
-constexpr std::uint64_t kGlbHeaderBytes = 12, kChunkHeaderBytes = 8;
-constexpr int kComponentFloat = 5126, kComponentU8 = 5121, kModePoints = 0;
+constexpr int kModePoints = 0;
 constexpr const char* kExtension = "KHR_gaussian_splatting";
 constexpr int kMaxNodeDepth = 64;
 // Instances and shared arrays may expand to 64 times the file's size, plus 1 MiB.
@@ -48,116 +48,8 @@ std::string sh_attribute(int coefficient) {
 
 // ---- reading --------------------------------------------------------------------------------------------------------
 
-struct Glb {
-  json root;
-  std::span<const std::byte> bin;
-  std::uint64_t bin_offset = 0;
-};
-
-tl::unexpected<Error> bad_gltf(const char* what) {
-  return make_error(Errc::bad_syntax, kGlbHeaderBytes + kChunkHeaderBytes, what);
-}
-
-Result<Glb> parse_chunks(std::span<const std::byte> bytes) {
-  if (bytes.size() < kGlbHeaderBytes + kChunkHeaderBytes) {
-    return make_error(Errc::truncated, bytes.size(), "the file ends inside its header",
-                      kGlbHeaderBytes + kChunkHeaderBytes, bytes.size());
-  }
-  if (load<std::uint32_t>(bytes, 0) != kMagicGlb) return make_error(Errc::bad_magic, 0, "is not a binary glTF file");
-  if (load<std::uint32_t>(bytes, 4) != 2) {
-    return make_error(Errc::unsupported_version, 4, "a glTF version other than 2", 2, load<std::uint32_t>(bytes, 4));
-  }
-  const std::uint64_t length = load<std::uint32_t>(bytes, 8);
-  if (length > bytes.size())
-    return make_error(Errc::truncated, 8, "the file is shorter than its header says", length, bytes.size());
-  if (length < bytes.size())
-    return make_error(Errc::trailing_bytes, length, "bytes after the end that the header states");
-  Glb glb;
-  bool first = true;
-  for (std::uint64_t at = kGlbHeaderBytes; at < length;) {
-    if (length - at < kChunkHeaderBytes)
-      return make_error(Errc::truncated, at, "the file ends inside a chunk's header");
-    const std::uint64_t size = load<std::uint32_t>(bytes, at);
-    const auto type = load<std::uint32_t>(bytes, at + 4);
-    if (size > length - at - kChunkHeaderBytes) {
-      return make_error(Errc::truncated, at, "a chunk ends past the end of the file", size,
-                        length - at - kChunkHeaderBytes);
-    }
-    const auto data = bytes.subspan(at + kChunkHeaderBytes, size);
-    if (first) {
-      if (type != kChunkJson) return make_error(Errc::bad_header, at + 4, "the first chunk is not JSON");
-      const char* text = reinterpret_cast<const char*>(data.data());
-      glb.root = json::parse(text, text + data.size(), nullptr, false);
-      if (!glb.root.is_object()) return bad_gltf("the glTF's JSON does not parse");
-    } else if (type == kChunkBin && glb.bin_offset == 0) {
-      glb.bin = data;
-      glb.bin_offset = at + kChunkHeaderBytes;
-    }
-    first = false;
-    at += kChunkHeaderBytes + size;
-  }
-  return glb;
-}
-
-// Element `index` of the root's array `name`; null if either is absent or of another type.
-const json* element(const json& root, const char* name, const json* index) {
-  const json* array = json_member(root, name);
-  if (array == nullptr || !array->is_array() || index == nullptr || !index->is_number_unsigned()) return nullptr;
-  const auto i = index->get<std::uint64_t>();
-  return i < array->size() ? &(*array)[i] : nullptr;
-}
-
-// A member that is a count or an offset; `otherwise` if absent, nullopt if it is anything else or above 2^32.
-std::optional<std::uint64_t> whole(const json& object, const char* name, std::optional<std::uint64_t> otherwise) {
-  const json* value = json_member(object, name);
-  if (value == nullptr) return otherwise;
-  if (!value->is_number_unsigned()) return std::nullopt;
-  const auto number = value->get<std::uint64_t>();
-  return number <= std::numeric_limits<std::uint32_t>::max() ? std::optional(number) : std::nullopt;
-}
-
-// Floats [count, components] in the binary chunk.
-struct Accessor {
-  std::span<const std::byte> bytes;  // of the whole array
-  std::uint64_t count = 0, stride = 0;
-  float at(std::uint64_t i, std::uint64_t component) const { return load<float>(bytes, i * stride + 4 * component); }
-};
-
-Result<Accessor> find_accessor(const Glb& glb, const json& attributes, const std::string& name, const char* type,
-                               std::uint64_t components) {
-  const json* accessor = element(glb.root, "accessors", json_member(attributes, name.c_str()));
-  if (accessor == nullptr) return bad_gltf("a splat primitive lacks an attribute of KHR_gaussian_splatting");
-  const json* stated = json_member(*accessor, "type");
-  if (whole(*accessor, "componentType", 0) != std::uint64_t{kComponentFloat} || stated == nullptr || *stated != type ||
-      json_member(*accessor, "sparse") != nullptr) {
-    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "an attribute is sparse, or not of the usual shape in 32-bit floats");
-  }
-  const json* view = element(glb.root, "bufferViews", json_member(*accessor, "bufferView"));
-  if (view == nullptr || whole(*view, "buffer", std::nullopt) != std::uint64_t{0}) {
-    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "an attribute is compressed or outside the file's binary chunk");
-  }
-  const auto count = whole(*accessor, "count", std::nullopt), offset = whole(*accessor, "byteOffset", 0),
-             view_offset = whole(*view, "byteOffset", 0), view_bytes = whole(*view, "byteLength", std::nullopt),
-             stride = whole(*view, "byteStride", 4 * components);
-  if (!count || !offset || !view_offset || !view_bytes || !stride || *stride < 4 * components) {
-    return bad_gltf("a number of an accessor or buffer view is missing or out of range");
-  }
-  if (*view_offset > glb.bin.size() || *view_bytes > glb.bin.size() - *view_offset) {
-    return make_error(Errc::truncated, glb.bin_offset, "a buffer view ends past the end of the binary chunk",
-                      *view_offset + *view_bytes, glb.bin.size());
-  }
-  const std::uint64_t needed = *count == 0 ? 0 : (*count - 1) * *stride + 4 * components;  // below 2^64: 32-bit factors
-  if (*offset > *view_bytes || needed > *view_bytes - *offset) {
-    return make_error(Errc::truncated, glb.bin_offset + *view_offset,
-                      "an accessor ends past the end of its buffer view", *offset + needed, *view_bytes);
-  }
-  return Accessor{glb.bin.subspan(*view_offset + *offset, needed), *count, *stride};
-}
-
 // From the coefficients present. A missing one is an error: readers would lose the others silently.
-Result<int> degree_of(const json& attributes) {
+Result<int> degree_of(const GltfDocument& gltf, const json& attributes) {
   int degree = 0;
   while (degree < kMaxShDegree && json_member(attributes, sh_attribute(sh_coefficients(degree)).c_str()) != nullptr)
     ++degree;
@@ -165,8 +57,8 @@ Result<int> degree_of(const json& attributes) {
   std::int64_t n = 0;
   for (const auto& [name, index] : attributes.items()) n += name.starts_with(prefix) ? 1 : 0;
   if (n > sh_coefficients(degree)) {
-    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "a splat primitive has harmonics above degree 3, or lacks some below its highest");
+    return gltf.bad("a splat primitive has harmonics above degree 3, or lacks some below its highest",
+                    Errc::unsupported_feature);
   }
   return degree;
 }
@@ -175,8 +67,8 @@ Result<int> degree_of(const json& attributes) {
 struct SplatPrimitive {
   std::uint64_t n = 0;
   int sh_degree = 0;
-  Accessor position, rotation, scale, opacity;
-  std::vector<Accessor> sh;
+  GltfArray position, rotation, scale, opacity;
+  std::vector<GltfArray> sh;
 
   Splat splat(std::uint64_t i) const {
     Splat s;
@@ -190,38 +82,51 @@ struct SplatPrimitive {
     for (std::uint64_t k = 0; k < 3 * sh.size(); ++k) s.sh[k] = sh[k / 3].at(i, k % 3);
     return s;
   }
+  Status check() const {
+    for (const GltfArray* array : {&position, &rotation, &scale, &opacity}) {
+      if (const Status s = array->check(); !s) return s;
+    }
+    for (const GltfArray& array : sh) {
+      if (const Status s = array.check(); !s) return s;
+    }
+    return {};
+  }
 };
 
-Result<SplatPrimitive> find_primitive(const Glb& glb, const json& primitive) {
+// What the extension and, for POSITION, KHR_mesh_quantization allow besides floats.
+constexpr GltfTypes kPositionTypes{true, true, true, true}, kRotationTypes{true, false, false, true},
+    kScaleTypes{false, true, true, true}, kOpacityTypes{false, true, false, true}, kShTypes{};
+
+Result<SplatPrimitive> find_primitive(const GltfDocument& gltf, const json& primitive) {
   const json* attributes = json_member(primitive, "attributes");
-  if (attributes == nullptr || whole(primitive, "mode", 4) != std::uint64_t{kModePoints}) {
-    return bad_gltf("a splat primitive has no attributes or its mode is not POINTS");
+  if (attributes == nullptr || gltf_whole(primitive, "mode", 4) != std::uint64_t{kModePoints}) {
+    return gltf.bad("a splat primitive has no attributes or its mode is not POINTS");
   }
-  const auto degree = degree_of(*attributes);
+  const auto degree = degree_of(gltf, *attributes);
   if (!degree) return tl::unexpected(degree.error());
   SplatPrimitive out;
   out.sh_degree = *degree;
   out.sh.resize(static_cast<std::size_t>(sh_coefficients(*degree)));
   struct Wanted {
     std::string name;
-    const char* type;
     std::uint64_t components;
-    Accessor& to;
+    const GltfTypes& types;
+    GltfArray& to;
   };
-  std::vector<Wanted> wanted{{"POSITION", "VEC3", 3, out.position},
-                             {attribute("ROTATION"), "VEC4", 4, out.rotation},
-                             {attribute("SCALE"), "VEC3", 3, out.scale},
-                             {attribute("OPACITY"), "SCALAR", 1, out.opacity}};
+  std::vector<Wanted> wanted{{"POSITION", 3, kPositionTypes, out.position},
+                             {attribute("ROTATION"), 4, kRotationTypes, out.rotation},
+                             {attribute("SCALE"), 3, kScaleTypes, out.scale},
+                             {attribute("OPACITY"), 1, kOpacityTypes, out.opacity}};
   for (int k = 0; k < sh_coefficients(*degree); ++k) {
-    wanted.push_back({sh_attribute(k), "VEC3", 3, out.sh[static_cast<std::size_t>(k)]});
+    wanted.push_back({sh_attribute(k), 3, kShTypes, out.sh[static_cast<std::size_t>(k)]});
   }
   for (const Wanted& w : wanted) {
-    const auto accessor = find_accessor(glb, *attributes, w.name, w.type, w.components);
-    if (!accessor) return tl::unexpected(accessor.error());
-    w.to = *accessor;
-    if (w.to.count != out.position.count) return bad_gltf("the attributes of a splat primitive differ in count");
+    auto array = gltf.array(json_member(*attributes, w.name.c_str()), w.components, w.types);
+    if (!array) return tl::unexpected(array.error());
+    w.to = std::move(*array);
+    if (w.to.size() != out.position.size()) return gltf.bad("the attributes of a splat primitive differ in count");
   }
-  out.n = out.position.count;
+  out.n = out.position.size();
   return out;
 }
 
@@ -251,7 +156,7 @@ std::optional<Similarity> similarity_of(const glm::dmat4& m) {
   return s;
 }
 
-Result<Similarity> node_transform(const json& node) {
+Result<Similarity> node_transform(const GltfDocument& gltf, const json& node) {
   glm::dmat4 matrix(1.0);  // column-major, as in glTF
   glm::dvec3 translation{0, 0, 0}, scale{1, 1, 1};
   glm::dvec4 xyzw{0, 0, 0, 1};
@@ -259,12 +164,12 @@ Result<Similarity> node_transform(const json& node) {
       !read_numbers(node, "translation", {glm::value_ptr(translation), 3}) ||
       !read_numbers(node, "scale", {glm::value_ptr(scale), 3}) ||
       !read_numbers(node, "rotation", {glm::value_ptr(xyzw), 4})) {
-    return bad_gltf("a node's transform is not made of numbers");
+    return gltf.bad("a node's transform is not made of numbers");
   }
   const auto from_matrix = similarity_of(matrix);
   if (!from_matrix || !(glm::dot(xyzw, xyzw) > 0) || !(scale.x > 0) || scale.y != scale.x || scale.z != scale.x) {
-    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "a node shears, mirrors or scales unevenly, which Gaussians do not survive");
+    return gltf.bad("a node shears, mirrors or scales unevenly, which Gaussians do not survive",
+                    Errc::unsupported_feature);
   }
   const glm::dquat q(xyzw.w, xyzw.x, xyzw.y, xyzw.z);
   return compose(*from_matrix, {rotation_from_quaternion(q), scale.x, translation});
@@ -280,8 +185,8 @@ struct Instance {
 // once, however often the scene shows it.
 class SceneWalk {
  public:
-  SceneWalk(const Glb& glb, std::uint64_t max_n, std::uint64_t file_bytes)
-      : glb_(glb), max_n_(max_n), max_bytes_(kMaxUnfolding * file_bytes + kUnfoldingAnyway) {
+  SceneWalk(const GltfDocument& gltf, std::uint64_t max_n, std::uint64_t file_bytes)
+      : gltf_(gltf), max_n_(max_n), max_bytes_(kMaxUnfolding * file_bytes + kUnfoldingAnyway) {
     visited_.resize(size_of("nodes"));
     meshes_.resize(size_of("meshes"));
   }
@@ -289,14 +194,14 @@ class SceneWalk {
   /// Visits the nodes of an index list and their descendants.
   Status visit(const json* indices, const Similarity& outer, int depth) {
     if (indices == nullptr) return {};
-    if (!indices->is_array()) return bad_gltf("the scene's nodes or a node's children are not an array");
+    if (!indices->is_array()) return gltf_.bad("the scene's nodes or a node's children are not an array");
     for (const json& index : *indices) {
-      const json* node = element(glb_.root, "nodes", &index);
+      const json* node = gltf_.element("nodes", &index);
       if (node == nullptr || depth > kMaxNodeDepth || visited_[index.get<std::size_t>()]) {
-        return bad_gltf("the nodes are not a tree of at most 64 levels");
+        return gltf_.bad("the nodes are not a tree of at most 64 levels");
       }
       visited_[index.get<std::size_t>()] = true;
-      const auto own = node_transform(*node);
+      const auto own = node_transform(gltf_, *node);
       if (!own) return tl::unexpected(own.error());
       const Similarity both = compose(outer, *own);
       if (const json* mesh = json_member(*node, "mesh")) {
@@ -310,19 +215,20 @@ class SceneWalk {
   const StatedScene& stated() const { return stated_; }
 
   /// Gaussians of all instances in order, the origin of their means, and the largest rounding of a coordinate.
-  SplatCloud read(Origin& origin, double& rounding) const {
+  Result<SplatCloud> read(Origin& origin, double& rounding) const {
     SplatCloud cloud;
     cloud.resize(0, sh_degree_);
     std::vector<ScenePart> parts;
     for (const Instance& instance : instances_) {
       ScenePart& own = parts.emplace_back();
-      SplatCloud part = read(instance, own.origin);
-      own.n = part.size();
+      auto part = read(instance, own.origin);
+      if (!part) return part;
+      own.n = part->size();
       if (instances_.size() == 1) {
         origin = own.origin;
         return part;
       }
-      append_splats(cloud, part);
+      append_splats(cloud, *part);
     }
     merge_parts(cloud, parts, origin);
     for (const ScenePart& part : parts) rounding = std::max(rounding, part.position_rounding);
@@ -337,13 +243,13 @@ class SceneWalk {
   };
 
   std::size_t size_of(const char* name) const {
-    const json* array = json_member(glb_.root, name);
+    const json* array = json_member(gltf_.root(), name);
     return array != nullptr && array->is_array() ? array->size() : 0;
   }
 
   Status add_mesh(const json& index, const Similarity& similarity) {
-    const json* stated = element(glb_.root, "meshes", &index);
-    if (stated == nullptr) return bad_gltf("a node refers to a mesh that does not exist");
+    const json* stated = gltf_.element("meshes", &index);
+    if (stated == nullptr) return gltf_.bad("a node refers to a mesh that does not exist");
     const auto number = index.get<std::size_t>();
     Mesh& mesh = meshes_[number];
     if (!mesh.known) {
@@ -351,13 +257,11 @@ class SceneWalk {
     }
     if (mesh.primitives.empty()) return {};
     if (mesh.n > max_n_ - n_) {
-      return make_error(Errc::limit_exceeded, kGlbHeaderBytes + kChunkHeaderBytes,
-                        "more Gaussians than the caller allows", max_n_, n_ + mesh.n);
+      return gltf_.bad("more Gaussians than the caller allows", Errc::limit_exceeded, max_n_, n_ + mesh.n);
     }
     if (mesh.bytes > max_bytes_ - bytes_) {
-      return make_error(Errc::limit_exceeded, kGlbHeaderBytes + kChunkHeaderBytes,
-                        "instances of meshes expand to more than 64 times the file's bytes", max_bytes_,
-                        bytes_ + mesh.bytes);
+      return gltf_.bad("instances of meshes expand to more than 64 times the file's bytes", Errc::limit_exceeded,
+                       max_bytes_, bytes_ + mesh.bytes);
     }
     n_ += mesh.n;
     bytes_ += mesh.bytes;
@@ -368,12 +272,12 @@ class SceneWalk {
   Status find_primitives(const json& stated, const Similarity& similarity, Mesh& mesh) {
     mesh.known = true;
     const json* primitives = json_member(stated, "primitives");
-    if (primitives == nullptr || !primitives->is_array()) return bad_gltf("a mesh has no primitives array");
+    if (primitives == nullptr || !primitives->is_array()) return gltf_.bad("a mesh has no primitives array");
     for (const json& primitive : *primitives) {
       const json* extensions = json_member(primitive, "extensions");
       const json* splats = extensions != nullptr ? json_member(*extensions, kExtension) : nullptr;
       if (splats == nullptr) continue;
-      auto found = find_primitive(glb_, primitive);
+      auto found = find_primitive(gltf_, primitive);
       if (!found) return tl::unexpected(found.error());
       if (!has_stated_) {
         if (const Status s = read_stated(primitive, *splats, similarity); !s) return s;
@@ -394,26 +298,26 @@ class SceneWalk {
     const json* space = json_member(splats, "colorSpace");
     if (space != nullptr && *space == "lin_rec709_display") stated_.colour_space = ColourSpace::linear_display;
     if (const json* extras = json_member(primitive, "extras"); extras != nullptr && !read_extras(*extras, stated_)) {
-      return make_error(Errc::bad_value, kGlbHeaderBytes + kChunkHeaderBytes,
-                        "a primitive's extras.rgs has an invalid value");
+      return gltf_.bad("a primitive's extras.rgs has an invalid value", Errc::bad_value);
     }
     stated_.metres_per_unit = static_cast<float>(static_cast<double>(stated_.metres_per_unit) / similarity.scale);
     return {};
   }
 
-  SplatCloud read(const Instance& instance, Origin& origin) const {
+  Result<SplatCloud> read(const Instance& instance, Origin& origin) const {
     const Mesh& mesh = meshes_[instance.mesh];
     SplatCloud cloud;
     cloud.resize(mesh.n, sh_degree_);
     std::uint64_t at = 0;
     for (const SplatPrimitive& primitive : mesh.primitives) {
+      if (const Status s = primitive.check(); !s) return tl::unexpected(s.error());
       for (std::uint64_t i = 0; i < primitive.n; ++i) cloud.set(at++, primitive.splat(i));
     }
     transform_splats(cloud, origin, instance.similarity);
     return cloud;
   }
 
-  const Glb& glb_;
+  const GltfDocument& gltf_;
   std::uint64_t max_n_, max_bytes_;
   std::vector<bool> visited_;
   std::vector<Mesh> meshes_;
@@ -440,7 +344,7 @@ class BufferBuilder {
         store(std::span(bin_), start + 4 * (components * i + k), static_cast<float>(value(i, k)));
       }
     }
-    return add_accessor({{"componentType", kComponentFloat}, {"count", n_}, {"type", type}});
+    return add_accessor({{"componentType", GltfComponent::f32}, {"count", n_}, {"type", type}});
   }
   template <class Value>
   std::size_t add_colours(const Value& value) {
@@ -449,7 +353,7 @@ class BufferBuilder {
       for (std::uint64_t k = 0; k < 4; ++k)
         bin_[start + 4 * i + k] = static_cast<std::byte>(unit_code(value(i, k), 255));
     }
-    return add_accessor({{"componentType", kComponentU8}, {"normalized", true}, {"count", n_}, {"type", "VEC4"}});
+    return add_accessor({{"componentType", GltfComponent::u8}, {"normalized", true}, {"count", n_}, {"type", "VEC4"}});
   }
   ordered_json& accessor(std::size_t i) { return accessors_[i]; }
   const ordered_json& views() const { return views_; }
@@ -542,23 +446,24 @@ std::string make_json(const SplatView& splats, const StatedScene& stated, Buffer
 }  // namespace
 
 Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  const auto glb = parse_chunks(bytes);
-  if (!glb) return tl::unexpected(glb.error());
+  const auto gltf = GltfDocument::open_glb(bytes);
+  if (!gltf) return tl::unexpected(gltf.error());
   const json first = 0;
-  const json* stated = json_member(glb->root, "scene");
-  const json* scene = element(glb->root, "scenes", stated != nullptr ? stated : &first);
-  if (scene == nullptr) return bad_gltf("the glTF has no scene");
-  SceneWalk walk(*glb, limits.max_gaussians, bytes.size());
+  const json* stated = json_member(gltf->root(), "scene");
+  const json* scene = gltf->element("scenes", stated != nullptr ? stated : &first);
+  if (scene == nullptr) return gltf->bad("the glTF has no scene");
+  SceneWalk walk(*gltf, limits.max_gaussians, bytes.size());
   if (const Status s = walk.visit(json_member(*scene, "nodes"), {}, 0); !s) return tl::unexpected(s.error());
   if (!walk.found()) {
-    return make_error(Errc::not_gaussian_splats, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "the glTF's scene shows no primitive with KHR_gaussian_splatting");
+    return gltf->bad("the glTF's scene shows no primitive with KHR_gaussian_splatting", Errc::not_gaussian_splats);
   }
   SplatFile file;
   file.format = SplatFormat::glb;
   file.bytes = bytes.size();
   walk.stated().copy_to(file);
-  file.cloud = walk.read(file.origin, file.position_rounding);
+  auto cloud = walk.read(file.origin, file.position_rounding);
+  if (!cloud) return tl::unexpected(cloud.error());
+  file.cloud = *std::move(cloud);
   return file;
 }
 

@@ -10,8 +10,8 @@
 
 namespace rgs::detail {
 
-/// All splat primitives of the default scene, transformed by their nodes. Attributes must be uncompressed 32-bit floats
-/// in the file's own binary chunk. A far node translation becomes the origin, see transform_splats().
+/// All splat primitives of the default scene, transformed by their nodes. Attributes must be uncompressed, in the file's
+/// own binary chunk, and of a type that the extension allows. A far node translation becomes the origin, see transform_splats().
 Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
 /// One primitive, with COLOR_0 for viewers that show points. options.origin becomes its node's translation; statements

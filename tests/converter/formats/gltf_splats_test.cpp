@@ -18,18 +18,25 @@ json json_of(const Bytes& glb) {
   return json::parse(text);
 }
 
-// The file with its JSON chunk replaced.
-Bytes with_json(const Bytes& glb, const json& root) {
+Bytes bin_of(const Bytes& glb) {
+  return {glb.begin() + 28 + get<std::uint32_t>(glb, 12), glb.end()};
+}
+
+Bytes make_glb(const json& root, Bytes bin) {
   std::string text = root.dump();
   text.resize((text.size() + 3) / 4 * 4, ' ');
-  const std::size_t bin = 20 + get<std::uint32_t>(glb, 12);
-  Bytes file(glb.begin(), glb.begin() + 20);
-  const Bytes chunk = bytes_of(text);
-  file.insert(file.end(), chunk.begin(), chunk.end());
-  file.insert(file.end(), glb.begin() + static_cast<std::ptrdiff_t>(bin), glb.end());
-  put(file, 8, static_cast<std::uint32_t>(file.size()));
+  bin.resize((bin.size() + 3) / 4 * 4);
+  Bytes file = bytes_of("glTF\2" + std::string(11, '\0') + "JSON" + text + std::string(4, '\0') + "BIN" + '\0');
   put(file, 12, static_cast<std::uint32_t>(text.size()));
+  put(file, 20 + text.size(), static_cast<std::uint32_t>(bin.size()));
+  file.insert(file.end(), bin.begin(), bin.end());
+  put(file, 8, static_cast<std::uint32_t>(file.size()));
   return file;
+}
+
+// The file with its JSON chunk replaced.
+Bytes with_json(const Bytes& glb, const json& root) {
+  return make_glb(root, bin_of(glb));
 }
 
 Result<SplatFile> read_edited(const Bytes& glb, const std::function<void(json&)>& edit) {
@@ -191,8 +198,10 @@ TEST_CASE(".glb: unsupported or invalid input is refused with its reason") {
   refused([](json& r) { r["accessors"][0]["count"] = 3; }, Errc::bad_syntax);
   refused([](json& r) { r["accessors"][0]["count"] = 4294967295U; }, Errc::truncated);
   refused([](json& r) { r["accessors"][0]["count"] = 1.5; }, Errc::bad_syntax);
-  refused([](json& r) { r["accessors"][0]["componentType"] = 5123; }, Errc::unsupported_feature);
-  refused([](json& r) { r["accessors"][0]["sparse"] = json::object(); }, Errc::unsupported_feature);
+  refused([](json& r) { r["accessors"][2]["componentType"] = 5123; }, Errc::unsupported_feature);
+  refused([](json& r) { r["accessors"][0].erase("bufferView"); }, Errc::unsupported_feature);
+  refused([](json& r) { r["accessors"][0]["bufferView"] = 99; }, Errc::bad_syntax);
+  refused([](json& r) { r["accessors"][0]["sparse"] = json::object(); }, Errc::bad_syntax);
   refused([](json& r) { r["bufferViews"][0]["byteOffset"] = 4294967295U; }, Errc::truncated);
   refused([](json& r) { r["bufferViews"][0]["byteStride"] = 4; }, Errc::bad_syntax);
   refused([](json& r) { r["bufferViews"][0]["buffer"] = 1; }, Errc::unsupported_feature);
@@ -205,6 +214,168 @@ TEST_CASE(".glb: unsupported or invalid input is refused with its reason") {
         }
       },
       Errc::limit_exceeded);
+}
+
+namespace {
+
+struct Stored {
+  int component = 0;
+  bool normalized = false;
+  std::uint64_t accessor = 0, components = 0;
+  double one() const {
+    return !normalized ? 1 : component == 5120 ? 127 : component == 5121 ? 255 : component == 5122 ? 32767 : 65535;
+  }
+  std::uint64_t bytes_each() const { return component == 5126 ? 4 : component < 5122 ? 1 : 2; }
+  void store(Bytes& bin, std::uint64_t at, double value) const {
+    const auto code = static_cast<std::int64_t>(std::lround(value * one()));
+    if (component == 5126) {
+      put(bin, at, static_cast<float>(value));
+    } else if (component < 5122) {
+      put(bin, at, static_cast<std::uint8_t>(code));
+    } else {
+      put(bin, at, static_cast<std::uint16_t>(code));
+    }
+  }
+};
+
+// Four Gaussians whose attribute `s.accessor` is stored as `s` says, every `stride` bytes.
+Bytes quantised(const Stored& s, std::uint64_t stride,
+                const std::function<double(std::uint64_t, std::uint64_t)>& value) {
+  const Bytes plain = encode_splats(ordinary_cloud(4, 0, 3).view(), SplatFormat::glb).value();
+  json root = json_of(plain);
+  Bytes bin = bin_of(plain);
+  const std::uint64_t start = bin.size(), bytes = 3 * stride + s.components * s.bytes_each();
+  bin.resize(start + bytes);
+  for (std::uint64_t i = 0; i < 4; ++i) {
+    for (std::uint64_t k = 0; k < s.components; ++k) s.store(bin, start + stride * i + k * s.bytes_each(), value(i, k));
+  }
+  root["buffers"][0]["byteLength"] = bin.size();
+  json& accessor = root["accessors"][s.accessor];
+  accessor["bufferView"] = root["bufferViews"].size();
+  accessor["componentType"] = s.component;
+  accessor["normalized"] = s.normalized;
+  root["bufferViews"].push_back({{"buffer", 0}, {"byteOffset", start}, {"byteLength", bytes}, {"byteStride", stride}});
+  return make_glb(root, bin);
+}
+
+}  // namespace
+
+TEST_CASE(".glb: attributes of all types that the extension allows, in any stride") {
+  const auto signed_value = [](std::uint64_t i, std::uint64_t k) {
+    return (static_cast<double>(i) - 2) / 2 + 0.03 * static_cast<double>(k);
+  };
+  const auto unsigned_value = [](std::uint64_t i, std::uint64_t k) {
+    return (static_cast<double>(i) + 1) / 5 + 0.03 * static_cast<double>(k);
+  };
+  for (const int component : {5120, 5121, 5122, 5123, 5126}) {
+    for (const bool normalized : {false, true}) {
+      for (const auto& [accessor, components, which] :
+           {std::tuple{0U, 3U, 0}, {2U, 4U, 1}, {3U, 3U, 2}, {4U, 1U, 3}, {5U, 3U, 4}}) {
+        const Stored s{component, normalized, accessor, components};
+        const bool is_signed = component == 5120 || component == 5122, is_float = component == 5126;
+        const bool allowed = is_float || which == 0 || (which == 1 && is_signed && normalized) ||
+                             (which == 2 && !is_signed) || (which == 3 && !is_signed && normalized);
+        const int attribute = which, type = component;
+        CAPTURE(attribute);
+        CAPTURE(type);
+        CAPTURE(normalized);
+        const auto value = [&](std::uint64_t i, std::uint64_t k) {
+          const double v = which < 2 && (is_signed || is_float) ? signed_value(i, k) : unsigned_value(i, k);
+          return normalized || is_float ? v : std::round(50 * v);
+        };
+        const std::uint64_t stride =
+            (components * s.bytes_each() + 3) / 4 * 4 + 4 * static_cast<std::uint64_t>(normalized);
+        const auto file = read_splats(quantised(s, stride, value), kKeepAxes);
+        REQUIRE(file.has_value() == allowed);
+        if (!allowed) {
+          CHECK(file.error().code == Errc::unsupported_feature);
+          continue;
+        }
+        for (std::uint64_t i = 0; i < 4; ++i) {
+          const Splat splat = file->cloud.view().splat(i);
+          for (std::uint64_t k = 0; k < components; ++k) {
+            const double got = which == 0   ? static_cast<double>(splat.mean[k])
+                               : which == 1 ? static_cast<double>(splat.rotation[(k + 1) % 4])
+                               : which == 2 ? std::exp(static_cast<double>(splat.log_scale[k]))
+                               : which == 3 ? static_cast<double>(opacity_from_logit(splat.opacity_logit))
+                                            : static_cast<double>(splat.sh[k]);
+            CHECK(std::abs(got - value(i, k)) <= (is_float ? 1e-6 : 0.5001 / s.one() * (normalized ? 1 : 1e-4)) + 1e-5);
+          }
+        }
+      }
+    }
+  }
+  // The lowest code of a signed type is -1, as the next one.
+  const auto lowest = read_splats(quantised({5120, true, 2, 4}, 4, [](auto, auto) { return -128.0 / 127; }), kKeepAxes);
+  REQUIRE(lowest);
+  CHECK(lowest->cloud.rotation[0] == -1);
+}
+
+TEST_CASE(".glb: sparse accessors replace single elements, of a buffer view or of zeros") {
+  const SplatCloud cloud = ordinary_cloud(4, 0, 3);
+  const Bytes plain = encode_splats(cloud.view(), SplatFormat::glb).value();
+  const auto read = [&](int component, std::vector<std::uint32_t> indices, const std::function<void(json&)>& edit) {
+    json root = json_of(plain);
+    Bytes bin = bin_of(plain);
+    const std::uint64_t start = bin.size(), bytes_each = component == 5121 ? 1 : component == 5123 ? 2 : 4;
+    bin.resize(start + 4 * indices.size() + 12 * indices.size());
+    for (std::uint64_t k = 0; k < indices.size(); ++k) {
+      std::memcpy(&bin[start + k * bytes_each], &indices[k], bytes_each);
+      for (std::uint64_t c = 0; c < 3; ++c)
+        put(bin, start + 4 * indices.size() + 12 * k + 4 * c, static_cast<float>(100 * k + c));
+    }
+    const std::uint64_t view = root["bufferViews"].size();
+    root["bufferViews"].push_back({{"buffer", 0}, {"byteOffset", start}, {"byteLength", 4 * indices.size()}});
+    root["bufferViews"].push_back(
+        {{"buffer", 0}, {"byteOffset", start + 4 * indices.size()}, {"byteLength", 12 * indices.size()}});
+    root["accessors"][0]["sparse"] = {{"count", indices.size()},
+                                      {"indices", {{"bufferView", view}, {"componentType", component}}},
+                                      {"values", {{"bufferView", view + 1}}}};
+    edit(root);
+    return read_splats(make_glb(root, bin), kKeepAxes);
+  };
+  const auto as_is = [](json&) {};
+  for (const int component : {5121, 5123, 5125}) {
+    CAPTURE(component);
+    const auto file = read(component, {1, 3}, as_is);
+    REQUIRE(file);
+    const auto zeros = read(component, {1, 3}, [](json& r) { r["accessors"][0].erase("bufferView"); });
+    REQUIRE(zeros);
+    for (std::uint64_t k = 0; k < 12; ++k) {
+      const std::uint64_t i = k / 3, c = k % 3;
+      CHECK(file->cloud.mean[k] == (i == 1   ? static_cast<float>(c)
+                                    : i == 3 ? static_cast<float>(100 + c)
+                                             : cloud.mean[k]));
+      CHECK(zeros->cloud.mean[k] == (i == 1 ? static_cast<float>(c) : i == 3 ? static_cast<float>(100 + c) : 0.F));
+    }
+  }
+  const auto refused = [&](std::vector<std::uint32_t> indices, const std::function<void(json&)>& edit, Errc code,
+                           std::uint64_t offset) {
+    const auto file = read(5125, std::move(indices), edit);
+    REQUIRE_FALSE(file);
+    CHECK(std::string(errc_name(file.error().code)) == errc_name(code));
+    if (offset != 0) CHECK(file.error().offset == offset);
+  };
+  refused({3, 1}, as_is, Errc::bad_value, 0);
+  refused({1, 1}, as_is, Errc::bad_value, 0);
+  refused({4}, as_is, Errc::bad_value, 0);
+  refused({0, 1, 2, 3, 3}, as_is, Errc::bad_syntax, 20);
+  refused(
+      {1}, [](json& r) { r["accessors"][0]["sparse"]["count"] = 2; }, Errc::truncated, 0);
+  refused(
+      {1}, [](json& r) { r["accessors"][0]["sparse"]["indices"]["componentType"] = 5126; }, Errc::bad_syntax, 20);
+  refused(
+      {1}, [](json& r) { r["accessors"][0]["sparse"]["values"].erase("bufferView"); }, Errc::bad_syntax, 20);
+  // Zeros take no bytes, so a count alone must not make a scene.
+  const auto count_alone = [](json& r) {
+    r["accessors"][0]["sparse"]["count"] = 1;
+    for (json& accessor : r["accessors"]) {
+      accessor["sparse"] = r["accessors"][0]["sparse"];
+      accessor.erase("bufferView");
+      accessor["count"] = 4000000000U;
+    }
+  };
+  refused({0, 1}, count_alone, Errc::limit_exceeded, 20);
 }
 
 TEST_CASE(".glb: no mesh of a node is dropped silently") {
@@ -253,7 +424,6 @@ TEST_CASE(".glb: meshes of unlike degrees and several primitives are one scene")
   root["nodes"].push_back({{"mesh", 0}, {"translation", {0, 0, 1}}});
   root["scenes"][0]["nodes"] = {0, 1};
   root["buffers"][0]["byteLength"] = first_bytes + more.size() - bin;
-  put(file, 20 + get<std::uint32_t>(file, 12), static_cast<std::uint32_t>(first_bytes + more.size() - bin));
   const auto read = read_splats(with_json(file, root), kKeepAxes);
   REQUIRE(read);
   SplatCloud expected = a;
