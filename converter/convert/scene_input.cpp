@@ -61,8 +61,9 @@ std::uint64_t SceneInput::hash() const {
 
 Result<SplatFile> SceneInput::read(ReadOptions options) const {
   options.keep_axes = true;
-  // Read the hashed bytes, not the path, unless files beside it belong to it: a SOG may be a folder.
-  const bool folder = path_ != "-" && detect_format(bytes_) == SplatFormat::sog;
+  // Read the hashed bytes, not the path, unless files beside it belong to it: a SOG may be a folder, as a .gltf.
+  const SplatFormat format = path_ != "-" ? detect_format(bytes_) : SplatFormat::unknown;
+  const bool folder = format == SplatFormat::sog || (format == SplatFormat::glb && bytes_.front() != std::byte{'g'});
   return folder ? read_splats(path_, options) : read_splats(bytes_, options);
 }
 

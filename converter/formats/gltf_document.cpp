@@ -5,10 +5,12 @@
 #include <algorithm>
 #include <array>
 #include <limits>
+#include <string_view>
 #include <utility>
 
 #include "json_member.hpp"
 #include "quantised.hpp"
+#include "signature.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -43,6 +45,56 @@ float load_component(GltfComponent component, bool normalized, std::span<const s
     default: return load<float>(bytes, offset);
   }
   return normalized ? std::max(value / one, -1.F) : value;
+}
+
+int digit_of(char c, std::string_view digits) {
+  const std::size_t at = digits.find(c);
+  return at == digits.npos ? -1 : static_cast<int>(at);
+}
+
+// The bytes of a base64 text, with or without its padding; nullopt if it is none.
+std::optional<std::vector<std::byte>> decode_base64(std::string_view text) {
+  for (int padding = 0; padding < 2 && text.ends_with('='); ++padding) text.remove_suffix(1);
+  if (text.size() % 4 == 1) return std::nullopt;
+  std::array<std::int8_t, 256> digits;
+  digits.fill(-1);
+  constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  for (std::size_t i = 0; i < kDigits.size(); ++i)
+    digits[static_cast<unsigned char>(kDigits[i])] = static_cast<std::int8_t>(i);
+  std::vector<std::byte> bytes;
+  bytes.reserve(text.size() / 4 * 3 + 2);
+  std::uint32_t code = 0;
+  int bits = 0;
+  for (const char c : text) {
+    const int digit = digits[static_cast<unsigned char>(c)];
+    if (digit < 0) return std::nullopt;
+    code = code << 6 | static_cast<std::uint32_t>(digit);
+    bits += 6;
+    if (bits < 8) continue;
+    bits -= 8;
+    bytes.push_back(static_cast<std::byte>(code >> bits & 255));
+  }
+  return bytes;
+}
+
+// The file that a relative URI names; nullopt if it may leave the folder, or is an address on the web.
+std::optional<std::string> file_within_folder(std::string_view uri) {
+  std::string path;
+  for (std::size_t i = 0; i < uri.size(); ++i) {
+    char c = uri[i];
+    if (c == '%') {
+      constexpr std::string_view kDigits = "0123456789ABCDEF0123456789abcdef";
+      const int high = i + 2 < uri.size() ? digit_of(uri[i + 1], kDigits) : -1;
+      const int low = high < 0 ? -1 : digit_of(uri[i + 2], kDigits);
+      if (low < 0) return std::nullopt;
+      c = static_cast<char>((high % 16) * 16 + low % 16);
+      i += 2;
+    }
+    if (c == '\0' || c == '\\' || c == ':') return std::nullopt;
+    path += c;
+  }
+  if (path.empty() || path.front() == '/' || ("/" + path + "/").find("/../") != std::string::npos) return std::nullopt;
+  return path;
 }
 
 }  // namespace
@@ -106,6 +158,8 @@ Result<GltfDocument> GltfDocument::open_glb(std::span<const std::byte> bytes) {
   if (length < bytes.size())
     return make_error(Errc::trailing_bytes, length, "bytes after the end that the header states");
   GltfDocument document;
+  document.json_offset_ = kGlbHeaderBytes + kChunkHeaderBytes;
+  document.bytes_ = bytes.size();
   bool first = true;
   for (std::uint64_t at = kGlbHeaderBytes; at < length;) {
     if (length - at < kChunkHeaderBytes)
@@ -119,17 +173,29 @@ Result<GltfDocument> GltfDocument::open_glb(std::span<const std::byte> bytes) {
     const auto data = bytes.subspan(at + kChunkHeaderBytes, size);
     if (first) {
       if (type != kChunkJson) return make_error(Errc::bad_header, at + 4, "the first chunk is not JSON");
-      const char* text = reinterpret_cast<const char*>(data.data());
-      document.root_ = json::parse(text, text + data.size(), nullptr, false);
-      if (!document.root_.is_object()) return document.bad("the glTF's JSON does not parse");
-    } else if (type == kChunkBin && document.bin_offset_ == 0) {
-      document.bin_ = data;
-      document.bin_offset_ = at + kChunkHeaderBytes;
+      if (const Status s = document.parse(data); !s) return tl::unexpected(s.error());
+    } else if (type == kChunkBin && document.bin_.offset == 0) {
+      document.bin_ = {data, at + kChunkHeaderBytes, nullptr};
     }
     first = false;
     at += kChunkHeaderBytes + size;
   }
   return document;
+}
+
+Result<GltfDocument> GltfDocument::open_text(std::span<const std::byte> bytes, FetchFile fetch) {
+  GltfDocument document;
+  document.bytes_ = bytes.size();
+  document.fetch_ = std::move(fetch);
+  if (const Status s = document.parse(bytes); !s) return tl::unexpected(s.error());
+  return document;
+}
+
+Status GltfDocument::parse(std::span<const std::byte> bytes) {
+  const std::string_view text = text_of(bytes);
+  root_ = json::parse(text, nullptr, false);
+  if (!root_.is_object()) return bad("the glTF's JSON does not parse");
+  return {};
 }
 
 tl::unexpected<Error> GltfDocument::bad(const char* what, Errc code, std::uint64_t expected,
@@ -144,18 +210,56 @@ const json* GltfDocument::element(const char* name, const json* index) const {
   return i < array->size() ? &(*array)[i] : nullptr;
 }
 
-Result<GltfDocument::View> GltfDocument::view(const json* index) const {
+Result<GltfDocument::View> GltfDocument::decode_data(const std::string& uri) {
+  const std::size_t comma = uri.find(',');
+  auto bytes = comma == uri.npos || !uri.substr(0, comma).ends_with(";base64")
+                   ? std::nullopt
+                   : decode_base64(std::string_view(uri).substr(comma + 1));
+  if (!bytes) return bad("a data: URI of a buffer is not base64");
+  return View{decoded_.emplace_back(std::move(*bytes)), 0, nullptr};
+}
+
+Result<GltfDocument::View> GltfDocument::buffer(const json* index) {
+  const json* stated = element("buffers", index);
+  if (stated == nullptr) return bad("a buffer is missing");
+  const json* uri = json_member(*stated, "uri");
+  if (uri == nullptr && *index == 0 && bin_.offset != 0) return bin_;
+  if (uri == nullptr || !uri->is_string())
+    return bad("a buffer has no data here: another extension compresses it", Errc::unsupported_feature);
+  const auto& name = uri->get_ref<const std::string&>();
+  if (const auto known = buffers_.find(name); known != buffers_.end()) return known->second;
+  if (name.starts_with("data:")) {
+    const auto data = decode_data(name);
+    if (data) buffers_.emplace(name, *data);
+    return data;
+  }
+  if (!fetch_) {
+    return bad("a buffer is in a file of its own: name the .gltf's file, or pack both into one .glb",
+               Errc::unsupported_feature);
+  }
+  const auto path = file_within_folder(name);
+  if (!path) {
+    return bad("a buffer is outside the .gltf's folder: copy it there, or pack both into one .glb",
+               Errc::unsupported_feature);
+  }
+  const auto bytes = fetch_(*path);
+  if (!bytes) return tl::unexpected(bytes.error());
+  bytes_ += bytes->size();
+  return buffers_.emplace(name, View{*bytes, 0, nullptr}).first->second;
+}
+
+Result<GltfDocument::View> GltfDocument::view(const json* index) {
   const json* stated = element("bufferViews", index);
   if (stated == nullptr) return bad("a buffer view is missing");
-  if (gltf_whole(*stated, "buffer", std::nullopt) != std::uint64_t{0})
-    return bad("an attribute is outside the file's binary chunk", Errc::unsupported_feature);
+  const auto whole = buffer(json_member(*stated, "buffer"));
+  if (!whole) return whole;
   const auto offset = gltf_whole(*stated, "byteOffset", 0), bytes = gltf_whole(*stated, "byteLength", std::nullopt);
   if (!offset || !bytes) return bad("a number of a buffer view is missing or out of range");
-  if (*offset > bin_.size() || *bytes > bin_.size() - *offset) {
-    return make_error(Errc::truncated, bin_offset_, "a buffer view ends past the end of the binary chunk",
-                      *offset + *bytes, bin_.size());
+  if (*offset > whole->bytes.size() || *bytes > whole->bytes.size() - *offset) {
+    return make_error(Errc::truncated, whole->offset, "a buffer view ends past the end of its buffer", *offset + *bytes,
+                      whole->bytes.size());
   }
-  return View{bin_.subspan(*offset, *bytes), bin_offset_ + *offset, stated};
+  return View{whole->bytes.subspan(*offset, *bytes), whole->offset + *offset, stated};
 }
 
 Result<GltfDocument::View> GltfDocument::elements(const View& view, const json& object, std::uint64_t n,
@@ -170,7 +274,7 @@ Result<GltfDocument::View> GltfDocument::elements(const View& view, const json& 
   return View{view.bytes.subspan(*offset, needed), view.offset + *offset, view.stated};
 }
 
-Status GltfDocument::add_sparse(const json& sparse, GltfArray& array) const {
+Status GltfDocument::add_sparse(const json& sparse, GltfArray& array) {
   const json *indices = json_member(sparse, "indices"), *values = json_member(sparse, "values");
   const auto n = gltf_whole(sparse, "count", std::nullopt);
   if (indices == nullptr || values == nullptr || !n || *n > array.n_) return bad("a sparse accessor is incomplete");
@@ -194,7 +298,7 @@ Status GltfDocument::add_sparse(const json& sparse, GltfArray& array) const {
   return {};
 }
 
-Result<GltfArray> GltfDocument::array(const json* index, std::uint64_t n_components, const GltfTypes& types) const {
+Result<GltfArray> GltfDocument::array(const json* index, std::uint64_t n_components, const GltfTypes& types) {
   const json* accessor = element("accessors", index);
   if (accessor == nullptr) return bad("a splat primitive lacks an attribute of KHR_gaussian_splatting");
   GltfArray array;

@@ -4,6 +4,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <span>
@@ -57,37 +60,48 @@ struct GltfTypes {
 
 class GltfDocument {
  public:
+  /// Returns the bytes of a file in the document's folder, which must outlive the document.
+  using FetchFile = std::function<Result<std::span<const std::byte>>(const std::string& name)>;
+
   /// A whole .glb, which must outlive the document. Errors: truncated, bad_magic, unsupported_version, trailing_bytes,
   /// bad_header, bad_syntax.
   static Result<GltfDocument> open_glb(std::span<const std::byte> bytes);
+  /// A .gltf. Errors: bad_syntax.
+  static Result<GltfDocument> open_text(std::span<const std::byte> bytes, FetchFile fetch);
 
   const nlohmann::json& root() const { return root_; }
   /// Element `index` of the root's array `name`; null if either is absent or of another type.
   const nlohmann::json* element(const char* name, const nlohmann::json* index) const;
+  std::uint64_t bytes() const { return bytes_; }  ///< of the file and of files that arrays were in so far
   /// An error at the JSON's begin.
   tl::unexpected<Error> bad(const char* what, Errc code = Errc::bad_syntax, std::uint64_t expected = Error::kNone,
                             std::uint64_t found = Error::kNone) const;
 
   /// The array of the accessor `index`, whose elements have `n_components`. Errors: bad_syntax, unsupported_feature (of
-  /// another type than `types` and floats), truncated.
-  Result<GltfArray> array(const nlohmann::json* index, std::uint64_t n_components, const GltfTypes& types) const;
+  /// another type than `types` and floats, or outside the document's folder), truncated, those of FetchFile.
+  Result<GltfArray> array(const nlohmann::json* index, std::uint64_t n_components, const GltfTypes& types);
 
  private:
   struct View {
     std::span<const std::byte> bytes;
-    std::uint64_t offset = 0;  // in the file
+    std::uint64_t offset = 0;  // in the .glb or buffer
     const nlohmann::json* stated = nullptr;
   };
-  Result<View> view(const nlohmann::json* index) const;
+  Status parse(std::span<const std::byte> bytes);
+  Result<View> buffer(const nlohmann::json* index);
+  Result<View> decode_data(const std::string& uri);
+  Result<View> view(const nlohmann::json* index);
   /// `n` elements of `element_bytes` each from the member byteOffset of `object` on.
   Result<View> elements(const View& view, const nlohmann::json& object, std::uint64_t n, std::uint64_t element_bytes,
                         std::uint64_t stride) const;
-  Status add_sparse(const nlohmann::json& sparse, GltfArray& array) const;
+  Status add_sparse(const nlohmann::json& sparse, GltfArray& array);
 
   nlohmann::json root_;
-  std::uint64_t json_offset_ = kGlbHeaderBytes + kChunkHeaderBytes;
-  std::span<const std::byte> bin_;
-  std::uint64_t bin_offset_ = 0;
+  std::uint64_t json_offset_ = 0, bytes_ = 0;
+  View bin_;  // of a .glb
+  FetchFile fetch_;
+  std::map<std::string, View> buffers_;         // by URI
+  std::deque<std::vector<std::byte>> decoded_;  // data URIs
 };
 
 }  // namespace rgs::detail

@@ -1,4 +1,4 @@
-// gltf_splats.cpp - binary glTF 2.0 with KHR_gaussian_splatting (github.com/KhronosGroup/glTF): a POINTS primitive with
+// gltf_splats.cpp - glTF 2.0 with KHR_gaussian_splatting (github.com/KhronosGroup/glTF): a POINTS primitive with
 // the attributes POSITION and, each after "KHR_gaussian_splatting:", ROTATION (x, y, z, w), SCALE (activated), OPACITY
 // (activated) and SH_DEGREE_l_COEF_m. Scales are linear, not logarithms. After the release candidate of the extension as
 // of 17 July 2026.
@@ -9,6 +9,7 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <deque>
 #include <glm/geometric.hpp>
 #include <glm/gtc/type_ptr.hpp>
 #include <glm/matrix.hpp>
@@ -21,8 +22,10 @@
 #include "gltf_document.hpp"
 #include "json_member.hpp"
 #include "quantised.hpp"
+#include "rgs/file.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/splat_edit.hpp"
+#include "signature.hpp"
 #include "stated_scene.hpp"
 
 namespace rgs::detail {
@@ -97,7 +100,7 @@ struct SplatPrimitive {
 constexpr GltfTypes kPositionTypes{true, true, true, true}, kRotationTypes{true, false, false, true},
     kScaleTypes{false, true, true, true}, kOpacityTypes{false, true, false, true}, kShTypes{};
 
-Result<SplatPrimitive> find_primitive(const GltfDocument& gltf, const json& primitive) {
+Result<SplatPrimitive> find_primitive(GltfDocument& gltf, const json& primitive) {
   const json* attributes = json_member(primitive, "attributes");
   if (attributes == nullptr || gltf_whole(primitive, "mode", 4) != std::uint64_t{kModePoints}) {
     return gltf.bad("a splat primitive has no attributes or its mode is not POINTS");
@@ -185,8 +188,7 @@ struct Instance {
 // once, however often the scene shows it.
 class SceneWalk {
  public:
-  SceneWalk(const GltfDocument& gltf, std::uint64_t max_n, std::uint64_t file_bytes)
-      : gltf_(gltf), max_n_(max_n), max_bytes_(kMaxUnfolding * file_bytes + kUnfoldingAnyway) {
+  SceneWalk(GltfDocument& gltf, std::uint64_t max_n) : gltf_(gltf), max_n_(max_n) {
     visited_.resize(size_of("nodes"));
     meshes_.resize(size_of("meshes"));
   }
@@ -259,9 +261,10 @@ class SceneWalk {
     if (mesh.n > max_n_ - n_) {
       return gltf_.bad("more Gaussians than the caller allows", Errc::limit_exceeded, max_n_, n_ + mesh.n);
     }
-    if (mesh.bytes > max_bytes_ - bytes_) {
+    const std::uint64_t max_bytes = kMaxUnfolding * gltf_.bytes() + kUnfoldingAnyway;
+    if (mesh.bytes > max_bytes - bytes_) {
       return gltf_.bad("instances of meshes expand to more than 64 times the file's bytes", Errc::limit_exceeded,
-                       max_bytes_, bytes_ + mesh.bytes);
+                       max_bytes, bytes_ + mesh.bytes);
     }
     n_ += mesh.n;
     bytes_ += mesh.bytes;
@@ -317,8 +320,8 @@ class SceneWalk {
     return cloud;
   }
 
-  const GltfDocument& gltf_;
-  std::uint64_t max_n_, max_bytes_;
+  GltfDocument& gltf_;
+  std::uint64_t max_n_;
   std::vector<bool> visited_;
   std::vector<Mesh> meshes_;
   std::vector<Instance> instances_;
@@ -443,28 +446,57 @@ std::string make_json(const SplatView& splats, const StatedScene& stated, Buffer
   return text;
 }
 
-}  // namespace
-
-Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  const auto gltf = GltfDocument::open_glb(bytes);
-  if (!gltf) return tl::unexpected(gltf.error());
+Result<SplatFile> read_scene(GltfDocument& gltf, const DecodeLimits& limits) {
   const json first = 0;
-  const json* stated = json_member(gltf->root(), "scene");
-  const json* scene = gltf->element("scenes", stated != nullptr ? stated : &first);
-  if (scene == nullptr) return gltf->bad("the glTF has no scene");
-  SceneWalk walk(*gltf, limits.max_gaussians, bytes.size());
+  const json* stated = json_member(gltf.root(), "scene");
+  const json* scene = gltf.element("scenes", stated != nullptr ? stated : &first);
+  if (scene == nullptr) return gltf.bad("the glTF has no scene");
+  SceneWalk walk(gltf, limits.max_gaussians);
   if (const Status s = walk.visit(json_member(*scene, "nodes"), {}, 0); !s) return tl::unexpected(s.error());
   if (!walk.found()) {
-    return gltf->bad("the glTF's scene shows no primitive with KHR_gaussian_splatting", Errc::not_gaussian_splats);
+    return gltf.bad("the glTF's scene shows no primitive with KHR_gaussian_splatting", Errc::not_gaussian_splats);
   }
   SplatFile file;
   file.format = SplatFormat::glb;
-  file.bytes = bytes.size();
+  file.bytes = gltf.bytes();
   walk.stated().copy_to(file);
   auto cloud = walk.read(file.origin, file.position_rounding);
   if (!cloud) return tl::unexpected(cloud.error());
   file.cloud = *std::move(cloud);
   return file;
+}
+
+}  // namespace
+
+bool is_gltf(std::span<const std::byte> bytes) {
+  return begins_with(bytes, "glTF") || is_gltf_text(bytes);
+}
+
+bool is_gltf_text(std::span<const std::byte> bytes) {
+  // One of them is before the end of the first long text, a data: URI.
+  return is_json_with(bytes, "\"buffers\"") || is_json_with(bytes, "\"bufferViews\"") ||
+         is_json_with(bytes, "\"accessors\"");
+}
+
+Result<SplatFile> decode_gltf(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  auto gltf = is_gltf_text(bytes) ? GltfDocument::open_text(bytes, {}) : GltfDocument::open_glb(bytes);
+  if (!gltf) return tl::unexpected(gltf.error());
+  return read_scene(*gltf, limits);
+}
+
+Result<SplatFile> decode_gltf_folder(std::span<const std::byte> bytes, const std::string& folder,
+                                     const DecodeLimits& limits) {
+  std::deque<MappedFile> files;
+  auto gltf = GltfDocument::open_text(bytes, [&](const std::string& name) -> Result<std::span<const std::byte>> {
+    auto file = MappedFile::open(folder + "/" + name);
+    if (!file) {
+      return make_error(file.error().code, Error::kNone, "a buffer's file beside the .gltf cannot be opened",
+                        Error::kNone, Error::kNone, file.error().system);
+    }
+    return files.emplace_back(std::move(*file)).bytes();
+  });
+  if (!gltf) return tl::unexpected(gltf.error());
+  return read_scene(*gltf, limits);
 }
 
 Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const WriteOptions& options) {

@@ -65,10 +65,6 @@ bool is_ply(Bytes bytes) {
   return detail::begins_with(bytes, "ply");
 }
 
-bool is_glb(Bytes bytes) {
-  return detail::begins_with(bytes, "glTF");
-}
-
 Result<SplatFile> decode_plain(Bytes bytes, const DecodeLimits& limits) {
   const auto view = FileView::open(bytes, limits);
   if (!view) return tl::unexpected(view.error());
@@ -244,10 +240,10 @@ constexpr Format kFormats[] = {
       "FP32; damaged Gaussians too",
       kAxes3dgs, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, true},
      is_ply, read_within<decode_ply>, encode_ply},
-    {{SplatFormat::glb, "glb", "", "glTF 2.0 with KHR_gaussian_splatting",
+    {{SplatFormat::glb, "glb", "", "glTF 2.0 with KHR_gaussian_splatting, also .gltf; written as .glb",
       "FP32; read from integers of 8 and 16 bits too",
       kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
-     is_glb, read_within<detail::decode_glb>, detail::encode_glb},
+     detail::is_gltf, read_within<detail::decode_gltf>, detail::encode_glb},
     {{SplatFormat::spz, "spz", "", "Niantic, versions 2 and 3 (gzip) and 4 (zstd)",
       "mean 24 bits; rotation 32 (version 2: 24); scale, opacity, colour 8; harmonics 5 and 4",
       kAxes3dgs, 3, true, {.aa_mode = true}},
@@ -306,7 +302,6 @@ constexpr Foreign kForeign[] = {
     {detail::is_zip_with, ".usd", kOpenUsd},
     {detail::is_json_with, "\"geometricError\"",
      "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
-    {detail::is_json_with, "\"bufferViews\"", "a .gltf is not read: pack it with its buffers into one .glb"},
     {detail::begins_with, "\x93NUMPY",
      "one array, a .npy, is not read: put gsplat's arrays into one .npz (numpy.savez)"},
 };
@@ -398,15 +393,19 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
   return detail::guard_memory([&]() -> Result<SplatFile> {
     const auto file = MappedFile::open(path);
     if (!file) return tl::unexpected(file.error());
-    if (!detail::is_sog_meta(file->bytes())) {
+    const bool maybe_gltf = options.format == SplatFormat::unknown || options.format == SplatFormat::glb;
+    const bool is_gltf = maybe_gltf && detail::is_gltf_text(file->bytes());
+    if (!is_gltf && !detail::is_sog_meta(file->bytes())) {
       auto splats = read_splats(file->bytes(), options);
       // A change of the file explains any other error.
       if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
       return splats;
     }
-    const std::string folder = std::filesystem::path(path).parent_path().string();
-    return finish(detail::decode_sog_folder(file->bytes(), folder.empty() ? "." : folder, options.limits),
-                  SplatFormat::sog, 0, options);
+    const std::string parent = std::filesystem::path(path).parent_path().string(),
+                      folder = parent.empty() ? "." : parent;
+    const auto decode = is_gltf ? detail::decode_gltf_folder : detail::decode_sog_folder;
+    return finish(decode(file->bytes(), folder, options.limits), is_gltf ? SplatFormat::glb : SplatFormat::sog, 0,
+                  options);
   });
 }
 

@@ -77,10 +77,11 @@ void InputFiles::add(const std::string& path) {
 void InputFiles::add_scene(const std::string& path) {
   add(path);
   const fs::path place(path);
-  if (place.filename() != "meta.json") return;
-  for (const std::string& picture :
-       files_of(place.has_parent_path() ? place.parent_path() : ".", std::array<std::string_view, 1>{".webp"}))
-    add(picture);
+  const bool is_gltf = lower_case(place.extension().string()) == ".gltf";
+  if (place.filename() != "meta.json" && !is_gltf) return;
+  for (const std::string& beside : files_of(place.has_parent_path() ? place.parent_path() : ".",
+                                            std::array<std::string_view, 1>{is_gltf ? ".bin" : ".webp"}))
+    add(beside);
 }
 
 void InputFiles::add_cameras(const std::string& path) {

@@ -19,6 +19,7 @@ namespace rgs::tool {
 namespace {
 
 const std::string kStreamedSog = "lod-meta.json";
+constexpr std::string_view kGltfText = ".gltf";  // never an output, so unknown to format_of_name()
 
 using Identity = std::pair<std::uint64_t, std::uint64_t>;  // device and inode
 
@@ -45,6 +46,9 @@ SplatFormat format_of(std::span<const std::byte> bytes, SplatFormat by_name) {
     return is_scene && by_name != SplatFormat::unknown ? format : SplatFormat::unknown;
   }
   if (by_name != SplatFormat::unknown) return format;
+  // Other .gltf files are no scenes, nor is any other JSON with such a key.
+  if (format == SplatFormat::glb && !text.starts_with("glTF") && text.find("\"KHR_gaussian_splatting") == text.npos)
+    return SplatFormat::unknown;
   if (format == SplatFormat::sog && text.starts_with("PK") && directory.find("meta.json") == text.npos)
     return SplatFormat::unknown;
   if (format == SplatFormat::ply && !text.starts_with("ply\n") && !text.starts_with("ply\r"))
@@ -99,8 +103,8 @@ class Walk {
 
   SceneList finish() {
     std::ranges::sort(list_.scenes, {}, &ListedScene::name);
-    // A SOG's pictures do not count as other files.
-    list_.n_others -= std::min(list_.n_others, n_pictures_);
+    // A SOG's pictures and the buffers of a .gltf do not count as other files.
+    list_.n_others -= std::min(list_.n_others, n_beside_);
     return std::move(list_);
   }
 
@@ -132,11 +136,11 @@ class Walk {
     const bool is_arrays = by_name == SplatFormat::npz || by_name == SplatFormat::pt;
     if (scene.format == SplatFormat::unknown && (by_name == SplatFormat::unknown || ((is_meta || is_arrays) && file)))
       return void(++list_.n_others);
-    if (scene.format == SplatFormat::sog && is_meta) {
-      for (const std::string& picture : files_of_scene(path)) {
-        if (picture == path || ::stat(picture.c_str(), &info) != 0) continue;
+    if ((scene.format == SplatFormat::sog && is_meta) || name.ends_with(kGltfText)) {
+      for (const std::string& beside : files_of_scene(path)) {
+        if (beside == path || ::stat(beside.c_str(), &info) != 0) continue;
         scene.bytes += static_cast<std::uint64_t>(info.st_size);
-        ++n_pictures_;
+        ++n_beside_;
       }
     }
     list_.scenes.push_back(std::move(scene));
@@ -144,7 +148,7 @@ class Walk {
 
   SceneList list_;
   std::vector<Identity> without_, above_;
-  std::uint64_t n_pictures_ = 0;
+  std::uint64_t n_beside_ = 0;
   bool hidden_ = false;
 };
 
@@ -163,6 +167,7 @@ std::vector<std::string> files_of_scene(const std::string& path) {
 }
 
 std::string scene_stem(const std::string& name) {
+  if (name.ends_with(kGltfText)) return name.substr(0, name.size() - kGltfText.size());
   const SplatFormat format = format_of_name(name);
   if (format == SplatFormat::unknown) return name;
   // The ending of a SOG's meta.json is no format's.

@@ -33,7 +33,7 @@ struct SceneList {
 Result<SceneList> list_scenes(const std::string& folder, const std::vector<std::string>& without = {},
                               bool hidden = false);
 
-/// The files of a scene, with the pictures beside a SOG's meta.json.
+/// The files of a scene: see InputFiles::add_scene().
 std::vector<std::string> files_of_scene(const std::string& path);
 
 /// "a/b" for "a/b.ply" and "a/b.compressed.ply". Unknown endings stay: "a/b.v2" is a whole stem.

@@ -6,6 +6,7 @@
 #include "complexity.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/splat_edit.hpp"
+#include "temporary_folder.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -204,7 +205,8 @@ TEST_CASE(".glb: unsupported or invalid input is refused with its reason") {
   refused([](json& r) { r["accessors"][0]["sparse"] = json::object(); }, Errc::bad_syntax);
   refused([](json& r) { r["bufferViews"][0]["byteOffset"] = 4294967295U; }, Errc::truncated);
   refused([](json& r) { r["bufferViews"][0]["byteStride"] = 4; }, Errc::bad_syntax);
-  refused([](json& r) { r["bufferViews"][0]["buffer"] = 1; }, Errc::unsupported_feature);
+  refused([](json& r) { r["bufferViews"][0]["buffer"] = 1; }, Errc::bad_syntax);
+  refused([](json& r) { r["buffers"][0]["uri"] = "scene.bin"; }, Errc::unsupported_feature);
   refused(  // one mesh, shown repeatedly
       [](json& r) {
         for (int i = 0; i < 100; ++i) r["meshes"][0]["primitives"].push_back(r["meshes"][0]["primitives"][0]);
@@ -376,6 +378,104 @@ TEST_CASE(".glb: sparse accessors replace single elements, of a buffer view or o
     }
   };
   refused({0, 1}, count_alone, Errc::limit_exceeded, 20);
+}
+
+namespace {
+
+std::string base64(const Bytes& bytes) {
+  constexpr const char* kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::string text;
+  for (std::size_t i = 0; i < bytes.size(); i += 3) {
+    std::uint32_t code = 0;
+    for (std::size_t k = i; k < i + 3; ++k)
+      code = code << 8 | (k < bytes.size() ? std::to_integer<std::uint32_t>(bytes[k]) : 0);
+    for (std::size_t k = 0; k < 4; ++k) text += i + k > bytes.size() ? '=' : kDigits[code >> (18 - 6 * k) & 63];
+  }
+  return text;
+}
+
+}  // namespace
+
+TEST_CASE(".gltf: buffers are data: URIs or files in its folder") {
+  const SplatCloud cloud = ordinary_cloud(5, 1, 6);
+  const Bytes glb = encode_splats(cloud.view(), SplatFormat::glb).value(), bin = bin_of(glb);
+  const auto text = [&](const std::string& uri) {
+    json root = json_of(glb);
+    root["buffers"][0]["uri"] = uri;
+    return bytes_of("  \n" + root.dump());
+  };
+  const std::string data = "data:application/octet-stream;base64," + base64(bin);
+  for (const std::string& uri : {data, data.substr(0, data.find_last_not_of('=') + 1)}) {
+    const auto file = read_splats(text(uri), kKeepAxes);
+    REQUIRE(file);
+    CHECK(file->format == SplatFormat::glb);
+    CHECK(file->bytes == text(uri).size());
+    CHECK(file->cloud.mean == cloud.mean);
+    CHECK(file->cloud.sh == cloud.sh);
+  }
+  for (const char* wrong : {"data:;base64,QQ=A", "data:;base64,Q", "data:;base64,Q?==", "data:,abc", "data:;base64"}) {
+    CAPTURE(wrong);
+    const auto file = read_splats(text(wrong));
+    REQUIRE_FALSE(file);
+    CHECK(file.error().code == Errc::bad_syntax);
+    CHECK(file.error().offset == 0);
+  }
+  const auto alone = read_splats(text("scene.bin"));
+  REQUIRE_FALSE(alone);
+  CHECK(alone.error().code == Errc::unsupported_feature);
+  CHECK(std::string(alone.error().what).find("one .glb") != std::string::npos);
+
+  const TemporaryFolder folder;
+  const auto read = [&](const std::string& uri) {
+    write_bytes(folder.file("in/scene.gltf"), text(uri));
+    return read_splats(folder.file("in/scene.gltf"), kKeepAxes);
+  };
+  std::filesystem::create_directories(folder.file("in/a part"));
+  for (const char* name : {"in/scene.bin", "in/a part/1.bin", "outside.bin"}) write_bytes(folder.file(name), bin);
+  for (const char* uri : {"scene.bin", "./scene.bin", "a%20part/1.bin", "a part/%31.bin", data.c_str()}) {
+    const std::string which = std::string(uri).substr(0, 20);
+    CAPTURE(which);
+    const auto file = read(uri);
+    REQUIRE(file);
+    CHECK(file->cloud.mean == cloud.mean);
+    CHECK(file->bytes == text(uri).size() + (uri == data ? 0 : bin.size()));
+  }
+  const std::string absolute = folder.file("outside.bin");
+  for (const std::string& uri :
+       {std::string("../outside.bin"), std::string("a part/../../outside.bin"), absolute,
+        std::string("%2e%2E/outside.bin"), std::string("..%2foutside.bin"), "file://" + absolute,
+        std::string("https://example.org/scene.bin"), std::string("..\\outside.bin"), std::string("scene.bin%00"),
+        std::string("scene%2"), std::string()}) {
+    CAPTURE(uri);
+    const auto file = read(uri);
+    REQUIRE_FALSE(file);
+    CHECK(file.error().code == Errc::unsupported_feature);
+    CHECK(std::string(file.error().what).find("copy it there") != std::string::npos);
+  }
+  CHECK(read("missing.bin").error().code == Errc::open_failed);
+  write_bytes(folder.file("in/scene.bin"), std::span(bin).first(bin.size() - 1));
+  const auto cut = read("scene.bin");
+  REQUIRE_FALSE(cut);
+  CHECK(cut.error().code == Errc::truncated);
+  CHECK(read_splats(bytes_of(R"({"accessors": [)")).error().code == Errc::bad_syntax);
+}
+
+TEST_CASE("damaged .gltf files are refused or read, but never crash") {
+  const Bytes glb = encode_splats(ordinary_cloud(2, 0, 3).view(), SplatFormat::glb).value();
+  json root = json_of(glb);
+  root["buffers"][0]["uri"] = "data:;base64," + base64(bin_of(glb));
+  const std::string text = root.dump();
+  ReadOptions options;
+  options.format = SplatFormat::glb;
+  for (std::size_t size = 1; size < text.size(); ++size)
+    CHECK_FALSE(read_splats(bytes_of(text.substr(0, size)), options));
+  SplitMix random(5);
+  for (int i = 0; i < 1000; ++i) {
+    std::string damaged = text;
+    damaged[random.below(damaged.size())] = static_cast<char>(random.below(128));
+    const auto file = read_splats(bytes_of(damaged), options);
+    if (!file) CHECK(exit_code(file.error().code) == 4);
+  }
 }
 
 TEST_CASE(".glb: no mesh of a node is dropped silently") {

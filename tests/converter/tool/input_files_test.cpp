@@ -42,18 +42,22 @@ TEST_CASE("names of one file clash, whether it exists or not, and others do not"
   fs::current_path(before);
 }
 
-TEST_CASE("a COLMAP model's files, a SOG's pictures and a folder's photographs are inputs; other files there are not") {
+TEST_CASE(
+    "a COLMAP model's files, a SOG's pictures, a glTF's buffers and a folder's photographs are inputs; others are "
+    "not") {
   const TemporaryFolder folder;
-  for (const char* name : {"sparse/0", "photos", "sog"}) fs::create_directories(folder.path() / name);
+  for (const char* name : {"sparse/0", "photos", "sog", "gltf"}) fs::create_directories(folder.path() / name);
   for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG", "photos/report.html",
-                           "sog/meta.json", "sog/sh0.webp", "sog/scene.ply"})
+                           "sog/meta.json", "sog/sh0.webp", "sog/scene.ply", "gltf/a.gltf", "gltf/a.bin", "gltf/a.png"})
     write_text(folder.file(name), "x");
   InputFiles inputs;
   inputs.add_cameras(folder.path().string());
   inputs.add_pictures(folder.file("photos"));
   inputs.add_scene(folder.file("sog/meta.json"));
+  inputs.add_scene(folder.file("gltf/a.gltf"));
   CHECK(inputs.paths() == std::vector{folder.file("sparse/0/images.bin"), folder.file("photos/a.JPG"),
-                                      folder.file("sog/meta.json"), folder.file("sog/sh0.webp")});
+                                      folder.file("sog/meta.json"), folder.file("sog/sh0.webp"),
+                                      folder.file("gltf/a.gltf"), folder.file("gltf/a.bin")});
 }
 
 TEST_CASE("a file that was rewritten, extended or replaced has changed; a removed one has not") {
