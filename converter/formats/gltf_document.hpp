@@ -77,20 +77,22 @@ class GltfDocument {
   tl::unexpected<Error> bad(const char* what, Errc code = Errc::bad_syntax, std::uint64_t expected = Error::kNone,
                             std::uint64_t found = Error::kNone) const;
 
+  struct View {
+    std::span<const std::byte> bytes;
+    std::uint64_t offset = 0;  ///< in the .glb or buffer
+    const nlohmann::json* stated = nullptr;
+  };
+  /// The buffer view `index`. Errors: bad_syntax, unsupported_feature (outside the document's folder), truncated, those
+  /// of FetchFile.
+  Result<View> view(const nlohmann::json* index);
   /// The array of the accessor `index`, whose elements have `n_components`. Errors: bad_syntax, unsupported_feature (of
-  /// another type than `types` and floats, or outside the document's folder), truncated, those of FetchFile.
+  /// another type than `types` and floats), those of view().
   Result<GltfArray> array(const nlohmann::json* index, std::uint64_t n_components, const GltfTypes& types);
 
  private:
-  struct View {
-    std::span<const std::byte> bytes;
-    std::uint64_t offset = 0;  // in the .glb or buffer
-    const nlohmann::json* stated = nullptr;
-  };
   Status parse(std::span<const std::byte> bytes);
   Result<View> buffer(const nlohmann::json* index);
   Result<View> decode_data(const std::string& uri);
-  Result<View> view(const nlohmann::json* index);
   /// `n` elements of `element_bytes` each from the member byteOffset of `object` on.
   Result<View> elements(const View& view, const nlohmann::json& object, std::uint64_t n, std::uint64_t element_bytes,
                         std::uint64_t stride) const;

@@ -14,6 +14,7 @@
 #include <glm/gtc/type_ptr.hpp>
 #include <glm/matrix.hpp>
 #include <limits>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
@@ -26,6 +27,7 @@
 #include "rgs/quantize.hpp"
 #include "rgs/splat_edit.hpp"
 #include "signature.hpp"
+#include "spz.hpp"
 #include "stated_scene.hpp"
 
 namespace rgs::detail {
@@ -36,8 +38,13 @@ using nlohmann::ordered_json;
 
 constexpr int kModePoints = 0;
 constexpr const char* kExtension = "KHR_gaussian_splatting";
+// Their object names a buffer view that is an SPZ: two drafts inside the extension's object (pull request 2531 of
+// KhronosGroup/glTF), and one before them beside it.
+constexpr std::array kSpzExtensions{"KHR_gaussian_splatting_compression_spz_2",
+                                    "KHR_gaussian_splatting_compression_spz"};
+constexpr const char* kSpzAlone = "KHR_spz_gaussian_splats_compression";
 constexpr int kMaxNodeDepth = 64;
-// Instances and shared arrays may expand to 64 times the file's size, plus 1 MiB.
+// Instances and shared arrays may expand to 64 times the file's size, plus 1 MiB, and what is compressed once.
 constexpr std::uint64_t kMaxUnfolding = 64, kUnfoldingAnyway = std::uint64_t{1} << 20;
 
 std::string attribute(const std::string& name) {
@@ -72,8 +79,10 @@ struct SplatPrimitive {
   int sh_degree = 0;
   GltfArray position, rotation, scale, opacity;
   std::vector<GltfArray> sh;
+  const SplatCloud* unpacked = nullptr;  // instead of arrays, from an SPZ
 
   Splat splat(std::uint64_t i) const {
+    if (unpacked != nullptr) return unpacked->view().splat(i);
     Splat s;
     for (std::uint64_t k = 0; k < 3; ++k) {
       s.mean[k] = position.at(i, k);
@@ -188,7 +197,7 @@ struct Instance {
 // once, however often the scene shows it.
 class SceneWalk {
  public:
-  SceneWalk(GltfDocument& gltf, std::uint64_t max_n) : gltf_(gltf), max_n_(max_n) {
+  SceneWalk(GltfDocument& gltf, const ReadOptions& options) : gltf_(gltf), options_(options) {
     visited_.resize(size_of("nodes"));
     meshes_.resize(size_of("meshes"));
   }
@@ -215,6 +224,11 @@ class SceneWalk {
   }
   bool found() const { return !instances_.empty(); }
   const StatedScene& stated() const { return stated_; }
+  std::vector<std::string> unused() const {
+    std::vector<std::string> all;
+    for (const auto& [view, file] : unpacked_) all.insert(all.end(), file.unused.begin(), file.unused.end());
+    return all;
+  }
 
   /// Gaussians of all instances in order, the origin of their means, and the largest rounding of a coordinate.
   Result<SplatCloud> read(Origin& origin, double& rounding) const {
@@ -258,10 +272,11 @@ class SceneWalk {
       if (const Status s = find_primitives(*stated, similarity, mesh); !s) return s;
     }
     if (mesh.primitives.empty()) return {};
-    if (mesh.n > max_n_ - n_) {
-      return gltf_.bad("more Gaussians than the caller allows", Errc::limit_exceeded, max_n_, n_ + mesh.n);
+    const std::uint64_t max_n = options_.limits.max_gaussians;
+    if (mesh.n > max_n - n_) {
+      return gltf_.bad("more Gaussians than the caller allows", Errc::limit_exceeded, max_n, n_ + mesh.n);
     }
-    const std::uint64_t max_bytes = kMaxUnfolding * gltf_.bytes() + kUnfoldingAnyway;
+    const std::uint64_t max_bytes = kMaxUnfolding * gltf_.bytes() + kUnfoldingAnyway + unpacked_bytes_;
     if (mesh.bytes > max_bytes - bytes_) {
       return gltf_.bad("instances of meshes expand to more than 64 times the file's bytes", Errc::limit_exceeded,
                        max_bytes, bytes_ + mesh.bytes);
@@ -279,26 +294,80 @@ class SceneWalk {
     for (const json& primitive : *primitives) {
       const json* extensions = json_member(primitive, "extensions");
       const json* splats = extensions != nullptr ? json_member(*extensions, kExtension) : nullptr;
-      if (splats == nullptr) continue;
-      auto found = find_primitive(gltf_, primitive);
+      const json* spz = extensions != nullptr ? spz_of(*extensions, splats) : nullptr;
+      if (splats == nullptr && spz == nullptr) continue;
+      AaMode aa_mode = AaMode::classic;
+      auto found = spz != nullptr ? unpack(primitive, *spz, aa_mode) : find_primitive(gltf_, primitive);
       if (!found) return tl::unexpected(found.error());
       if (!has_stated_) {
-        if (const Status s = read_stated(primitive, *splats, similarity); !s) return s;
+        stated_.aa_mode = aa_mode;
+        if (const Status s = read_stated(primitive, splats, similarity); !s) return s;
       }
       sh_degree_ = std::max(sh_degree_, found->sh_degree);
       mesh.n += found->n;
-      // Empty ones count too: visiting them takes time.
-      mesh.bytes += 4 * std::max<std::uint64_t>(found->n, 1) *
-                    static_cast<std::uint64_t>(11 + 3 * sh_coefficients(found->sh_degree));
+      mesh.bytes += bytes_of(found->n, found->sh_degree);
       mesh.primitives.push_back(std::move(*found));
     }
     return {};
   }
 
+  // As floats. Empty ones count too: visiting them takes time.
+  static std::uint64_t bytes_of(std::uint64_t n, int sh_degree) {
+    return 4 * std::max<std::uint64_t>(n, 1) * static_cast<std::uint64_t>(11 + 3 * sh_coefficients(sh_degree));
+  }
+
+  static const json* spz_of(const json& extensions, const json* splats) {
+    const json* inner = splats != nullptr ? json_member(*splats, "extensions") : nullptr;
+    for (const char* name : kSpzExtensions) {
+      if (const json* spz = inner != nullptr ? json_member(*inner, name) : nullptr) return spz;
+    }
+    return json_member(extensions, kSpzAlone);
+  }
+
+  // A primitive that is an SPZ. CesiumJS takes its coordinates for those of glTF, so this does, unless it declares its
+  // axes; the drafts ask for the half turn from SPZ's to glTF's.
+  Result<SplatPrimitive> unpack(const json& primitive, const json& spz, AaMode& aa_mode) {
+    const json* index = json_member(spz, "bufferView");
+    const auto view = gltf_.view(index);
+    if (!view) return tl::unexpected(view.error());
+    const auto [place, is_new] = unpacked_.try_emplace(index->get<std::uint64_t>());
+    SplatFile& file = place->second;
+    if (is_new) {
+      packed_bytes_ += view->bytes.size();
+      if (packed_bytes_ > gltf_.bytes())
+        return gltf_.bad("buffer views of SPZ overlap", Errc::limit_exceeded, gltf_.bytes(), packed_bytes_);
+      if (!is_spz(view->bytes)) return make_error(Errc::bad_magic, view->offset, "a buffer view is no SPZ");
+      ReadOptions options = options_;
+      options.spz_axes = kAxesGltf;
+      auto unpacked = decode_spz(view->bytes, options);
+      if (!unpacked) {
+        Error error = unpacked.error();
+        if (error.offset != Error::kNone) error.offset += view->offset;
+        return tl::unexpected(error);
+      }
+      file = std::move(*unpacked);
+      convert_axes(file.cloud, file.axes, kAxesGltf);
+      unpacked_bytes_ += bytes_of(file.cloud.size(), file.cloud.sh_degree);
+    }
+    const json* attributes = json_member(primitive, "attributes");
+    const json* position =
+        attributes != nullptr ? gltf_.element("accessors", json_member(*attributes, "POSITION")) : nullptr;
+    if (gltf_whole(primitive, "mode", 4) != std::uint64_t{kModePoints})
+      return gltf_.bad("the mode of a splat primitive is not POINTS");
+    if (position != nullptr && gltf_whole(*position, "count", std::nullopt) != file.cloud.size())
+      return gltf_.bad("an SPZ holds another number of Gaussians than its primitive", Errc::size_mismatch);
+    aa_mode = file.aa_mode;
+    SplatPrimitive out;
+    out.n = file.cloud.size();
+    out.sh_degree = file.cloud.sh_degree;
+    out.unpacked = &file.cloud;
+    return out;
+  }
+
   // The first primitive's statements hold for all.
-  Status read_stated(const json& primitive, const json& splats, const Similarity& similarity) {
+  Status read_stated(const json& primitive, const json* splats, const Similarity& similarity) {
     has_stated_ = true;
-    const json* space = json_member(splats, "colorSpace");
+    const json* space = splats != nullptr ? json_member(*splats, "colorSpace") : nullptr;
     if (space != nullptr && *space == "lin_rec709_display") stated_.colour_space = ColourSpace::linear_display;
     if (const json* extras = json_member(primitive, "extras"); extras != nullptr && !read_extras(*extras, stated_)) {
       return gltf_.bad("a primitive's extras.rgs has an invalid value", Errc::bad_value);
@@ -321,11 +390,12 @@ class SceneWalk {
   }
 
   GltfDocument& gltf_;
-  std::uint64_t max_n_;
+  const ReadOptions& options_;
   std::vector<bool> visited_;
   std::vector<Mesh> meshes_;
   std::vector<Instance> instances_;
-  std::uint64_t n_ = 0, bytes_ = 0;
+  std::map<std::uint64_t, SplatFile> unpacked_;  // of SPZ, by buffer view
+  std::uint64_t n_ = 0, bytes_ = 0, packed_bytes_ = 0, unpacked_bytes_ = 0;
   int sh_degree_ = 0;
   StatedScene stated_{.axes = kAxesGltf};
   bool has_stated_ = false;
@@ -446,12 +516,12 @@ std::string make_json(const SplatView& splats, const StatedScene& stated, Buffer
   return text;
 }
 
-Result<SplatFile> read_scene(GltfDocument& gltf, const DecodeLimits& limits) {
-  const json first = 0;
+Result<SplatFile> read_scene(GltfDocument& gltf, const ReadOptions& options) {
+  const json first = 0U;
   const json* stated = json_member(gltf.root(), "scene");
   const json* scene = gltf.element("scenes", stated != nullptr ? stated : &first);
   if (scene == nullptr) return gltf.bad("the glTF has no scene");
-  SceneWalk walk(gltf, limits.max_gaussians);
+  SceneWalk walk(gltf, options);
   if (const Status s = walk.visit(json_member(*scene, "nodes"), {}, 0); !s) return tl::unexpected(s.error());
   if (!walk.found()) {
     return gltf.bad("the glTF's scene shows no primitive with KHR_gaussian_splatting", Errc::not_gaussian_splats);
@@ -459,6 +529,7 @@ Result<SplatFile> read_scene(GltfDocument& gltf, const DecodeLimits& limits) {
   SplatFile file;
   file.format = SplatFormat::glb;
   file.bytes = gltf.bytes();
+  file.unused = walk.unused();
   walk.stated().copy_to(file);
   auto cloud = walk.read(file.origin, file.position_rounding);
   if (!cloud) return tl::unexpected(cloud.error());
@@ -478,14 +549,14 @@ bool is_gltf_text(std::span<const std::byte> bytes) {
          is_json_with(bytes, "\"accessors\"");
 }
 
-Result<SplatFile> decode_gltf(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+Result<SplatFile> decode_gltf(std::span<const std::byte> bytes, const ReadOptions& options) {
   auto gltf = is_gltf_text(bytes) ? GltfDocument::open_text(bytes, {}) : GltfDocument::open_glb(bytes);
   if (!gltf) return tl::unexpected(gltf.error());
-  return read_scene(*gltf, limits);
+  return read_scene(*gltf, options);
 }
 
 Result<SplatFile> decode_gltf_folder(std::span<const std::byte> bytes, const std::string& folder,
-                                     const DecodeLimits& limits) {
+                                     const ReadOptions& options) {
   std::deque<MappedFile> files;
   auto gltf = GltfDocument::open_text(bytes, [&](const std::string& name) -> Result<std::span<const std::byte>> {
     auto file = MappedFile::open(folder + "/" + name);
@@ -496,7 +567,7 @@ Result<SplatFile> decode_gltf_folder(std::span<const std::byte> bytes, const std
     return files.emplace_back(std::move(*file)).bytes();
   });
   if (!gltf) return tl::unexpected(gltf.error());
-  return read_scene(*gltf, limits);
+  return read_scene(*gltf, options);
 }
 
 Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const WriteOptions& options) {

@@ -243,7 +243,7 @@ constexpr Format kFormats[] = {
     {{SplatFormat::glb, "glb", "", "glTF 2.0 with KHR_gaussian_splatting, also .gltf; written as .glb",
       "FP32; read from integers of 8 and 16 bits too",
       kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
-     detail::is_gltf, read_within<detail::decode_gltf>, detail::encode_glb},
+     detail::is_gltf, detail::decode_gltf, detail::encode_glb},
     {{SplatFormat::spz, "spz", "", "Niantic, versions 2 and 3 (gzip) and 4 (zstd)",
       "mean 24 bits; rotation 32 (version 2: 24); scale, opacity, colour 8; harmonics 5 and 4",
       kAxes3dgs, 3, true, {.aa_mode = true}},
@@ -403,9 +403,9 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     }
     const std::string parent = std::filesystem::path(path).parent_path().string(),
                       folder = parent.empty() ? "." : parent;
-    const auto decode = is_gltf ? detail::decode_gltf_folder : detail::decode_sog_folder;
-    return finish(decode(file->bytes(), folder, options.limits), is_gltf ? SplatFormat::glb : SplatFormat::sog, 0,
-                  options);
+    return is_gltf
+               ? finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options)
+               : finish(detail::decode_sog_folder(file->bytes(), folder, options.limits), SplatFormat::sog, 0, options);
   });
 }
 

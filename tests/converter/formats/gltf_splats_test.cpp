@@ -478,6 +478,110 @@ TEST_CASE("damaged .gltf files are refused or read, but never crash") {
   }
 }
 
+namespace {
+
+// A .glb whose primitive is `spz`.
+Bytes glb_of_spz(
+    const Bytes& spz, std::uint64_t n, const std::string& extension,
+    const std::function<void(json&)>& edit = [](json&) {}) {
+  json primitive = json::parse(R"({"mode": 0, "attributes": {"POSITION": 0}, "extensions": {}})");
+  json& extensions = primitive["extensions"];
+  if (extension.starts_with("KHR_gaussian_splatting")) {
+    extensions["KHR_gaussian_splatting"] = {{"kernel", "ellipse"}, {"colorSpace", "lin_rec709_display"}};
+    extensions["KHR_gaussian_splatting"]["extensions"][extension]["bufferView"] = 0;
+  } else {
+    extensions[extension]["bufferView"] = 0;
+  }
+  json root = json::parse(R"({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+                              "accessors": [{"componentType": 5126, "type": "VEC3"}],
+                              "buffers": [{}], "bufferViews": [{"buffer": 0}], "meshes": [{}]})");
+  root["meshes"][0]["primitives"] = json::array({primitive});
+  root["accessors"][0]["count"] = n;
+  root["buffers"][0]["byteLength"] = root["bufferViews"][0]["byteLength"] = spz.size();
+  edit(root);
+  return make_glb(root, spz);
+}
+
+}  // namespace
+
+TEST_CASE(".glb: a primitive may be an SPZ, in the frame of glTF or the one that it declares") {
+  const SplatCloud cloud = ordinary_cloud(40, 2, 8);
+  for (const int version : {2, 3, 4}) {
+    WriteOptions write;
+    write.spz_version = version;
+    write.aa_mode = AaMode::mip_splatting;
+    const Bytes spz = encode_splats(cloud.view(), SplatFormat::spz, write).value();
+    const SplatCloud expected = read_splats(spz, kKeepAxes)->cloud;
+    for (const char* extension : {"KHR_gaussian_splatting_compression_spz_2", "KHR_gaussian_splatting_compression_spz",
+                                  "KHR_spz_gaussian_splats_compression"}) {
+      CAPTURE(version);
+      CAPTURE(extension);
+      const auto file = read_splats(glb_of_spz(spz, 40, extension), kKeepAxes);
+      REQUIRE(file);
+      CHECK(file->axes == kAxesGltf);
+      CHECK(file->aa_mode == AaMode::mip_splatting);
+      CHECK((file->colour_space == ColourSpace::linear_display) == (extension[4] == 'g'));
+      CHECK(file->cloud.mean == expected.mean);
+      CHECK(file->cloud.rotation == expected.rotation);
+      CHECK(file->cloud.log_scale == expected.log_scale);
+      CHECK(file->cloud.opacity_logit == expected.opacity_logit);
+      CHECK(file->cloud.sh == expected.sh);
+    }
+  }
+  const Bytes spz = encode_splats(cloud.view(), SplatFormat::spz).value();
+  const auto twice = read_splats(glb_of_spz(spz, 40, "KHR_gaussian_splatting_compression_spz_2",
+                                            [](json& r) {
+                                              r["nodes"].push_back({{"mesh", 0}, {"translation", {0, 0, 3}}});
+                                              r["scenes"][0]["nodes"] = {0, 1};
+                                            }),
+                                 kKeepAxes);
+  REQUIRE(twice);
+  CHECK(twice->cloud.size() == 80);
+  CHECK(twice->cloud.mean[3 * 40 + 2] == twice->cloud.mean[2] + 3);
+}
+
+TEST_CASE(".glb: an SPZ that is damaged, overlaps another or unfolds too far is refused") {
+  const Bytes spz = encode_splats(ordinary_cloud(400, 0, 8).view(), SplatFormat::spz).value();
+  const std::string extension = "KHR_gaussian_splatting_compression_spz_2";
+  const auto refused = [&](const Bytes& glb, Errc code, std::uint64_t offset, const DecodeLimits& limits = {}) {
+    ReadOptions options = kKeepAxes;
+    options.limits = limits;
+    const auto file = read_splats(glb, options);
+    REQUIRE_FALSE(file);
+    CHECK(std::string(errc_name(file.error().code)) == errc_name(code));
+    CHECK(file.error().offset == offset);
+  };
+  const auto edited = [&](const std::function<void(json&)>& edit) { return glb_of_spz(spz, 400, extension, edit); };
+  const auto spz_at = [](const Bytes& glb) { return 28 + get<std::uint32_t>(glb, 12); };
+  const Bytes whole = edited([](json&) {});
+  REQUIRE(read_splats(whole));
+  refused(edited([](json& r) { r["accessors"][0]["count"] = 399; }), Errc::size_mismatch, 20);
+  refused(edited([](json& r) { r["meshes"][0]["primitives"][0]["mode"] = 4; }), Errc::bad_syntax, 20);
+  refused(edited([](json& r) { r["bufferViews"].clear(); }), Errc::bad_syntax, 20);
+  Bytes other = whole;
+  put(other, spz_at(whole), std::uint8_t{0});
+  refused(other, Errc::bad_magic, spz_at(whole));
+  const Bytes cut = edited([&](json& r) { r["bufferViews"][0]["byteLength"] = spz.size() - 9; });
+  refused(cut, Errc::truncated, spz_at(cut) + spz.size() - 9);
+  DecodeLimits limits;
+  limits.max_gaussians = 399;
+  CHECK(read_splats(whole, {limits}).error().code == Errc::limit_exceeded);
+  limits = {};
+  limits.max_decoded_bytes = 1000;
+  CHECK(read_splats(whole, {limits}).error().code == Errc::limit_exceeded);
+  refused(edited([&](json& r) {
+            json& primitives = r["meshes"][0]["primitives"];
+            for (std::size_t i = 1; i < 4; ++i) {
+              r["bufferViews"].push_back(r["bufferViews"][0]);
+              primitives.push_back(primitives[0]);
+              primitives[i]["extensions"]["KHR_gaussian_splatting"]["extensions"][extension]["bufferView"] = i;
+            }
+          }),
+          Errc::limit_exceeded, 20);
+  check_hostile(glb_of_spz(encode_splats(ordinary_cloud(2, 0, 8).view(), SplatFormat::spz).value(), 2, extension), 9,
+                1000);
+}
+
 TEST_CASE(".glb: no mesh of a node is dropped silently") {
   const Bytes bytes = encode_splats(ordinary_cloud(4, 2, 3).view(), SplatFormat::glb).value();
   const auto refused = [&](const std::function<void(json&)>& edit, Errc code) {
