@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "json_member.hpp"
+#include "meshopt.hpp"
 #include "quantised.hpp"
 #include "signature.hpp"
 
@@ -143,7 +144,7 @@ Status GltfArray::check() const {
 
 // ---- the document ---------------------------------------------------------------------------------------------------
 
-Result<GltfDocument> GltfDocument::open_glb(std::span<const std::byte> bytes) {
+Result<GltfDocument> GltfDocument::open_glb(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   if (bytes.size() < kGlbHeaderBytes + kChunkHeaderBytes) {
     return make_error(Errc::truncated, bytes.size(), "the file ends inside its header",
                       kGlbHeaderBytes + kChunkHeaderBytes, bytes.size());
@@ -160,6 +161,7 @@ Result<GltfDocument> GltfDocument::open_glb(std::span<const std::byte> bytes) {
   GltfDocument document;
   document.json_offset_ = kGlbHeaderBytes + kChunkHeaderBytes;
   document.bytes_ = bytes.size();
+  document.limits_ = limits;
   bool first = true;
   for (std::uint64_t at = kGlbHeaderBytes; at < length;) {
     if (length - at < kChunkHeaderBytes)
@@ -183,9 +185,11 @@ Result<GltfDocument> GltfDocument::open_glb(std::span<const std::byte> bytes) {
   return document;
 }
 
-Result<GltfDocument> GltfDocument::open_text(std::span<const std::byte> bytes, FetchFile fetch) {
+Result<GltfDocument> GltfDocument::open_text(std::span<const std::byte> bytes, const DecodeLimits& limits,
+                                             FetchFile fetch) {
   GltfDocument document;
   document.bytes_ = bytes.size();
+  document.limits_ = limits;
   document.fetch_ = std::move(fetch);
   if (const Status s = document.parse(bytes); !s) return tl::unexpected(s.error());
   return document;
@@ -248,18 +252,64 @@ Result<GltfDocument::View> GltfDocument::buffer(const json* index) {
   return buffers_.emplace(name, View{*bytes, 0, nullptr}).first->second;
 }
 
-Result<GltfDocument::View> GltfDocument::view(const json* index) {
-  const json* stated = element("bufferViews", index);
-  if (stated == nullptr) return bad("a buffer view is missing");
-  const auto whole = buffer(json_member(*stated, "buffer"));
+Result<GltfDocument::View> GltfDocument::stored_view(const json& object) {
+  const auto whole = buffer(json_member(object, "buffer"));
   if (!whole) return whole;
-  const auto offset = gltf_whole(*stated, "byteOffset", 0), bytes = gltf_whole(*stated, "byteLength", std::nullopt);
+  const auto offset = gltf_whole(object, "byteOffset", 0), bytes = gltf_whole(object, "byteLength", std::nullopt);
   if (!offset || !bytes) return bad("a number of a buffer view is missing or out of range");
   if (*offset > whole->bytes.size() || *bytes > whole->bytes.size() - *offset) {
     return make_error(Errc::truncated, whole->offset, "a buffer view ends past the end of its buffer", *offset + *bytes,
                       whole->bytes.size());
   }
-  return View{whole->bytes.subspan(*offset, *bytes), whole->offset + *offset, stated};
+  return View{whole->bytes.subspan(*offset, *bytes), whole->offset + *offset, &object};
+}
+
+Result<GltfDocument::View> GltfDocument::view(const json* index) {
+  const json* stated = element("bufferViews", index);
+  if (stated == nullptr) return bad("a buffer view is missing");
+  if (const json* extensions = json_member(*stated, "extensions")) {
+    for (const char* name : {"KHR_meshopt_compression", "EXT_meshopt_compression"}) {
+      const json* meshopt = json_member(*extensions, name);
+      if (meshopt == nullptr) continue;
+      const auto number = index->get<std::uint64_t>();
+      if (const auto known = unpacked_.find(number); known != unpacked_.end()) return known->second;
+      const auto unpacked = unpack(*stated, *meshopt);
+      if (unpacked) unpacked_.emplace(number, *unpacked);
+      return unpacked;
+    }
+  }
+  return stored_view(*stated);
+}
+
+Status GltfDocument::add_unpacked(std::uint64_t stored_bytes, std::uint64_t bytes_as_floats) {
+  packed_bytes_ += stored_bytes;
+  unpacked_bytes_ += bytes_as_floats;
+  if (packed_bytes_ <= bytes_) return {};
+  return bad("compressed buffer views overlap", Errc::limit_exceeded, bytes_, packed_bytes_);
+}
+
+Result<GltfDocument::View> GltfDocument::unpack(const json& view, const json& meshopt) {
+  const auto stored = stored_view(meshopt);
+  if (!stored) return stored;
+  const json *mode = json_member(meshopt, "mode"), *named = json_member(meshopt, "filter");
+  const auto n = gltf_whole(meshopt, "count", std::nullopt), stride = gltf_whole(meshopt, "byteStride", std::nullopt);
+  const json none = "NONE";
+  const auto filter = named != nullptr && !named->is_string()
+                          ? std::nullopt
+                          : meshopt_filter_of_text((named == nullptr ? none : *named).get_ref<const std::string&>());
+  if (mode == nullptr || *mode != "ATTRIBUTES" || !filter)
+    return bad("a meshopt buffer view has a mode or filter that splats have not", Errc::unsupported_feature);
+  if (!n || !stride || *stride > 256 || gltf_whole(view, "byteLength", std::nullopt) != *n * *stride)
+    return bad("a meshopt buffer view has not as many bytes as its elements");
+  decoded_bytes_ += *n * *stride;
+  if (const Status s = check_expansion(decoded_bytes_, bytes_, stored->offset, limits_); !s)
+    return tl::unexpected(s.error());
+  constexpr std::uint64_t kMostFloats = 4;  // of a byte
+  if (const Status s = add_unpacked(stored->bytes.size(), kMostFloats * *n * *stride); !s)
+    return tl::unexpected(s.error());
+  auto elements = decode_meshopt(stored->bytes, *n, *stride, *filter, stored->offset);
+  if (!elements) return tl::unexpected(elements.error());
+  return View{decoded_.emplace_back(std::move(*elements)), stored->offset, &view};
 }
 
 Result<GltfDocument::View> GltfDocument::elements(const View& view, const json& object, std::uint64_t n,

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "quantised.hpp"
+#include "rgs/decode.hpp"
 #include "rgs/result.hpp"
 
 namespace rgs::detail {
@@ -65,14 +66,17 @@ class GltfDocument {
 
   /// A whole .glb, which must outlive the document. Errors: truncated, bad_magic, unsupported_version, trailing_bytes,
   /// bad_header, bad_syntax.
-  static Result<GltfDocument> open_glb(std::span<const std::byte> bytes);
+  static Result<GltfDocument> open_glb(std::span<const std::byte> bytes, const DecodeLimits& limits);
   /// A .gltf. Errors: bad_syntax.
-  static Result<GltfDocument> open_text(std::span<const std::byte> bytes, FetchFile fetch);
+  static Result<GltfDocument> open_text(std::span<const std::byte> bytes, const DecodeLimits& limits, FetchFile fetch);
 
   const nlohmann::json& root() const { return root_; }
   /// Element `index` of the root's array `name`; null if either is absent or of another type.
   const nlohmann::json* element(const char* name, const nlohmann::json* index) const;
   std::uint64_t bytes() const { return bytes_; }  ///< of the file and of files that arrays were in so far
+  /// Counts a compressed buffer view. Errors: limit_exceeded (they overlap, so that a little file holds many).
+  Status add_unpacked(std::uint64_t stored_bytes, std::uint64_t bytes_as_floats);
+  std::uint64_t unpacked_bytes() const { return unpacked_bytes_; }  ///< of these, as floats
   /// An error at the JSON's begin.
   tl::unexpected<Error> bad(const char* what, Errc code = Errc::bad_syntax, std::uint64_t expected = Error::kNone,
                             std::uint64_t found = Error::kNone) const;
@@ -82,8 +86,8 @@ class GltfDocument {
     std::uint64_t offset = 0;  ///< in the .glb or buffer
     const nlohmann::json* stated = nullptr;
   };
-  /// The buffer view `index`. Errors: bad_syntax, unsupported_feature (outside the document's folder), truncated, those
-  /// of FetchFile.
+  /// The buffer view `index`, decompressed. Errors: bad_syntax, unsupported_feature (outside the document's folder),
+  /// truncated, limit_exceeded, those of FetchFile and decode_meshopt().
   Result<View> view(const nlohmann::json* index);
   /// The array of the accessor `index`, whose elements have `n_components`. Errors: bad_syntax, unsupported_feature (of
   /// another type than `types` and floats), those of view().
@@ -93,17 +97,22 @@ class GltfDocument {
   Status parse(std::span<const std::byte> bytes);
   Result<View> buffer(const nlohmann::json* index);
   Result<View> decode_data(const std::string& uri);
+  /// What `object`, a buffer view or the object of an extension of it, shows of its buffer.
+  Result<View> stored_view(const nlohmann::json& object);
+  Result<View> unpack(const nlohmann::json& view, const nlohmann::json& meshopt);
   /// `n` elements of `element_bytes` each from the member byteOffset of `object` on.
   Result<View> elements(const View& view, const nlohmann::json& object, std::uint64_t n, std::uint64_t element_bytes,
                         std::uint64_t stride) const;
   Status add_sparse(const nlohmann::json& sparse, GltfArray& array);
 
   nlohmann::json root_;
-  std::uint64_t json_offset_ = 0, bytes_ = 0;
+  std::uint64_t json_offset_ = 0, bytes_ = 0, packed_bytes_ = 0, unpacked_bytes_ = 0, decoded_bytes_ = 0;
+  DecodeLimits limits_;
   View bin_;  // of a .glb
   FetchFile fetch_;
   std::map<std::string, View> buffers_;         // by URI
-  std::deque<std::vector<std::byte>> decoded_;  // data URIs
+  std::map<std::uint64_t, View> unpacked_;      // by buffer view
+  std::deque<std::vector<std::byte>> decoded_;  // data URIs and compressed buffer views
 };
 
 }  // namespace rgs::detail

@@ -276,7 +276,7 @@ class SceneWalk {
     if (mesh.n > max_n - n_) {
       return gltf_.bad("more Gaussians than the caller allows", Errc::limit_exceeded, max_n, n_ + mesh.n);
     }
-    const std::uint64_t max_bytes = kMaxUnfolding * gltf_.bytes() + kUnfoldingAnyway + unpacked_bytes_;
+    const std::uint64_t max_bytes = kMaxUnfolding * gltf_.bytes() + kUnfoldingAnyway + gltf_.unpacked_bytes();
     if (mesh.bytes > max_bytes - bytes_) {
       return gltf_.bad("instances of meshes expand to more than 64 times the file's bytes", Errc::limit_exceeded,
                        max_bytes, bytes_ + mesh.bytes);
@@ -333,9 +333,7 @@ class SceneWalk {
     const auto [place, is_new] = unpacked_.try_emplace(index->get<std::uint64_t>());
     SplatFile& file = place->second;
     if (is_new) {
-      packed_bytes_ += view->bytes.size();
-      if (packed_bytes_ > gltf_.bytes())
-        return gltf_.bad("buffer views of SPZ overlap", Errc::limit_exceeded, gltf_.bytes(), packed_bytes_);
+      if (const Status s = gltf_.add_unpacked(view->bytes.size(), 0); !s) return tl::unexpected(s.error());
       if (!is_spz(view->bytes)) return make_error(Errc::bad_magic, view->offset, "a buffer view is no SPZ");
       ReadOptions options = options_;
       options.spz_axes = kAxesGltf;
@@ -347,7 +345,8 @@ class SceneWalk {
       }
       file = std::move(*unpacked);
       convert_axes(file.cloud, file.axes, kAxesGltf);
-      unpacked_bytes_ += bytes_of(file.cloud.size(), file.cloud.sh_degree);
+      if (const Status s = gltf_.add_unpacked(0, bytes_of(file.cloud.size(), file.cloud.sh_degree)); !s)
+        return tl::unexpected(s.error());
     }
     const json* attributes = json_member(primitive, "attributes");
     const json* position =
@@ -395,7 +394,7 @@ class SceneWalk {
   std::vector<Mesh> meshes_;
   std::vector<Instance> instances_;
   std::map<std::uint64_t, SplatFile> unpacked_;  // of SPZ, by buffer view
-  std::uint64_t n_ = 0, bytes_ = 0, packed_bytes_ = 0, unpacked_bytes_ = 0;
+  std::uint64_t n_ = 0, bytes_ = 0;
   int sh_degree_ = 0;
   StatedScene stated_{.axes = kAxesGltf};
   bool has_stated_ = false;
@@ -550,7 +549,8 @@ bool is_gltf_text(std::span<const std::byte> bytes) {
 }
 
 Result<SplatFile> decode_gltf(std::span<const std::byte> bytes, const ReadOptions& options) {
-  auto gltf = is_gltf_text(bytes) ? GltfDocument::open_text(bytes, {}) : GltfDocument::open_glb(bytes);
+  auto gltf = is_gltf_text(bytes) ? GltfDocument::open_text(bytes, options.limits, {})
+                                  : GltfDocument::open_glb(bytes, options.limits);
   if (!gltf) return tl::unexpected(gltf.error());
   return read_scene(*gltf, options);
 }
@@ -558,14 +558,15 @@ Result<SplatFile> decode_gltf(std::span<const std::byte> bytes, const ReadOption
 Result<SplatFile> decode_gltf_folder(std::span<const std::byte> bytes, const std::string& folder,
                                      const ReadOptions& options) {
   std::deque<MappedFile> files;
-  auto gltf = GltfDocument::open_text(bytes, [&](const std::string& name) -> Result<std::span<const std::byte>> {
-    auto file = MappedFile::open(folder + "/" + name);
-    if (!file) {
-      return make_error(file.error().code, Error::kNone, "a buffer's file beside the .gltf cannot be opened",
-                        Error::kNone, Error::kNone, file.error().system);
-    }
-    return files.emplace_back(std::move(*file)).bytes();
-  });
+  auto gltf = GltfDocument::open_text(
+      bytes, options.limits, [&](const std::string& name) -> Result<std::span<const std::byte>> {
+        auto file = MappedFile::open(folder + "/" + name);
+        if (!file) {
+          return make_error(file.error().code, Error::kNone, "a buffer's file beside the .gltf cannot be opened",
+                            Error::kNone, Error::kNone, file.error().system);
+        }
+        return files.emplace_back(std::move(*file)).bytes();
+      });
   if (!gltf) return tl::unexpected(gltf.error());
   return read_scene(*gltf, options);
 }

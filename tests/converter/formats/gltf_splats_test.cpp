@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "complexity.hpp"
+#include "golden_files.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/splat_edit.hpp"
 #include "temporary_folder.hpp"
@@ -580,6 +581,102 @@ TEST_CASE(".glb: an SPZ that is damaged, overlaps another or unfolds too far is 
           Errc::limit_exceeded, 20);
   check_hostile(glb_of_spz(encode_splats(ordinary_cloud(2, 0, 8).view(), SplatFormat::spz).value(), 2, extension), 9,
                 1000);
+}
+
+// Of tests/golden/gltf: buffer views by meshoptimizer, with what it decodes as the uncompressed fallback.
+TEST_CASE(".glb: meshopt buffer views hold what their encoder's own decoder gives") {
+  for (const char* name : {"meshopt_version0.glb", "meshopt_version1.glb"}) {
+    CAPTURE(name);
+    const Bytes glb = read_bytes(golden_folder() / "gltf" / name);
+    const auto packed = read_splats(glb, kKeepAxes);
+    REQUIRE(packed);
+    const auto fallback = read_edited(glb, [](json& root) {
+      for (json& view : root["bufferViews"]) view.erase("extensions");
+    });
+    REQUIRE(fallback);
+    REQUIRE(packed->cloud.size() == 3 * 49);
+    CHECK(packed->cloud.mean == fallback->cloud.mean);
+    CHECK(packed->cloud.sh == fallback->cloud.sh);
+    constexpr float kCode = 1.001F / 32767;  // filters may differ by one code, except the exponential one
+    for (std::uint64_t i = 0; i < packed->cloud.size(); ++i) {
+      const Splat a = packed->cloud.view().splat(i), b = fallback->cloud.view().splat(i);
+      CHECK(std::abs(opacity_from_logit(a.opacity_logit) - opacity_from_logit(b.opacity_logit)) <= kCode);
+      for (int k = 0; k < 4; ++k) CHECK(std::abs(a.rotation[k] - b.rotation[k]) <= kCode);
+      for (int k = 0; k < 3; ++k) CHECK(std::abs(std::exp(a.log_scale[k]) - std::exp(b.log_scale[k])) <= kCode);
+    }
+  }
+}
+
+TEST_CASE(".glb: meshopt buffer views that are damaged, of another mode, or unfold too far are refused") {
+  const Bytes glb = read_bytes(golden_folder() / "gltf/meshopt_version1.glb");
+  const json root = json_of(glb);
+  const std::uint64_t bin = 28 + get<std::uint32_t>(glb, 12);
+  const json& first = root["bufferViews"][0]["extensions"]["KHR_meshopt_compression"];
+  const std::uint64_t at = first["byteOffset"], size = first["byteLength"];
+  const auto refused = [](const Result<SplatFile>& file, Errc code, std::uint64_t offset) {
+    REQUIRE_FALSE(file);
+    CHECK(std::string(errc_name(file.error().code)) == errc_name(code));
+    CHECK(file.error().offset == offset);
+  };
+  const auto edited = [&](const std::function<void(json&, json&)>& edit, Errc code, bool in_json = true,
+                          std::uint64_t within = 0) {
+    json changed = root;
+    edit(changed["bufferViews"][0], changed["bufferViews"][0]["extensions"]["KHR_meshopt_compression"]);
+    const Bytes file = with_json(glb, changed);
+    refused(read_splats(file), code, in_json ? 20 : 28 + get<std::uint32_t>(file, 12) + at + within);
+  };
+  edited([](json&, json& m) { m["mode"] = "TRIANGLES"; }, Errc::unsupported_feature);
+  edited([](json&, json& m) { m["filter"] = "BEST"; }, Errc::unsupported_feature);
+  edited([](json&, json& m) { m["filter"] = 1; }, Errc::unsupported_feature);
+  edited([](json&, json& m) { m["count"] = 48; }, Errc::bad_syntax);
+  edited([](json&, json& m) { m["byteStride"] = 264; }, Errc::bad_syntax);
+  edited([](json&, json& m) { m["buffer"] = 1; }, Errc::bad_syntax);
+  edited([](json& v, json& m) { m["byteStride"] = 66, m["count"] = 98, v["byteStride"] = 66; }, Errc::bad_header,
+         false);
+  edited([](json&, json& m) { m["filter"] = "QUATERNION"; }, Errc::bad_header, false);
+  edited([&](json&, json& m) { m["byteLength"] = 60; }, Errc::truncated, false, 60);
+  edited([](json& v, json& m) { m["count"] = 30000000, v["byteLength"] = 30000000ULL * 132; }, Errc::limit_exceeded,
+         false);
+  edited([](json& v, json& m) { m["count"] = 100000, v["byteLength"] = 100000 * 132; }, Errc::truncated, false, size);
+  const auto changed = [&](std::uint64_t within, std::uint8_t value) {
+    Bytes file = glb;
+    put(file, bin + at + within, value);
+    return read_splats(file);
+  };
+  refused(changed(0, 0xE1), Errc::unsupported_feature, bin + at);
+  refused(changed(size - 1, 3), Errc::bad_value, bin + at + size - 1);
+  refused(changed(size - 1, 0x11), Errc::bad_value, bin + at + size - 1);
+  const auto longer = read_edited(glb, [](json& r) {
+    json& view = r["bufferViews"][0];
+    view["byteLength"] = 48 * 132;
+    view["extensions"]["KHR_meshopt_compression"]["count"] = 48;
+  });
+  REQUIRE_FALSE(longer);
+  CHECK(longer.error().code == Errc::trailing_bytes);
+  CHECK(longer.error().offset > bin + at);
+  // Views that share their bytes would decompress them over and over.
+  json many = root;
+  for (std::size_t i = 0; i < 20; ++i) {
+    many["bufferViews"].push_back(many["bufferViews"][0]);
+    many["accessors"].push_back(many["accessors"][0]);
+    many["accessors"].back()["bufferView"] = many["bufferViews"].size() - 1;
+    json primitive = many["meshes"][0]["primitives"][0];
+    primitive["attributes"]["POSITION"] = many["accessors"].size() - 1;
+    many["meshes"][0]["primitives"].push_back(primitive);
+  }
+  refused(read_splats(with_json(glb, many)), Errc::limit_exceeded, 20);
+  // Each change of a byte of the streams is refused or read.
+  SplitMix random(4);
+  for (const char* name : {"meshopt_version0.glb", "meshopt_version1.glb"}) {
+    const Bytes whole = read_bytes(golden_folder() / "gltf" / name);
+    for (int i = 0; i < 500; ++i) {
+      Bytes damaged = whole;
+      const std::uint64_t begin = 28 + get<std::uint32_t>(whole, 12);
+      put(damaged, begin + random.below(whole.size() - begin), static_cast<std::uint8_t>(random.below(256)));
+      const auto file = read_splats(damaged);
+      if (!file) check_refusal(file, damaged.size());
+    }
+  }
 }
 
 TEST_CASE(".glb: no mesh of a node is dropped silently") {
