@@ -436,7 +436,8 @@ class BufferBuilder {
   std::uint64_t begin_view(std::uint64_t bytes_each) {
     const std::uint64_t start = bin_.size();
     bin_.resize(start + bytes_each * n_);  // a multiple of four bytes: the next array is aligned
-    views_.push_back({{"buffer", 0}, {"byteOffset", start}, {"byteLength", bytes_each * n_}});
+    constexpr int kVertices = 34962;
+    views_.push_back({{"buffer", 0}, {"byteOffset", start}, {"byteLength", bytes_each * n_}, {"target", kVertices}});
     return start;
   }
   std::size_t add_accessor(ordered_json accessor) {
@@ -460,16 +461,24 @@ void add_bounds(ordered_json& accessor, std::span<const float> mean) {
   accessor["max"] = high;
 }
 
-ordered_json add_attributes(const SplatView& splats, BufferBuilder& buffer) {
+// sRGB's decoding of 0..1, which COLOR_0 asks for: its values are linear whatever the splats' are.
+double linear_from_srgb(double value) {
+  const double v = std::clamp(value, 0.0, 1.0);
+  return v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4);
+}
+
+ordered_json add_attributes(const SplatView& splats, const StatedScene& stated, BufferBuilder& buffer) {
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(splats.sh_degree));
   ordered_json attributes;
   const std::size_t position =
       buffer.add_floats("VEC3", 3, [&](std::uint64_t i, std::uint64_t k) { return splats.mean[3 * i + k]; });
   add_bounds(buffer.accessor(position), splats.mean);
   attributes["POSITION"] = position;
+  const bool is_linear = stated.colour_space == ColourSpace::linear_display;
   attributes["COLOR_0"] = buffer.add_colours([&](std::uint64_t i, std::uint64_t k) {
-    return k < 3 ? colour_from_dc(splats.sh[floats * i + k])
-                 : static_cast<double>(opacity_from_logit(splats.opacity_logit[i]));
+    if (k == 3) return static_cast<double>(opacity_from_logit(splats.opacity_logit[i]));
+    const double colour = colour_from_dc(splats.sh[floats * i + k]);
+    return is_linear ? colour : linear_from_srgb(colour);
   });
   attributes[attribute("ROTATION")] = buffer.add_floats("VEC4", 4, [&](std::uint64_t i, std::uint64_t k) {
     const float* q = &splats.rotation[4 * i];
@@ -490,7 +499,7 @@ ordered_json add_attributes(const SplatView& splats, BufferBuilder& buffer) {
 }
 
 std::string make_json(const SplatView& splats, const StatedScene& stated, BufferBuilder& buffer) {
-  const ordered_json attributes = add_attributes(splats, buffer);
+  const ordered_json attributes = add_attributes(splats, stated, buffer);
   ordered_json root;
   root["asset"] = {{"version", "2.0"}, {"generator", "RoofGS"}};
   root["extensionsUsed"] = {kExtension};

@@ -134,6 +134,22 @@ TEST_CASE(".glb writes what glTF requires") {
   CHECK(root["buffers"][0]["byteLength"] == bytes.size() - 28 - get<std::uint32_t>(bytes, 12));
 }
 
+TEST_CASE(".glb: COLOR_0, for viewers that show points, is linear") {
+  SplatCloud cloud = ordinary_cloud(1, 0, 1);
+  cloud.opacity_logit[0] = 0;
+  cloud.sh = {0, 10, -10};  // colours of 1/2, above 1 and below 0
+  for (const ColourSpace space : {ColourSpace::srgb_display, ColourSpace::linear_display}) {
+    const Bytes bytes = encode_splats(cloud.view(), SplatFormat::glb, {.colour_space = space}).value();
+    const json root = json_of(bytes);
+    const json& accessor =
+        root["accessors"][root["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"].get<std::size_t>()];
+    const std::uint64_t at = root["bufferViews"][accessor["bufferView"].get<std::size_t>()]["byteOffset"];
+    const Bytes bin = bin_of(bytes);
+    const std::array<int, 4> expected{space == ColourSpace::srgb_display ? 55 : 128, 255, 0, 128};
+    for (std::uint64_t k = 0; k < 4; ++k) CHECK(get<std::uint8_t>(bin, at + k) == expected[k]);
+  }
+}
+
 TEST_CASE(".glb: nodes move, turn and scale their meshes, however often they show them") {
   const SplatCloud cloud = ordinary_cloud(50, 3, 2);
   const Bytes bytes = encode_splats(cloud.view(), SplatFormat::glb).value();
