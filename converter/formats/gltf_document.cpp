@@ -226,30 +226,33 @@ Result<GltfDocument::View> GltfDocument::decode_data(const std::string& uri) {
 Result<GltfDocument::View> GltfDocument::buffer(const json* index) {
   const json* stated = element("buffers", index);
   if (stated == nullptr) return bad("a buffer is missing");
+  const auto number = index->get<std::uint64_t>();
+  if (const auto known = buffers_.find(number); known != buffers_.end()) return known->second;
   const json* uri = json_member(*stated, "uri");
-  if (uri == nullptr && *index == 0 && bin_.offset != 0) return bin_;
+  if (uri == nullptr && number == 0 && bin_.offset != 0) return bin_;
   if (uri == nullptr || !uri->is_string())
     return bad("a buffer has no data here: another extension compresses it", Errc::unsupported_feature);
   const auto& name = uri->get_ref<const std::string&>();
-  if (const auto known = buffers_.find(name); known != buffers_.end()) return known->second;
-  if (name.starts_with("data:")) {
-    const auto data = decode_data(name);
-    if (data) buffers_.emplace(name, *data);
-    return data;
-  }
+  const auto found = name.starts_with("data:") ? decode_data(name) : open_file(name);
+  if (found) buffers_.emplace(number, *found);
+  return found;
+}
+
+Result<GltfDocument::View> GltfDocument::open_file(const std::string& uri) {
   if (!fetch_) {
     return bad("a buffer is in a file of its own: name the .gltf's file, or pack both into one .glb",
                Errc::unsupported_feature);
   }
-  const auto path = file_within_folder(name);
+  const auto path = file_within_folder(uri);
   if (!path) {
     return bad("a buffer is outside the .gltf's folder: copy it there, or pack both into one .glb",
                Errc::unsupported_feature);
   }
+  if (const auto known = files_.find(*path); known != files_.end()) return known->second;
   const auto bytes = fetch_(*path);
   if (!bytes) return tl::unexpected(bytes.error());
   bytes_ += bytes->size();
-  return buffers_.emplace(name, View{*bytes, 0, nullptr}).first->second;
+  return files_.emplace(*path, View{*bytes, 0, nullptr}).first->second;
 }
 
 Result<GltfDocument::View> GltfDocument::stored_view(const json& object) {

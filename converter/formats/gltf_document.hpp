@@ -97,6 +97,7 @@ class GltfDocument {
   Status parse(std::span<const std::byte> bytes);
   Result<View> buffer(const nlohmann::json* index);
   Result<View> decode_data(const std::string& uri);
+  Result<View> open_file(const std::string& uri);
   /// What `object`, a buffer view or the object of an extension of it, shows of its buffer.
   Result<View> stored_view(const nlohmann::json& object);
   Result<View> unpack(const nlohmann::json& view, const nlohmann::json& meshopt);
@@ -110,7 +111,8 @@ class GltfDocument {
   DecodeLimits limits_;
   View bin_;  // of a .glb
   FetchFile fetch_;
-  std::map<std::string, View> buffers_;         // by URI
+  std::map<std::uint64_t, View> buffers_;       // by number: comparing data: URIs would take time
+  std::map<std::string, View> files_;           // by path, so that each counts once
   std::map<std::uint64_t, View> unpacked_;      // by buffer view
   std::deque<std::vector<std::byte>> decoded_;  // data URIs and compressed buffer views
 };

@@ -784,6 +784,26 @@ TEST_CASE("growth: .glb: reading is linear in the Gaussians that nodes show") {
             500, [&](std::uint64_t n) { return many_instances(none, n, n); }, refuse) < kLinearGrowth);
 }
 
+TEST_CASE("growth: .gltf: reading is linear in the arrays of a data: URI") {
+  // n primitives with arrays of their own, in one buffer of 1000 n bytes.
+  const auto many_arrays = [](std::uint64_t n) {
+    const Bytes glb = encode_splats(ordinary_cloud(1, 0, 4).view(), SplatFormat::glb).value();
+    json root = json_of(glb);
+    Bytes bin = bin_of(glb);
+    bin.resize(1000 * n);
+    root["buffers"][0] = {{"byteLength", bin.size()}, {"uri", "data:;base64," + base64(bin)}};
+    json primitive = root["meshes"][0]["primitives"][0];
+    const json position = root["accessors"][0];
+    for (std::uint64_t i = 1; i < n; ++i) {
+      primitive["attributes"]["POSITION"] = root["accessors"].size();
+      root["accessors"].push_back(position);
+      root["meshes"][0]["primitives"].push_back(primitive);
+    }
+    return bytes_of(root.dump());
+  };
+  CHECK(growth(300, many_arrays, [](const Bytes& file) { CHECK(read_splats(file)); }) < kLinearGrowth);
+}
+
 TEST_CASE(".glb: the file's size bounds what its nodes may show") {
   for (const std::uint64_t n : {std::uint64_t{0}, std::uint64_t{1}}) {
     const auto refused = read_splats(many_instances(ordinary_cloud(n, 0, 4), 3000, 3000));
