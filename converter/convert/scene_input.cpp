@@ -61,8 +61,8 @@ std::uint64_t SceneInput::hash() const {
 
 Result<SplatFile> SceneInput::read(ReadOptions options) const {
   options.keep_axes = true;
-  // Read the hashed bytes, not the path, unless files beside it belong to it.
-  const bool folder = path_ != "-" && format_info(detect_format(bytes_)).in_folder;
+  // Read the hashed bytes, not the path, unless files beside it belong to it; a .glb begins with its name.
+  const bool folder = path_ != "-" && format_info(detect_format(bytes_)).in_folder && bytes_.front() != std::byte{'g'};
   return folder ? read_splats(path_, options) : read_splats(bytes_, options);
 }
 

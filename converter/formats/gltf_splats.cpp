@@ -1,6 +1,7 @@
-// gltf_splats.cpp - binary glTF 2.0 with KHR_gaussian_splatting (github.com/KhronosGroup/glTF): a POINTS primitive with
+// gltf_splats.cpp - glTF 2.0 with KHR_gaussian_splatting (github.com/KhronosGroup/glTF): a POINTS primitive with
 // the attributes POSITION and, each after "KHR_gaussian_splatting:", ROTATION (x, y, z, w), SCALE (activated), OPACITY
-// (activated) and SH_DEGREE_l_COEF_m. Scales are linear, not logarithms, as ratified and as files have them.
+// (activated) and SH_DEGREE_l_COEF_m. Scales are linear, not logarithms. After the release candidate of the extension as
+// of 17 July 2026.
 // SPDX-License-Identifier: Apache-2.0
 #include "gltf_splats.hpp"
 
@@ -8,19 +9,25 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <deque>
 #include <glm/geometric.hpp>
 #include <glm/gtc/type_ptr.hpp>
 #include <limits>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
 #include <utility>
 
+#include "gltf_document.hpp"
 #include "json_member.hpp"
 #include "matrix_similarity.hpp"
 #include "quantised.hpp"
+#include "rgs/file.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/splat_edit.hpp"
+#include "signature.hpp"
+#include "spz.hpp"
 #include "stated_scene.hpp"
 
 namespace rgs::detail {
@@ -29,12 +36,15 @@ namespace {
 using nlohmann::json;
 using nlohmann::ordered_json;
 
-constexpr std::uint32_t kMagicGlb = 0x46546C67, kChunkJson = 0x4E4F534A, kChunkBin = 0x004E4942;
-constexpr std::uint64_t kGlbHeaderBytes = 12, kChunkHeaderBytes = 8;
-constexpr int kComponentFloat = 5126, kComponentU8 = 5121, kModePoints = 0;
+constexpr int kModePoints = 0;
 constexpr const char* kExtension = "KHR_gaussian_splatting";
+// Their object names a buffer view that is an SPZ: two drafts inside the extension's object (pull request 2531 of
+// KhronosGroup/glTF), and one before them beside it.
+constexpr std::array kSpzExtensions{"KHR_gaussian_splatting_compression_spz_2",
+                                    "KHR_gaussian_splatting_compression_spz"};
+constexpr const char* kSpzAlone = "KHR_spz_gaussian_splats_compression";
 constexpr int kMaxNodeDepth = 64;
-// Instances and shared arrays may expand to 64 times the file's size, plus 1 MiB.
+// Instances and shared arrays may expand to 64 times the file's size, plus 1 MiB, and what is compressed once.
 constexpr std::uint64_t kMaxUnfolding = 64, kUnfoldingAnyway = std::uint64_t{1} << 20;
 
 std::string attribute(const std::string& name) {
@@ -48,116 +58,8 @@ std::string sh_attribute(int coefficient) {
 
 // ---- reading --------------------------------------------------------------------------------------------------------
 
-struct Glb {
-  json root;
-  std::span<const std::byte> bin;
-  std::uint64_t bin_offset = 0;
-};
-
-tl::unexpected<Error> bad_gltf(const char* what) {
-  return make_error(Errc::bad_syntax, kGlbHeaderBytes + kChunkHeaderBytes, what);
-}
-
-Result<Glb> parse_chunks(std::span<const std::byte> bytes) {
-  if (bytes.size() < kGlbHeaderBytes + kChunkHeaderBytes) {
-    return make_error(Errc::truncated, bytes.size(), "the file ends inside its header",
-                      kGlbHeaderBytes + kChunkHeaderBytes, bytes.size());
-  }
-  if (load<std::uint32_t>(bytes, 0) != kMagicGlb) return make_error(Errc::bad_magic, 0, "is not a binary glTF file");
-  if (load<std::uint32_t>(bytes, 4) != 2) {
-    return make_error(Errc::unsupported_version, 4, "a glTF version other than 2", 2, load<std::uint32_t>(bytes, 4));
-  }
-  const std::uint64_t length = load<std::uint32_t>(bytes, 8);
-  if (length > bytes.size())
-    return make_error(Errc::truncated, 8, "the file is shorter than its header says", length, bytes.size());
-  if (length < bytes.size())
-    return make_error(Errc::trailing_bytes, length, "bytes after the end that the header states");
-  Glb glb;
-  bool first = true;
-  for (std::uint64_t at = kGlbHeaderBytes; at < length;) {
-    if (length - at < kChunkHeaderBytes)
-      return make_error(Errc::truncated, at, "the file ends inside a chunk's header");
-    const std::uint64_t size = load<std::uint32_t>(bytes, at);
-    const auto type = load<std::uint32_t>(bytes, at + 4);
-    if (size > length - at - kChunkHeaderBytes) {
-      return make_error(Errc::truncated, at, "a chunk ends past the end of the file", size,
-                        length - at - kChunkHeaderBytes);
-    }
-    const auto data = bytes.subspan(at + kChunkHeaderBytes, size);
-    if (first) {
-      if (type != kChunkJson) return make_error(Errc::bad_header, at + 4, "the first chunk is not JSON");
-      const char* text = reinterpret_cast<const char*>(data.data());
-      glb.root = json::parse(text, text + data.size(), nullptr, false);
-      if (!glb.root.is_object()) return bad_gltf("the glTF's JSON does not parse");
-    } else if (type == kChunkBin && glb.bin_offset == 0) {
-      glb.bin = data;
-      glb.bin_offset = at + kChunkHeaderBytes;
-    }
-    first = false;
-    at += kChunkHeaderBytes + size;
-  }
-  return glb;
-}
-
-// Element `index` of the root's array `name`; null if either is absent or of another type.
-const json* element(const json& root, const char* name, const json* index) {
-  const json* array = json_member(root, name);
-  if (array == nullptr || !array->is_array() || index == nullptr || !index->is_number_unsigned()) return nullptr;
-  const auto i = index->get<std::uint64_t>();
-  return i < array->size() ? &(*array)[i] : nullptr;
-}
-
-// A member that is a count or an offset; `otherwise` if absent, nullopt if it is anything else or above 2^32.
-std::optional<std::uint64_t> whole(const json& object, const char* name, std::optional<std::uint64_t> otherwise) {
-  const json* value = json_member(object, name);
-  if (value == nullptr) return otherwise;
-  if (!value->is_number_unsigned()) return std::nullopt;
-  const auto number = value->get<std::uint64_t>();
-  return number <= std::numeric_limits<std::uint32_t>::max() ? std::optional(number) : std::nullopt;
-}
-
-// Floats [count, components] in the binary chunk.
-struct Accessor {
-  std::span<const std::byte> bytes;  // of the whole array
-  std::uint64_t count = 0, stride = 0;
-  float at(std::uint64_t i, std::uint64_t component) const { return load<float>(bytes, i * stride + 4 * component); }
-};
-
-Result<Accessor> find_accessor(const Glb& glb, const json& attributes, const std::string& name, const char* type,
-                               std::uint64_t components) {
-  const json* accessor = element(glb.root, "accessors", json_member(attributes, name.c_str()));
-  if (accessor == nullptr) return bad_gltf("a splat primitive lacks an attribute of KHR_gaussian_splatting");
-  const json* stated = json_member(*accessor, "type");
-  if (whole(*accessor, "componentType", 0) != std::uint64_t{kComponentFloat} || stated == nullptr || *stated != type ||
-      json_member(*accessor, "sparse") != nullptr) {
-    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "an attribute is sparse, or not of the usual shape in 32-bit floats");
-  }
-  const json* view = element(glb.root, "bufferViews", json_member(*accessor, "bufferView"));
-  if (view == nullptr || whole(*view, "buffer", std::nullopt) != std::uint64_t{0}) {
-    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "an attribute is compressed or outside the file's binary chunk");
-  }
-  const auto count = whole(*accessor, "count", std::nullopt), offset = whole(*accessor, "byteOffset", 0),
-             view_offset = whole(*view, "byteOffset", 0), view_bytes = whole(*view, "byteLength", std::nullopt),
-             stride = whole(*view, "byteStride", 4 * components);
-  if (!count || !offset || !view_offset || !view_bytes || !stride || *stride < 4 * components) {
-    return bad_gltf("a number of an accessor or buffer view is missing or out of range");
-  }
-  if (*view_offset > glb.bin.size() || *view_bytes > glb.bin.size() - *view_offset) {
-    return make_error(Errc::truncated, glb.bin_offset, "a buffer view ends past the end of the binary chunk",
-                      *view_offset + *view_bytes, glb.bin.size());
-  }
-  const std::uint64_t needed = *count == 0 ? 0 : (*count - 1) * *stride + 4 * components;  // below 2^64: 32-bit factors
-  if (*offset > *view_bytes || needed > *view_bytes - *offset) {
-    return make_error(Errc::truncated, glb.bin_offset + *view_offset,
-                      "an accessor ends past the end of its buffer view", *offset + needed, *view_bytes);
-  }
-  return Accessor{glb.bin.subspan(*view_offset + *offset, needed), *count, *stride};
-}
-
 // From the coefficients present. A missing one is an error: readers would lose the others silently.
-Result<int> degree_of(const json& attributes) {
+Result<int> degree_of(const GltfDocument& gltf, const json& attributes) {
   int degree = 0;
   while (degree < kMaxShDegree && json_member(attributes, sh_attribute(sh_coefficients(degree)).c_str()) != nullptr)
     ++degree;
@@ -165,8 +67,8 @@ Result<int> degree_of(const json& attributes) {
   std::int64_t n = 0;
   for (const auto& [name, index] : attributes.items()) n += name.starts_with(prefix) ? 1 : 0;
   if (n > sh_coefficients(degree)) {
-    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "a splat primitive has harmonics above degree 3, or lacks some below its highest");
+    return gltf.bad("a splat primitive has harmonics above degree 3, or lacks some below its highest",
+                    Errc::unsupported_feature);
   }
   return degree;
 }
@@ -175,10 +77,12 @@ Result<int> degree_of(const json& attributes) {
 struct SplatPrimitive {
   std::uint64_t n = 0;
   int sh_degree = 0;
-  Accessor position, rotation, scale, opacity;
-  std::vector<Accessor> sh;
+  GltfArray position, rotation, scale, opacity;
+  std::vector<GltfArray> sh;
+  const SplatCloud* unpacked = nullptr;  // instead of arrays, from an SPZ
 
   Splat splat(std::uint64_t i) const {
+    if (unpacked != nullptr) return unpacked->view().splat(i);
     Splat s;
     for (std::uint64_t k = 0; k < 3; ++k) {
       s.mean[k] = position.at(i, k);
@@ -190,38 +94,51 @@ struct SplatPrimitive {
     for (std::uint64_t k = 0; k < 3 * sh.size(); ++k) s.sh[k] = sh[k / 3].at(i, k % 3);
     return s;
   }
+  Status check() const {
+    for (const GltfArray* array : {&position, &rotation, &scale, &opacity}) {
+      if (const Status s = array->check(); !s) return s;
+    }
+    for (const GltfArray& array : sh) {
+      if (const Status s = array.check(); !s) return s;
+    }
+    return {};
+  }
 };
 
-Result<SplatPrimitive> find_primitive(const Glb& glb, const json& primitive) {
+// What the extension and, for POSITION, KHR_mesh_quantization allow besides floats.
+constexpr GltfTypes kPositionTypes{true, true, true, true}, kRotationTypes{true, false, false, true},
+    kScaleTypes{false, true, true, true}, kOpacityTypes{false, true, false, true}, kShTypes{};
+
+Result<SplatPrimitive> find_primitive(GltfDocument& gltf, const json& primitive) {
   const json* attributes = json_member(primitive, "attributes");
-  if (attributes == nullptr || whole(primitive, "mode", 4) != std::uint64_t{kModePoints}) {
-    return bad_gltf("a splat primitive has no attributes or its mode is not POINTS");
+  if (attributes == nullptr || gltf_whole(primitive, "mode", 4) != std::uint64_t{kModePoints}) {
+    return gltf.bad("a splat primitive has no attributes or its mode is not POINTS");
   }
-  const auto degree = degree_of(*attributes);
+  const auto degree = degree_of(gltf, *attributes);
   if (!degree) return tl::unexpected(degree.error());
   SplatPrimitive out;
   out.sh_degree = *degree;
   out.sh.resize(static_cast<std::size_t>(sh_coefficients(*degree)));
   struct Wanted {
     std::string name;
-    const char* type;
     std::uint64_t components;
-    Accessor& to;
+    const GltfTypes& types;
+    GltfArray& to;
   };
-  std::vector<Wanted> wanted{{"POSITION", "VEC3", 3, out.position},
-                             {attribute("ROTATION"), "VEC4", 4, out.rotation},
-                             {attribute("SCALE"), "VEC3", 3, out.scale},
-                             {attribute("OPACITY"), "SCALAR", 1, out.opacity}};
+  std::vector<Wanted> wanted{{"POSITION", 3, kPositionTypes, out.position},
+                             {attribute("ROTATION"), 4, kRotationTypes, out.rotation},
+                             {attribute("SCALE"), 3, kScaleTypes, out.scale},
+                             {attribute("OPACITY"), 1, kOpacityTypes, out.opacity}};
   for (int k = 0; k < sh_coefficients(*degree); ++k) {
-    wanted.push_back({sh_attribute(k), "VEC3", 3, out.sh[static_cast<std::size_t>(k)]});
+    wanted.push_back({sh_attribute(k), 3, kShTypes, out.sh[static_cast<std::size_t>(k)]});
   }
   for (const Wanted& w : wanted) {
-    const auto accessor = find_accessor(glb, *attributes, w.name, w.type, w.components);
-    if (!accessor) return tl::unexpected(accessor.error());
-    w.to = *accessor;
-    if (w.to.count != out.position.count) return bad_gltf("the attributes of a splat primitive differ in count");
+    auto array = gltf.array(json_member(*attributes, w.name.c_str()), w.components, w.types);
+    if (!array) return tl::unexpected(array.error());
+    w.to = std::move(*array);
+    if (w.to.size() != out.position.size()) return gltf.bad("the attributes of a splat primitive differ in count");
   }
-  out.n = out.position.count;
+  out.n = out.position.size();
   return out;
 }
 
@@ -237,7 +154,7 @@ bool read_numbers(const json& object, const char* name, std::span<double> out) {
   return true;
 }
 
-Result<Similarity> node_transform(const json& node) {
+Result<Similarity> node_transform(const GltfDocument& gltf, const json& node) {
   glm::dmat4 matrix(1.0);  // column-major, as in glTF
   glm::dvec3 translation{0, 0, 0}, scale{1, 1, 1};
   glm::dvec4 xyzw{0, 0, 0, 1};
@@ -245,12 +162,12 @@ Result<Similarity> node_transform(const json& node) {
       !read_numbers(node, "translation", {glm::value_ptr(translation), 3}) ||
       !read_numbers(node, "scale", {glm::value_ptr(scale), 3}) ||
       !read_numbers(node, "rotation", {glm::value_ptr(xyzw), 4})) {
-    return bad_gltf("a node's transform is not made of numbers");
+    return gltf.bad("a node's transform is not made of numbers");
   }
   const auto from_matrix = similarity_of(matrix);
   if (!from_matrix || !(glm::dot(xyzw, xyzw) > 0) || !(scale.x > 0) || scale.y != scale.x || scale.z != scale.x) {
-    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "a node shears, mirrors or scales unevenly, which Gaussians do not survive");
+    return gltf.bad("a node shears, mirrors or scales unevenly, which Gaussians do not survive",
+                    Errc::unsupported_feature);
   }
   const glm::dquat q(xyzw.w, xyzw.x, xyzw.y, xyzw.z);
   return compose(*from_matrix, {rotation_from_quaternion(q), scale.x, translation});
@@ -266,8 +183,7 @@ struct Instance {
 // once, however often the scene shows it.
 class SceneWalk {
  public:
-  SceneWalk(const Glb& glb, std::uint64_t max_n, std::uint64_t file_bytes)
-      : glb_(glb), max_n_(max_n), max_bytes_(kMaxUnfolding * file_bytes + kUnfoldingAnyway) {
+  SceneWalk(GltfDocument& gltf, const ReadOptions& options) : gltf_(gltf), options_(options) {
     visited_.resize(size_of("nodes"));
     meshes_.resize(size_of("meshes"));
   }
@@ -275,14 +191,14 @@ class SceneWalk {
   /// Visits the nodes of an index list and their descendants.
   Status visit(const json* indices, const Similarity& outer, int depth) {
     if (indices == nullptr) return {};
-    if (!indices->is_array()) return bad_gltf("the scene's nodes or a node's children are not an array");
+    if (!indices->is_array()) return gltf_.bad("the scene's nodes or a node's children are not an array");
     for (const json& index : *indices) {
-      const json* node = element(glb_.root, "nodes", &index);
+      const json* node = gltf_.element("nodes", &index);
       if (node == nullptr || depth > kMaxNodeDepth || visited_[index.get<std::size_t>()]) {
-        return bad_gltf("the nodes are not a tree of at most 64 levels");
+        return gltf_.bad("the nodes are not a tree of at most 64 levels");
       }
       visited_[index.get<std::size_t>()] = true;
-      const auto own = node_transform(*node);
+      const auto own = node_transform(gltf_, *node);
       if (!own) return tl::unexpected(own.error());
       const Similarity both = compose(outer, *own);
       if (const json* mesh = json_member(*node, "mesh")) {
@@ -294,21 +210,27 @@ class SceneWalk {
   }
   bool found() const { return !instances_.empty(); }
   const StatedScene& stated() const { return stated_; }
+  std::vector<std::string> unused() const {
+    std::vector<std::string> all;
+    for (const auto& [view, file] : unpacked_) all.insert(all.end(), file.unused.begin(), file.unused.end());
+    return all;
+  }
 
   /// Gaussians of all instances in order, the origin of their means, and the largest rounding of a coordinate.
-  SplatCloud read(Origin& origin, double& rounding) const {
+  Result<SplatCloud> read(Origin& origin, double& rounding) const {
     SplatCloud cloud;
     cloud.resize(0, sh_degree_);
     std::vector<ScenePart> parts;
     for (const Instance& instance : instances_) {
       ScenePart& own = parts.emplace_back();
-      SplatCloud part = read(instance, own.origin);
-      own.n = part.size();
+      auto part = read(instance, own.origin);
+      if (!part) return part;
+      own.n = part->size();
       if (instances_.size() == 1) {
         origin = own.origin;
         return part;
       }
-      append_splats(cloud, part);
+      append_splats(cloud, *part);
     }
     merge_parts(cloud, parts, origin);
     for (const ScenePart& part : parts) rounding = std::max(rounding, part.position_rounding);
@@ -323,27 +245,27 @@ class SceneWalk {
   };
 
   std::size_t size_of(const char* name) const {
-    const json* array = json_member(glb_.root, name);
+    const json* array = json_member(gltf_.root(), name);
     return array != nullptr && array->is_array() ? array->size() : 0;
   }
 
   Status add_mesh(const json& index, const Similarity& similarity) {
-    const json* stated = element(glb_.root, "meshes", &index);
-    if (stated == nullptr) return bad_gltf("a node refers to a mesh that does not exist");
+    const json* stated = gltf_.element("meshes", &index);
+    if (stated == nullptr) return gltf_.bad("a node refers to a mesh that does not exist");
     const auto number = index.get<std::size_t>();
     Mesh& mesh = meshes_[number];
     if (!mesh.known) {
       if (const Status s = find_primitives(*stated, similarity, mesh); !s) return s;
     }
     if (mesh.primitives.empty()) return {};
-    if (mesh.n > max_n_ - n_) {
-      return make_error(Errc::limit_exceeded, kGlbHeaderBytes + kChunkHeaderBytes,
-                        "more Gaussians than the caller allows", max_n_, n_ + mesh.n);
+    const std::uint64_t max_n = options_.limits.max_gaussians;
+    if (mesh.n > max_n - n_) {
+      return gltf_.bad("more Gaussians than the caller allows", Errc::limit_exceeded, max_n, n_ + mesh.n);
     }
-    if (mesh.bytes > max_bytes_ - bytes_) {
-      return make_error(Errc::limit_exceeded, kGlbHeaderBytes + kChunkHeaderBytes,
-                        "instances of meshes expand to more than 64 times the file's bytes", max_bytes_,
-                        bytes_ + mesh.bytes);
+    const std::uint64_t max_bytes = kMaxUnfolding * gltf_.bytes() + kUnfoldingAnyway + gltf_.unpacked_bytes();
+    if (mesh.bytes > max_bytes - bytes_) {
+      return gltf_.bad("instances of meshes expand to more than 64 times the file's bytes", Errc::limit_exceeded,
+                       max_bytes, bytes_ + mesh.bytes);
     }
     n_ += mesh.n;
     bytes_ += mesh.bytes;
@@ -354,56 +276,110 @@ class SceneWalk {
   Status find_primitives(const json& stated, const Similarity& similarity, Mesh& mesh) {
     mesh.known = true;
     const json* primitives = json_member(stated, "primitives");
-    if (primitives == nullptr || !primitives->is_array()) return bad_gltf("a mesh has no primitives array");
+    if (primitives == nullptr || !primitives->is_array()) return gltf_.bad("a mesh has no primitives array");
     for (const json& primitive : *primitives) {
       const json* extensions = json_member(primitive, "extensions");
       const json* splats = extensions != nullptr ? json_member(*extensions, kExtension) : nullptr;
-      if (splats == nullptr) continue;
-      auto found = find_primitive(glb_, primitive);
+      const json* spz = extensions != nullptr ? spz_of(*extensions, splats) : nullptr;
+      if (splats == nullptr && spz == nullptr) continue;
+      AaMode aa_mode = AaMode::classic;
+      auto found = spz != nullptr ? unpack(primitive, *spz, aa_mode) : find_primitive(gltf_, primitive);
       if (!found) return tl::unexpected(found.error());
       if (!has_stated_) {
-        if (const Status s = read_stated(primitive, *splats, similarity); !s) return s;
+        stated_.aa_mode = aa_mode;
+        if (const Status s = read_stated(primitive, splats, similarity); !s) return s;
       }
       sh_degree_ = std::max(sh_degree_, found->sh_degree);
       mesh.n += found->n;
-      // Empty ones count too: visiting them takes time.
-      mesh.bytes += 4 * std::max<std::uint64_t>(found->n, 1) *
-                    static_cast<std::uint64_t>(11 + 3 * sh_coefficients(found->sh_degree));
+      mesh.bytes += bytes_of(found->n, found->sh_degree);
       mesh.primitives.push_back(std::move(*found));
     }
     return {};
   }
 
+  // As floats. Empty ones count too: visiting them takes time.
+  static std::uint64_t bytes_of(std::uint64_t n, int sh_degree) {
+    return 4 * std::max<std::uint64_t>(n, 1) * static_cast<std::uint64_t>(11 + 3 * sh_coefficients(sh_degree));
+  }
+
+  static const json* spz_of(const json& extensions, const json* splats) {
+    const json* inner = splats != nullptr ? json_member(*splats, "extensions") : nullptr;
+    for (const char* name : kSpzExtensions) {
+      if (const json* spz = inner != nullptr ? json_member(*inner, name) : nullptr) return spz;
+    }
+    return json_member(extensions, kSpzAlone);
+  }
+
+  // A primitive that is an SPZ. CesiumJS takes its coordinates for those of glTF, so this does, unless it declares its
+  // axes; the drafts ask for the half turn from SPZ's to glTF's.
+  Result<SplatPrimitive> unpack(const json& primitive, const json& spz, AaMode& aa_mode) {
+    const json* index = json_member(spz, "bufferView");
+    const auto view = gltf_.view(index);
+    if (!view) return tl::unexpected(view.error());
+    const auto [place, is_new] = unpacked_.try_emplace(index->get<std::uint64_t>());
+    SplatFile& file = place->second;
+    if (is_new) {
+      if (const Status s = gltf_.add_unpacked(view->bytes.size(), 0); !s) return tl::unexpected(s.error());
+      if (!is_spz(view->bytes)) return make_error(Errc::bad_magic, view->offset, "a buffer view is no SPZ");
+      ReadOptions options = options_;
+      options.spz_axes = kAxesGltf;
+      auto unpacked = decode_spz(view->bytes, options);
+      if (!unpacked) {
+        Error error = unpacked.error();
+        if (error.offset != Error::kNone) error.offset += view->offset;
+        return tl::unexpected(error);
+      }
+      file = std::move(*unpacked);
+      convert_axes(file.cloud, file.axes, kAxesGltf);
+      if (const Status s = gltf_.add_unpacked(0, bytes_of(file.cloud.size(), file.cloud.sh_degree)); !s)
+        return tl::unexpected(s.error());
+    }
+    const json* attributes = json_member(primitive, "attributes");
+    const json* position =
+        attributes != nullptr ? gltf_.element("accessors", json_member(*attributes, "POSITION")) : nullptr;
+    if (gltf_whole(primitive, "mode", 4) != std::uint64_t{kModePoints})
+      return gltf_.bad("the mode of a splat primitive is not POINTS");
+    if (position != nullptr && gltf_whole(*position, "count", std::nullopt) != file.cloud.size())
+      return gltf_.bad("an SPZ holds another number of Gaussians than its primitive", Errc::size_mismatch);
+    aa_mode = file.aa_mode;
+    SplatPrimitive out;
+    out.n = file.cloud.size();
+    out.sh_degree = file.cloud.sh_degree;
+    out.unpacked = &file.cloud;
+    return out;
+  }
+
   // The first primitive's statements hold for all.
-  Status read_stated(const json& primitive, const json& splats, const Similarity& similarity) {
+  Status read_stated(const json& primitive, const json* splats, const Similarity& similarity) {
     has_stated_ = true;
-    const json* space = json_member(splats, "colorSpace");
+    const json* space = splats != nullptr ? json_member(*splats, "colorSpace") : nullptr;
     if (space != nullptr && *space == "lin_rec709_display") stated_.colour_space = ColourSpace::linear_display;
     if (const json* extras = json_member(primitive, "extras"); extras != nullptr && !read_extras(*extras, stated_)) {
-      return make_error(Errc::bad_value, kGlbHeaderBytes + kChunkHeaderBytes,
-                        "a primitive's extras.rgs has an invalid value");
+      return gltf_.bad("a primitive's extras.rgs has an invalid value", Errc::bad_value);
     }
     stated_.metres_per_unit = static_cast<float>(static_cast<double>(stated_.metres_per_unit) / similarity.scale);
     return {};
   }
 
-  SplatCloud read(const Instance& instance, Origin& origin) const {
+  Result<SplatCloud> read(const Instance& instance, Origin& origin) const {
     const Mesh& mesh = meshes_[instance.mesh];
     SplatCloud cloud;
     cloud.resize(mesh.n, sh_degree_);
     std::uint64_t at = 0;
     for (const SplatPrimitive& primitive : mesh.primitives) {
+      if (const Status s = primitive.check(); !s) return tl::unexpected(s.error());
       for (std::uint64_t i = 0; i < primitive.n; ++i) cloud.set(at++, primitive.splat(i));
     }
     transform_splats(cloud, origin, instance.similarity);
     return cloud;
   }
 
-  const Glb& glb_;
-  std::uint64_t max_n_, max_bytes_;
+  GltfDocument& gltf_;
+  const ReadOptions& options_;
   std::vector<bool> visited_;
   std::vector<Mesh> meshes_;
   std::vector<Instance> instances_;
+  std::map<std::uint64_t, SplatFile> unpacked_;  // of SPZ, by buffer view
   std::uint64_t n_ = 0, bytes_ = 0;
   int sh_degree_ = 0;
   StatedScene stated_{.axes = kAxesGltf};
@@ -426,7 +402,7 @@ class BufferBuilder {
         store(std::span(bin_), start + 4 * (components * i + k), static_cast<float>(value(i, k)));
       }
     }
-    return add_accessor({{"componentType", kComponentFloat}, {"count", n_}, {"type", type}});
+    return add_accessor({{"componentType", GltfComponent::f32}, {"count", n_}, {"type", type}});
   }
   template <class Value>
   std::size_t add_colours(const Value& value) {
@@ -435,7 +411,7 @@ class BufferBuilder {
       for (std::uint64_t k = 0; k < 4; ++k)
         bin_[start + 4 * i + k] = static_cast<std::byte>(unit_code(value(i, k), 255));
     }
-    return add_accessor({{"componentType", kComponentU8}, {"normalized", true}, {"count", n_}, {"type", "VEC4"}});
+    return add_accessor({{"componentType", GltfComponent::u8}, {"normalized", true}, {"count", n_}, {"type", "VEC4"}});
   }
   ordered_json& accessor(std::size_t i) { return accessors_[i]; }
   const ordered_json& views() const { return views_; }
@@ -446,7 +422,8 @@ class BufferBuilder {
   std::uint64_t begin_view(std::uint64_t bytes_each) {
     const std::uint64_t start = bin_.size();
     bin_.resize(start + bytes_each * n_);  // a multiple of four bytes: the next array is aligned
-    views_.push_back({{"buffer", 0}, {"byteOffset", start}, {"byteLength", bytes_each * n_}});
+    constexpr int kVertices = 34962;
+    views_.push_back({{"buffer", 0}, {"byteOffset", start}, {"byteLength", bytes_each * n_}, {"target", kVertices}});
     return start;
   }
   std::size_t add_accessor(ordered_json accessor) {
@@ -470,16 +447,24 @@ void add_bounds(ordered_json& accessor, std::span<const float> mean) {
   accessor["max"] = high;
 }
 
-ordered_json add_attributes(const SplatView& splats, BufferBuilder& buffer) {
+// sRGB's decoding of 0..1, which COLOR_0 asks for: its values are linear whatever the splats' are.
+double linear_from_srgb(double value) {
+  const double v = std::clamp(value, 0.0, 1.0);
+  return v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4);
+}
+
+ordered_json add_attributes(const SplatView& splats, const StatedScene& stated, BufferBuilder& buffer) {
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(splats.sh_degree));
   ordered_json attributes;
   const std::size_t position =
       buffer.add_floats("VEC3", 3, [&](std::uint64_t i, std::uint64_t k) { return splats.mean[3 * i + k]; });
   add_bounds(buffer.accessor(position), splats.mean);
   attributes["POSITION"] = position;
+  const bool is_linear = stated.colour_space == ColourSpace::linear_display;
   attributes["COLOR_0"] = buffer.add_colours([&](std::uint64_t i, std::uint64_t k) {
-    return k < 3 ? colour_from_dc(splats.sh[floats * i + k])
-                 : static_cast<double>(opacity_from_logit(splats.opacity_logit[i]));
+    if (k == 3) return static_cast<double>(opacity_from_logit(splats.opacity_logit[i]));
+    const double colour = colour_from_dc(splats.sh[floats * i + k]);
+    return is_linear ? colour : linear_from_srgb(colour);
   });
   attributes[attribute("ROTATION")] = buffer.add_floats("VEC4", 4, [&](std::uint64_t i, std::uint64_t k) {
     const float* q = &splats.rotation[4 * i];
@@ -500,7 +485,7 @@ ordered_json add_attributes(const SplatView& splats, BufferBuilder& buffer) {
 }
 
 std::string make_json(const SplatView& splats, const StatedScene& stated, BufferBuilder& buffer) {
-  const ordered_json attributes = add_attributes(splats, buffer);
+  const ordered_json attributes = add_attributes(splats, stated, buffer);
   ordered_json root;
   root["asset"] = {{"version", "2.0"}, {"generator", "RoofGS"}};
   root["extensionsUsed"] = {kExtension};
@@ -525,27 +510,60 @@ std::string make_json(const SplatView& splats, const StatedScene& stated, Buffer
   return text;
 }
 
-}  // namespace
-
-Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  const auto glb = parse_chunks(bytes);
-  if (!glb) return tl::unexpected(glb.error());
-  const json first = 0;
-  const json* stated = json_member(glb->root, "scene");
-  const json* scene = element(glb->root, "scenes", stated != nullptr ? stated : &first);
-  if (scene == nullptr) return bad_gltf("the glTF has no scene");
-  SceneWalk walk(*glb, limits.max_gaussians, bytes.size());
+Result<SplatFile> read_scene(GltfDocument& gltf, const ReadOptions& options) {
+  const json first = 0U;
+  const json* stated = json_member(gltf.root(), "scene");
+  const json* scene = gltf.element("scenes", stated != nullptr ? stated : &first);
+  if (scene == nullptr) return gltf.bad("the glTF has no scene");
+  SceneWalk walk(gltf, options);
   if (const Status s = walk.visit(json_member(*scene, "nodes"), {}, 0); !s) return tl::unexpected(s.error());
   if (!walk.found()) {
-    return make_error(Errc::not_gaussian_splats, kGlbHeaderBytes + kChunkHeaderBytes,
-                      "the glTF's scene shows no primitive with KHR_gaussian_splatting");
+    return gltf.bad("the glTF's scene shows no primitive with KHR_gaussian_splatting", Errc::not_gaussian_splats);
   }
   SplatFile file;
   file.format = SplatFormat::glb;
-  file.bytes = bytes.size();
+  file.bytes = gltf.bytes();
+  file.unused = walk.unused();
   walk.stated().copy_to(file);
-  file.cloud = walk.read(file.origin, file.position_rounding);
+  auto cloud = walk.read(file.origin, file.position_rounding);
+  if (!cloud) return tl::unexpected(cloud.error());
+  file.cloud = *std::move(cloud);
   return file;
+}
+
+}  // namespace
+
+bool is_gltf(std::span<const std::byte> bytes) {
+  return begins_with(bytes, "glTF") || is_gltf_text(bytes);
+}
+
+bool is_gltf_text(std::span<const std::byte> bytes) {
+  // One of them is before the end of the first long text, a data: URI.
+  return is_json_with(bytes, "\"buffers\"") || is_json_with(bytes, "\"bufferViews\"") ||
+         is_json_with(bytes, "\"accessors\"");
+}
+
+Result<SplatFile> decode_gltf(std::span<const std::byte> bytes, const ReadOptions& options) {
+  auto gltf = is_gltf_text(bytes) ? GltfDocument::open_text(bytes, options.limits, {})
+                                  : GltfDocument::open_glb(bytes, options.limits);
+  if (!gltf) return tl::unexpected(gltf.error());
+  return read_scene(*gltf, options);
+}
+
+Result<SplatFile> decode_gltf_folder(std::span<const std::byte> bytes, const std::string& folder,
+                                     const ReadOptions& options) {
+  std::deque<MappedFile> files;
+  auto gltf = GltfDocument::open_text(
+      bytes, options.limits, [&](const std::string& name) -> Result<std::span<const std::byte>> {
+        auto file = MappedFile::open(folder + "/" + name);
+        if (!file) {
+          return make_error(file.error().code, Error::kNone, "a buffer's file beside the .gltf cannot be opened",
+                            Error::kNone, Error::kNone, file.error().system);
+        }
+        return files.emplace_back(std::move(*file)).bytes();
+      });
+  if (!gltf) return tl::unexpected(gltf.error());
+  return read_scene(*gltf, options);
 }
 
 Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const WriteOptions& options) {

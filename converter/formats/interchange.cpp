@@ -67,10 +67,6 @@ bool is_ply(Bytes bytes) {
   return detail::begins_with(bytes, "ply");
 }
 
-bool is_glb(Bytes bytes) {
-  return detail::begins_with(bytes, "glTF");
-}
-
 Result<SplatFile> decode_plain(Bytes bytes, const DecodeLimits& limits) {
   const auto view = FileView::open(bytes, limits);
   if (!view) return tl::unexpected(view.error());
@@ -246,10 +242,10 @@ constexpr Format kFormats[] = {
       "FP32; damaged Gaussians too",
       kAxes3dgs, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, true},
      is_ply, read_within<decode_ply>, encode_ply},
-    {{SplatFormat::glb, "glb", "", "glTF 2.0 with KHR_gaussian_splatting, 32-bit floats",
-      "FP32",
-      kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
-     is_glb, read_within<detail::decode_glb>, detail::encode_glb},
+    {{SplatFormat::glb, "glb", "", "glTF 2.0 with KHR_gaussian_splatting, also .gltf; written as .glb",
+      "FP32; read from integers of 8 and 16 bits too",
+      kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, false, true},
+     detail::is_gltf, detail::decode_gltf, detail::encode_glb},
     {{SplatFormat::usda, "usda", "", "OpenUSD 26.03, text with ParticleField3DGaussianSplat",
       "FP32; read from FP16 or 32",
       kAxesOpenGl, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
@@ -317,7 +313,6 @@ constexpr Foreign kForeign[] = {
     {detail::begins_with, "PXR-USDC", detail::kUsdCrate},
     {detail::is_json_with, "\"geometricError\"",
      "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
-    {detail::is_json_with, "\"bufferViews\"", "a .gltf is not read: pack it with its buffers into one .glb"},
     {detail::begins_with, "\x93NUMPY",
      "one array, a .npy, is not read: put gsplat's arrays into one .npz (numpy.savez)"},
 };
@@ -434,14 +429,18 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     if (!file) return tl::unexpected(file.error());
     const std::string parent = std::filesystem::path(path).parent_path().string(),
                       folder = parent.empty() ? "." : parent;
+    const bool maybe_gltf = options.format == SplatFormat::unknown || options.format == SplatFormat::glb;
+    const bool is_gltf = maybe_gltf && detail::is_gltf_text(file->bytes());
     const bool is_lcc = detail::is_lcc(file->bytes()) || detail::is_lcc2(file->bytes());
-    if (is_lcc || !detail::is_sog_meta(file->bytes())) {
+    if (is_lcc || (!is_gltf && !detail::is_sog_meta(file->bytes()))) {
       auto splats = is_lcc ? read_lcc(file->bytes(), folder, options) : read_splats(file->bytes(), options);
       // A change of the file explains any other error.
       if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
       return splats;
     }
-    return finish(detail::decode_sog_folder(file->bytes(), folder, options.limits), SplatFormat::sog, 0, options);
+    return is_gltf
+               ? finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options)
+               : finish(detail::decode_sog_folder(file->bytes(), folder, options.limits), SplatFormat::sog, 0, options);
   });
 }
 

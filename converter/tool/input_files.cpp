@@ -81,7 +81,7 @@ void InputFiles::add_scene(const std::string& path) {
   const std::string ending = lower_case(place.extension().string());
   std::vector<std::string> beside;
   if (place.filename() == "meta.json") beside = files_of(folder, std::array<std::string_view, 1>{".webp"});
-  if (ending == ".lcc") beside = files_of(folder, std::array<std::string_view, 1>{".bin"});
+  if (ending == ".lcc" || ending == ".gltf") beside = files_of(folder, std::array<std::string_view, 1>{".bin"});
   if (ending == ".lcc2") beside = files_of(folder / "data" / "3dgs", std::array<std::string_view, 2>{".sog", ".spz"});
   for (const std::string& file : beside) add(file);
 }

@@ -19,6 +19,7 @@ namespace rgs::tool {
 namespace {
 
 const std::string kStreamedSog = "lod-meta.json";
+constexpr std::string_view kGltfText = ".gltf";  // never an output, so unknown to format_of_name()
 
 using Identity = std::pair<std::uint64_t, std::uint64_t>;  // device and inode
 
@@ -45,6 +46,9 @@ SplatFormat format_of(std::span<const std::byte> bytes, SplatFormat by_name) {
     return is_scene && by_name != SplatFormat::unknown ? format : SplatFormat::unknown;
   }
   if (by_name != SplatFormat::unknown) return format;
+  // Other .gltf files are no scenes, nor is any other JSON with such a key.
+  if (format == SplatFormat::glb && !text.starts_with("glTF") && text.find("\"KHR_gaussian_splatting") == text.npos)
+    return SplatFormat::unknown;
   if (format == SplatFormat::sog && text.starts_with("PK") && directory.find("meta.json") == text.npos)
     return SplatFormat::unknown;
   if (format == SplatFormat::ply && !text.starts_with("ply\n") && !text.starts_with("ply\r"))
@@ -102,7 +106,7 @@ class Walk {
 
   SceneList finish() {
     std::ranges::sort(list_.scenes, {}, &ListedScene::name);
-    // A SOG's pictures do not count as other files, nor an LCC's.
+    // A SOG's pictures, the buffers of a .gltf and the files of an LCC do not count as other files.
     list_.n_others -= std::min(list_.n_others, n_beside_);
     return std::move(list_);
   }
@@ -166,6 +170,7 @@ std::vector<std::string> files_of_scene(const std::string& path) {
 }
 
 std::string scene_stem(const std::string& name) {
+  if (name.ends_with(kGltfText)) return name.substr(0, name.size() - kGltfText.size());
   const SplatFormat format = format_of_name(name);
   if (format == SplatFormat::unknown) return name;
   // The ending of a SOG's meta.json is no format's.

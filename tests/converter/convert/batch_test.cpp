@@ -209,6 +209,31 @@ TEST_CASE("an unzipped SOG is one scene, including its pictures") {
   CHECK(convert_all(f.command()).count("kept") == 1);
 }
 
+TEST_CASE("a .gltf is one scene, including its buffer; one without splats is none") {
+  const Folders f(1);
+  const std::string scene = f.file("scene.glb");
+  const auto alone = [](const std::vector<std::string>& arguments) { return run_program(program(arguments)); };
+  REQUIRE(alone({f.in + "/a.ply", scene}).exit_code == 0);
+  const std::string glb = read_text(scene);
+  const std::size_t json_bytes =
+      std::to_integer<std::size_t>(std::byte(glb[12])) + 256 * std::to_integer<std::size_t>(std::byte(glb[13]));
+  json root = json::parse(glb.substr(20, json_bytes));
+  root["buffers"][0]["uri"] = "house.bin";
+  write_text(f.in + "/house.gltf", root.dump());
+  write_text(f.in + "/house.bin", glb.substr(28 + json_bytes));
+  write_text(f.in + "/mesh.gltf", R"({"asset": {"version": "2.0"}, "meshes": [], "accessors": []})");
+  const Batch run = convert_all(f.command());
+  INFO(run.err);
+  CHECK(run.exit_code == 0);
+  CHECK(run.n_lines == 2);
+  CHECK(run.lines.at("house.gltf")["status"] == "converted");
+  CHECK(run.err.find("1 other file") != std::string::npos);
+  // The program reads it alone, too, and keeps its buffer.
+  CHECK(alone({f.in + "/house.gltf", f.file("one.rgs")}).exit_code == 0);
+  CHECK(read_text(f.file("one.rgs")) == read_text(f.out + "/house.rgs"));
+  CHECK(alone({f.in + "/house.gltf", f.in + "/house.bin", "--to", "ply", "--overwrite"}).exit_code == 2);
+}
+
 TEST_CASE("finished scenes are recognised by content, not by name or time") {
   const Folders f(4);
   REQUIRE(convert_all(f.command()).count("converted") == 4);

@@ -215,7 +215,6 @@ TEST_CASE("formats that are not read are named, with what to do, and so is an em
       {"RADC....{\"version\":1}", ".rad of Spark"},
       {std::string("PXR-USDC") + std::string(80, '\0'), "OpenUSD"},
       {R"({"asset":{"version":"1.1"},"geometricError":8,"root":{}})", "3D Tiles"},
-      {R"({"asset":{"version":"2.0"},"bufferViews":[],"meshes":[]})", ".gltf"},
       {std::string("\x93NUMPY\1\0v", 9) + std::string(90, ' '), ".npy"}};
   for (const auto& [text, named] : files) {
     const std::string what = named;

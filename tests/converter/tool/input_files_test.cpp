@@ -42,20 +42,25 @@ TEST_CASE("names of one file clash, whether it exists or not, and others do not"
   fs::current_path(before);
 }
 
-TEST_CASE("a COLMAP model's files, a SOG's pictures, an LCC's files and photographs are inputs; others there are not") {
+TEST_CASE(
+    "a COLMAP model's files, a SOG's pictures, the files of a glTF or an LCC and photographs are inputs; others are "
+    "not") {
   const TemporaryFolder folder;
-  for (const char* name : {"sparse/0", "photos", "sog", "lcc/data/3dgs"}) fs::create_directories(folder.path() / name);
-  for (const char* name :
-       {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG", "photos/report.html", "sog/meta.json",
-        "sog/sh0.webp", "sog/scene.ply", "lcc/data.bin", "lcc/a.lcc", "lcc/a.lcc2", "lcc/b.sog", "lcc/data/3dgs/0.sog"})
+  for (const char* name : {"sparse/0", "photos", "sog", "gltf", "lcc/data/3dgs"})
+    fs::create_directories(folder.path() / name);
+  for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG", "photos/report.html",
+                           "sog/meta.json", "sog/sh0.webp", "sog/scene.ply", "gltf/a.gltf", "gltf/a.bin", "gltf/a.png",
+                           "lcc/data.bin", "lcc/a.lcc", "lcc/a.lcc2", "lcc/b.sog", "lcc/data/3dgs/0.sog"})
     write_text(folder.file(name), "x");
   InputFiles inputs;
   inputs.add_cameras(folder.path().string());
   inputs.add_pictures(folder.file("photos"));
-  for (const char* scene : {"sog/meta.json", "lcc/a.lcc", "lcc/a.lcc2"}) inputs.add_scene(folder.file(scene));
+  for (const char* scene : {"sog/meta.json", "gltf/a.gltf", "lcc/a.lcc", "lcc/a.lcc2"})
+    inputs.add_scene(folder.file(scene));
   CHECK(inputs.paths() == std::vector{folder.file("sparse/0/images.bin"), folder.file("photos/a.JPG"),
                                       folder.file("sog/meta.json"), folder.file("sog/sh0.webp"),
-                                      folder.file("lcc/a.lcc"), folder.file("lcc/data.bin"), folder.file("lcc/a.lcc2"),
+                                      folder.file("gltf/a.gltf"), folder.file("gltf/a.bin"), folder.file("lcc/a.lcc"),
+                                      folder.file("lcc/data.bin"), folder.file("lcc/a.lcc2"),
                                       folder.file("lcc/data/3dgs/0.sog")});
 }
 

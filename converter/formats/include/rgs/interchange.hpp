@@ -30,7 +30,7 @@ enum class SplatFormat : std::uint8_t {
   splat,           ///< 32 bytes a Gaussian, no harmonics
   ksplat,          ///< GaussianSplats3D, levels 0 to 2; written with level 1
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; written zipped
-  glb,             ///< binary glTF with KHR_gaussian_splatting, 32-bit floats
+  glb,             ///< glTF with KHR_gaussian_splatting, also .gltf; written as .glb
   usda,            ///< OpenUSD text with ParticleField3DGaussianSplat
   usdz,            ///< OpenUSD package of a .usda
   npz,             ///< NumPy archive of gsplat's parameters
