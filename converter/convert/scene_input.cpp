@@ -62,7 +62,8 @@ std::uint64_t SceneInput::hash() const {
 Result<SplatFile> SceneInput::read(ReadOptions options) const {
   options.keep_axes = true;
   // Read the hashed bytes, not the path, unless files beside it belong to it: a SOG may be a folder.
-  const bool folder = path_ != "-" && detect_format(bytes_) == SplatFormat::sog;
+  const SplatFormat format = detect_format(bytes_);
+  const bool folder = path_ != "-" && (format == SplatFormat::sog || format == SplatFormat::ssog);
   return folder ? read_splats(path_, options) : read_splats(bytes_, options);
 }
 

@@ -26,6 +26,7 @@
 #include "splat_records.hpp"
 #include "spz.hpp"
 #include "stated_scene.hpp"
+#include "streamed_sog.hpp"
 #include "torch_checkpoint.hpp"
 #include "write_report.hpp"
 
@@ -260,6 +261,10 @@ constexpr Format kFormats[] = {
       "FP16, 32 or 64",
       kAxes3dgs, 3, false, {.origin = true}},
      detail::is_torch_checkpoint, read_within<detail::decode_torch_checkpoint>},
+    {{SplatFormat::ssog, "ssog", "lod-meta.json", "PlayCanvas, streamed SOG, a folder or zipped; written of an .rgs with levels",
+      "as .sog",
+      kAxes3dgs, 3, true, {.levels = true, .aa_mode = true}},
+     detail::is_streamed_sog, detail::decode_streamed_sog},
     {{SplatFormat::sog, "sog", "meta.json", "PlayCanvas, versions 1 and 2, zipped or beside its WebP images; written zipped",
       "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
       kAxes3dgs, 3, true, {.aa_mode = true}},
@@ -288,14 +293,10 @@ struct Foreign {
   std::string_view sign;
   const char* advice;
 };
-constexpr const char* kStreamedSog =
-    "a streamed SOG, whose SOGs hold parts of a scene, is not read: convert the scene that it was made from";
 constexpr const char* kSpark = "a .rad of Spark is not read: convert the scene that it was made from";
 constexpr const char* kLcc2 = "an .lcc2 of XGRIDS is not read: convert the .sog, .spz or .ply files in its data folder";
 constexpr const char* kOpenUsd = "OpenUSD is not read: export the scene as .ply or .glb";
 constexpr Foreign kForeign[] = {
-    {detail::is_json_with, "\"lodLevels\"", kStreamedSog},
-    {detail::is_zip_with, "lod-meta.json", kStreamedSog},
     {detail::begins_with, "RAD0", kSpark},
     {detail::begins_with, "RADC", kSpark},
     {detail::is_json_with, "\"cellLengthX\"", "an .lcc of XGRIDS is not read: export the scene as .ply"},
@@ -318,7 +319,7 @@ const char* advice_for(Bytes bytes) {
 }
 
 Result<SplatFile> decode_format(Bytes bytes, const Format& format, const ReadOptions& options) {
-  if (options.level_of_detail && !has_levels(bytes))
+  if (options.level_of_detail && !has_levels(bytes) && format.info.format != SplatFormat::ssog)
     return make_error(Errc::bad_argument, Error::kNone, "the file has no levels of detail");
   if (format.read != nullptr) return format.read(bytes, options);
   if (const char* advice = advice_for(bytes)) return make_error(Errc::unsupported_feature, 0, advice);
@@ -390,6 +391,10 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
       return make_error(Errc::unsupported_feature, 0,
                         "a SOG's meta.json without its images: name the file, or zip the folder");
     }
+    if (format == SplatFormat::ssog && detail::is_streamed_sog_meta(bytes)) {
+      return make_error(Errc::unsupported_feature, 0,
+                        "a streamed SOG's lod-meta.json without its SOGs: name the file, or zip the folder");
+    }
     return finish(decode_format(bytes, entry(format), options), format, bytes.size(), options);
   });
 }
@@ -398,15 +403,19 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
   return detail::guard_memory([&]() -> Result<SplatFile> {
     const auto file = MappedFile::open(path);
     if (!file) return tl::unexpected(file.error());
-    if (!detail::is_sog_meta(file->bytes())) {
+    const bool is_streamed = detail::is_streamed_sog_meta(file->bytes());
+    if (!is_streamed && !detail::is_sog_meta(file->bytes())) {
       auto splats = read_splats(file->bytes(), options);
       // A change of the file explains any other error.
       if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
       return splats;
     }
-    const std::string folder = std::filesystem::path(path).parent_path().string();
-    return finish(detail::decode_sog_folder(file->bytes(), folder.empty() ? "." : folder, options.limits),
-                  SplatFormat::sog, 0, options);
+    const std::string parent = std::filesystem::path(path).parent_path().string(),
+                      folder = parent.empty() ? "." : parent;
+    if (is_streamed) {
+      return finish(detail::decode_streamed_sog_folder(file->bytes(), folder, options), SplatFormat::ssog, 0, options);
+    }
+    return finish(detail::decode_sog_folder(file->bytes(), folder, options.limits), SplatFormat::sog, 0, options);
   });
 }
 

@@ -76,11 +76,23 @@ void InputFiles::add(const std::string& path) {
 
 void InputFiles::add_scene(const std::string& path) {
   add(path);
-  const fs::path place(path);
-  if (place.filename() != "meta.json") return;
-  for (const std::string& picture :
-       files_of(place.has_parent_path() ? place.parent_path() : ".", std::array<std::string_view, 1>{".webp"}))
-    add(picture);
+  const fs::path place(path), folder = place.has_parent_path() ? place.parent_path() : ".";
+  const auto add_pictures_of_sog = [this](const fs::path& sog) {
+    for (const std::string& picture : files_of(sog, std::array<std::string_view, 1>{".webp"})) add(picture);
+  };
+  if (place.filename() == "meta.json") return add_pictures_of_sog(folder);
+  if (place.filename() != "lod-meta.json") return;
+  std::vector<fs::path> sogs;
+  std::error_code failed;
+  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed))
+    sogs.push_back(it->path());
+  std::ranges::sort(sogs);
+  for (const fs::path& sog : sogs) {
+    std::error_code ignored;
+    if (!fs::is_regular_file(sog / "meta.json", ignored)) continue;
+    add((sog / "meta.json").string());
+    add_pictures_of_sog(sog);
+  }
 }
 
 void InputFiles::add_cameras(const std::string& path) {

@@ -15,7 +15,7 @@ struct ListedScene {
   std::string name;  ///< relative to the folder
   std::string path;
   SplatFormat format = SplatFormat::unknown;  ///< by content; unknown: only the name indicates a scene
-  std::uint64_t bytes = 0;                    ///< of a SOG's meta.json including the pictures beside it
+  std::uint64_t bytes = 0;                    ///< of a SOG's meta.json and a lod-meta.json including their files
   Status readable;                            ///< the error if a scene, or a folder below, cannot be read
 };
 
@@ -33,7 +33,7 @@ struct SceneList {
 Result<SceneList> list_scenes(const std::string& folder, const std::vector<std::string>& without = {},
                               bool hidden = false);
 
-/// The files of a scene, with the pictures beside a SOG's meta.json.
+/// The files of a scene: InputFiles::add_scene().
 std::vector<std::string> files_of_scene(const std::string& path);
 
 /// "a/b" for "a/b.ply" and "a/b.compressed.ply". Unknown endings stay: "a/b.v2" is a whole stem.

@@ -44,9 +44,10 @@ TEST_CASE("names of one file clash, whether it exists or not, and others do not"
 
 TEST_CASE("a COLMAP model's files, a SOG's pictures and a folder's photographs are inputs; other files there are not") {
   const TemporaryFolder folder;
-  for (const char* name : {"sparse/0", "photos", "sog"}) fs::create_directories(folder.path() / name);
-  for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG", "photos/report.html",
-                           "sog/meta.json", "sog/sh0.webp", "sog/scene.ply"})
+  for (const char* name : {"sparse/0", "photos", "sog", "sog/0_0"}) fs::create_directories(folder.path() / name);
+  for (const char* name :
+       {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG", "photos/report.html", "sog/meta.json",
+        "sog/sh0.webp", "sog/scene.ply", "sog/lod-meta.json", "sog/0_0/meta.json", "sog/0_0/quats.webp"})
     write_text(folder.file(name), "x");
   InputFiles inputs;
   inputs.add_cameras(folder.path().string());
@@ -54,6 +55,10 @@ TEST_CASE("a COLMAP model's files, a SOG's pictures and a folder's photographs a
   inputs.add_scene(folder.file("sog/meta.json"));
   CHECK(inputs.paths() == std::vector{folder.file("sparse/0/images.bin"), folder.file("photos/a.JPG"),
                                       folder.file("sog/meta.json"), folder.file("sog/sh0.webp")});
+  InputFiles streamed;
+  streamed.add_scene(folder.file("sog/lod-meta.json"));
+  CHECK(streamed.paths() == std::vector{folder.file("sog/lod-meta.json"), folder.file("sog/0_0/meta.json"),
+                                        folder.file("sog/0_0/quats.webp")});
 }
 
 TEST_CASE("a file that was rewritten, extended or replaced has changed; a removed one has not") {
