@@ -134,6 +134,10 @@ std::string summary_text(const ConvertSummary& s) {
   if (s.position_rounding > 0) line("  positions  rounded by up to {:.3g} world units", s.position_rounding);
   if (s.spz_version != 0) line("  version    {}", s.spz_version);
   for (const std::string& what : s.unused) line("  not kept   {}", what);
+  if (s.n_regions != 0) {
+    line("  levels     {}, with {} Gaussians in {} regions in all", s.n_levels, format_count(s.n_stored),
+         format_count(s.n_regions));
+  }
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
     if (s.n_pages != 0) {
@@ -214,6 +218,7 @@ std::string summary_json(const ConvertSummary& s) {
                       {"metres_per_unit", decimal_of(s.declarations.metres_per_unit)}};
   json["lost"] = s.lost;
   json["notes"] = s.notes;
+  if (s.n_regions != 0) json["levels"] = {{"levels", s.n_levels}, {"regions", s.n_regions}, {"gaussians", s.n_stored}};
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
     ordered_json sections = ordered_json::array();

@@ -116,6 +116,18 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
     if (auto s = declare(declared_by(*ply, first.name())); !s) return failed(first.path(), s.error());
     return outcome(convert_to_rgs(*ply, options.output(), convert, observer));
   }
+  if (to == SplatFormat::ssog) {
+    if (!has_levels(first.bytes()) || options.edits())
+      return failed(first.path(),
+                    {Errc::unsupported_feature, 0,
+                     "a streamed SOG is written from one .rgs with levels of detail, as it is: write that "
+                     "first (rgs-convert --lod), with all that changes or filters Gaussians"});
+    const auto paged = PagedFile::open(first.bytes(), options.limits);
+    if (!paged) return failed(first.path(), paged.error());
+    convert.encode.axes = options.axes.value_or(paged->head().declarations().axes);
+    if (auto s = declare(declared_by(paged->head(), first.name())); !s) return failed(first.path(), s.error());
+    return outcome(convert_to_streamed_sog(*paged, options.output(), convert, observer));
+  }
   if (from == SplatFormat::rgs && to == SplatFormat::ply && !options.edits() && !has_levels(first.bytes())) {
     const auto view = FileView::open(first.bytes(), options.limits);
     if (!view) return failed(first.path(), view.error());
@@ -147,7 +159,7 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
 
 // Raises the limit on open files: inputs stay open until the output is renamed.
 void allow_open_files(std::size_t n) {
-  constexpr std::size_t kOthers = 64;  // output, scratch files, files beside an input
+  constexpr std::size_t kOthers = 64;  // output, scratch files
   rlimit limit{};
   if (::getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur >= n + kOthers) return;
   limit.rlim_cur = std::min<rlim_t>(limit.rlim_max, n + kOthers);
@@ -344,9 +356,9 @@ Outcome<OpenInputs> open_inputs(ConvertArguments& arguments) {
   std::vector<const MappedFile*>& unchanged = arguments.output.convert.output.inputs;
   tool::InputFiles scenes;
   const std::span<const std::string> paths = arguments.scene.inputs();
-  allow_open_files(paths.size());
+  for (const std::string& path : paths) scenes.add_scene(path);
+  allow_open_files(scenes.paths().size());
   for (const std::string& path : paths) {
-    scenes.add_scene(path);
     if (const Status s = inputs.scenes.emplace_back().open(path); !s) return failed(path, s.error());
     unchanged.push_back(&inputs.scenes.back().file());
   }

@@ -27,6 +27,7 @@
 #include "splat_records.hpp"
 #include "spz.hpp"
 #include "stated_scene.hpp"
+#include "streamed_sog.hpp"
 #include "torch_checkpoint.hpp"
 #include "usd_splats.hpp"
 #include "write_report.hpp"
@@ -266,6 +267,10 @@ constexpr Format kFormats[] = {
       "FP16, 32 or 64",
       kAxes3dgs, 3, false, {.origin = true}},
      detail::is_torch_checkpoint, read_within<detail::decode_torch_checkpoint>},
+    {{SplatFormat::ssog, "ssog", "lod-meta.json", "PlayCanvas, streamed SOG, a folder or zipped; written of an .rgs with levels",
+      "as .sog",
+      kAxes3dgs, 3, true, {.levels = true, .aa_mode = true}, false, true},
+     detail::is_streamed_sog, detail::decode_streamed_sog},
     {{SplatFormat::sog, "sog", "meta.json", "PlayCanvas, versions 1 and 2, zipped or beside its WebP images; written zipped",
       "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
       kAxes3dgs, 3, true, {.aa_mode = true}, false, true},
@@ -302,12 +307,8 @@ struct Foreign {
   std::string_view sign;
   const char* advice;
 };
-constexpr const char* kStreamedSog =
-    "a streamed SOG, whose SOGs hold parts of a scene, is not read: convert the scene that it was made from";
 constexpr const char* kSpark = "a .rad of Spark is not read: convert the scene that it was made from";
 constexpr Foreign kForeign[] = {
-    {detail::is_json_with, "\"lodLevels\"", kStreamedSog},
-    {detail::is_zip_with, "lod-meta.json", kStreamedSog},
     {detail::begins_with, "RAD0", kSpark},
     {detail::begins_with, "RADC", kSpark},
     {detail::begins_with, "PXR-USDC", detail::kUsdCrate},
@@ -348,7 +349,7 @@ Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOpt
 }
 
 Result<SplatFile> decode_format(Bytes bytes, const Format& format, const ReadOptions& options) {
-  if (options.level_of_detail && !has_levels(bytes)) return no_levels();
+  if (options.level_of_detail && !has_levels(bytes) && format.info.format != SplatFormat::ssog) return no_levels();
   if (format.read != nullptr) return format.read(bytes, options);
   if (const char* advice = advice_for(bytes)) return make_error(Errc::unsupported_feature, 0, advice);
   static const std::string none = "is not a " + format_list() + " file";
@@ -419,6 +420,10 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
       return make_error(Errc::unsupported_feature, 0,
                         "a SOG's meta.json without its images: name the file, or zip the folder");
     }
+    if (format == SplatFormat::ssog && detail::is_streamed_sog_meta(bytes)) {
+      return make_error(Errc::unsupported_feature, 0,
+                        "a streamed SOG's lod-meta.json without its SOGs: name the file, or zip the folder");
+    }
     return finish(decode_format(bytes, entry(format), options), format, bytes.size(), options);
   });
 }
@@ -431,12 +436,16 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
                       folder = parent.empty() ? "." : parent;
     const bool maybe_gltf = options.format == SplatFormat::unknown || options.format == SplatFormat::glb;
     const bool is_gltf = maybe_gltf && detail::is_gltf_text(file->bytes());
+    const bool is_streamed = detail::is_streamed_sog_meta(file->bytes());
     const bool is_lcc = detail::is_lcc(file->bytes()) || detail::is_lcc2(file->bytes());
-    if (is_lcc || (!is_gltf && !detail::is_sog_meta(file->bytes()))) {
+    if (is_lcc || (!is_gltf && !is_streamed && !detail::is_sog_meta(file->bytes()))) {
       auto splats = is_lcc ? read_lcc(file->bytes(), folder, options) : read_splats(file->bytes(), options);
       // A change of the file explains any other error.
       if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
       return splats;
+    }
+    if (is_streamed) {
+      return finish(detail::decode_streamed_sog_folder(file->bytes(), folder, options), SplatFormat::ssog, 0, options);
     }
     return is_gltf
                ? finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options)

@@ -13,7 +13,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <functional>
 #include <nlohmann/json.hpp>
 #include <optional>
 
@@ -28,8 +27,6 @@ namespace {
 
 using nlohmann::json;
 using Bytes = std::vector<std::byte>;
-/// Returns the bytes of one of the scene's files by its name.
-using FetchFile = std::function<Result<Bytes>(const std::string&)>;
 
 constexpr std::uint64_t kMaxMetaBytes = std::uint64_t{1} << 24;  // the codebooks take 15 kB
 constexpr std::uint64_t kEntriesPerRow = 64;
@@ -350,8 +347,10 @@ Result<Splat> decode_splat(const Meta& meta, const Images& images, std::uint64_t
   return s;
 }
 
-Result<SplatFile> decode_scene(std::span<const std::byte> meta_bytes, const FetchFile& fetch,
-                               const DecodeLimits& limits) {
+}  // namespace
+
+Result<SplatFile> decode_sog_files(std::span<const std::byte> meta_bytes, const FetchFile& fetch,
+                                   const DecodeLimits& limits) {
   auto meta = parse_meta(meta_bytes);
   if (!meta) return tl::unexpected(meta.error());
   if (meta->n > std::min<std::uint64_t>(limits.max_gaussians, std::uint64_t{1} << 28)) {  // WebP's largest image
@@ -372,8 +371,6 @@ Result<SplatFile> decode_scene(std::span<const std::byte> meta_bytes, const Fetc
   return file;
 }
 
-}  // namespace
-
 bool is_sog(std::span<const std::byte> bytes) {
   return is_zip(bytes) || is_sog_meta(bytes);
 }
@@ -390,7 +387,7 @@ Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimit
   };
   const auto meta = fetch("meta.json");
   if (!meta) return tl::unexpected(meta.error());
-  auto file = decode_scene(*meta, fetch, limits);
+  auto file = decode_sog_files(*meta, fetch, limits);
   if (file) file->bytes = bytes.size();
   return file;
 }
@@ -404,7 +401,7 @@ Result<SplatFile> decode_sog_folder(std::span<const std::byte> bytes, const std:
     total += file->bytes().size();
     return Bytes(file->bytes().begin(), file->bytes().end());
   };
-  auto file = decode_scene(bytes, fetch, limits);
+  auto file = decode_sog_files(bytes, fetch, limits);
   if (file) file->bytes = total;
   return file;
 }

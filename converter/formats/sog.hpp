@@ -3,8 +3,10 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "rgs/interchange.hpp"
 
@@ -19,6 +21,12 @@ Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimit
 /// meta.json (`bytes`) with its images in `folder`.
 Result<SplatFile> decode_sog_folder(std::span<const std::byte> bytes, const std::string& folder,
                                     const DecodeLimits& limits);
+
+/// Returns the bytes of one of the scene's files by its name.
+using FetchFile = std::function<Result<std::vector<std::byte>>(const std::string&)>;
+/// meta.json (`bytes`) with images from `fetch`; SplatFile::bytes is the caller's.
+Result<SplatFile> decode_sog_files(std::span<const std::byte> bytes, const FetchFile& fetch,
+                                   const DecodeLimits& limits);
 
 /// Harmonics are clamped to +- this when written, so that their squares and sums stay numbers.
 inline constexpr float kMaxSogHarmonic = 1e6F;

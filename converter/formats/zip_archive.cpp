@@ -44,11 +44,19 @@ Result<ZipArchive> ZipArchive::open(std::span<const std::byte> bytes) {
   return archive;
 }
 
-std::string ZipArchive::name_ending(std::string_view ending) const {
+std::vector<std::string> ZipArchive::names() const {
+  std::vector<std::string> names;
   const zip_int64_t n = zip_get_num_entries(archive_.get(), 0);
   for (zip_int64_t i = 0; i < n; ++i) {
     const char* name = zip_get_name(archive_.get(), static_cast<zip_uint64_t>(i), 0);
-    if (name != nullptr && std::string_view(name).ends_with(ending)) return name;
+    if (name != nullptr) names.emplace_back(name);
+  }
+  return names;
+}
+
+std::string ZipArchive::name_ending(std::string_view ending) const {
+  for (const std::string& name : names()) {
+    if (name.ends_with(ending)) return name;
   }
   return {};
 }

@@ -22,6 +22,7 @@ class ZipArchive {
   /// `bytes` must outlive it. Errors: bad_header.
   static Result<ZipArchive> open(std::span<const std::byte> bytes);
 
+  std::vector<std::string> names() const;
   /// The first name with that ending; empty if there is none.
   std::string name_ending(std::string_view ending) const;
   bool holds(const std::string& name) const;

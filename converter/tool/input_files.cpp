@@ -79,11 +79,25 @@ void InputFiles::add_scene(const std::string& path) {
   const fs::path place(path);
   const fs::path folder = place.has_parent_path() ? place.parent_path() : ".";
   const std::string ending = lower_case(place.extension().string());
-  std::vector<std::string> beside;
-  if (place.filename() == "meta.json") beside = files_of(folder, std::array<std::string_view, 1>{".webp"});
-  if (ending == ".lcc" || ending == ".gltf") beside = files_of(folder, std::array<std::string_view, 1>{".bin"});
-  if (ending == ".lcc2") beside = files_of(folder / "data" / "3dgs", std::array<std::string_view, 2>{".sog", ".spz"});
-  for (const std::string& file : beside) add(file);
+  const auto add_all = [this](const fs::path& in, const auto&... endings) {
+    for (const std::string& file : files_of(in, std::array<std::string_view, sizeof...(endings)>{endings...}))
+      add(file);
+  };
+  if (place.filename() == "meta.json") add_all(folder, ".webp");
+  if (ending == ".lcc" || ending == ".gltf") add_all(folder, ".bin");
+  if (ending == ".lcc2") add_all(folder / "data" / "3dgs", ".sog", ".spz");
+  if (place.filename() != "lod-meta.json") return;
+  std::vector<fs::path> sogs;
+  std::error_code failed;
+  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed))
+    sogs.push_back(it->path());
+  std::ranges::sort(sogs);
+  for (const fs::path& sog : sogs) {
+    std::error_code ignored;
+    if (!fs::is_regular_file(sog / "meta.json", ignored)) continue;
+    add((sog / "meta.json").string());
+    add_all(sog, ".webp");
+  }
 }
 
 void InputFiles::add_cameras(const std::string& path) {

@@ -87,9 +87,11 @@ class Walk {
     const std::string inside = path + "/";
     // The SOGs below are parts of it at several levels, and no scenes.
     if (std::ranges::binary_search(names, kStreamedSog)) {
-      ListedScene scene{prefix + kStreamedSog, inside + kStreamedSog, SplatFormat::unknown, 0, {}};
-      scene.readable = read_splats(scene.path, {}).map([](const SplatFile&) {});
-      if (!scene.readable && scene.readable.error().code == Errc::unsupported_feature) {
+      ListedScene scene{prefix + kStreamedSog, inside + kStreamedSog, SplatFormat::ssog, 0, {}};
+      const auto file = MappedFile::open(scene.path);
+      if (file && detect_format(file->bytes()) == SplatFormat::ssog) {
+        for (const std::string& part : files_of_scene(scene.path))
+          scene.bytes += ::stat(part.c_str(), &info) == 0 ? static_cast<std::uint64_t>(info.st_size) : 0;
         list_.scenes.push_back(std::move(scene));
         return {};
       }
@@ -135,7 +137,8 @@ class Walk {
     const auto file = MappedFile::open(path);
     if (file) scene.format = format_of(file->bytes(), by_name);
     if (!file && by_name != SplatFormat::unknown) scene.readable = tl::unexpected(file.error());
-    const bool is_meta = by_name == SplatFormat::sog && name.ends_with(".json");  // others may have a meta.json too
+    const bool is_meta = (by_name == SplatFormat::sog || by_name == SplatFormat::ssog) &&
+                         name.ends_with(".json");  // others may have a meta.json too
     const bool is_arrays = by_name == SplatFormat::npz || by_name == SplatFormat::pt;
     if (scene.format == SplatFormat::unknown && (by_name == SplatFormat::unknown || ((is_meta || is_arrays) && file)))
       return void(++list_.n_others);

@@ -697,23 +697,26 @@ TEST_CASE("killed after any number of scenes, the rerun does only the missing on
   CHECK(contents(f.out) == contents(whole));
 }
 
-TEST_CASE("a streamed SOG is named as what it is, and its parts are no scenes") {
+TEST_CASE("a streamed SOG is one scene, and its parts are none") {
   const Folders f(1);
   for (const char* name : {"/tree/0_0/meta.json", "/tree/1_0/meta.json"}) {
     fs::create_directories(fs::path(f.in + name).parent_path());
     write_text(f.in + name, R"({"version": 2, "count": 3, "means": {}})");
   }
   write_text(f.in + "/tree/lod-meta.json", R"({"lodLevels": 2, "filenames": ["0_0/meta.json", "1_0/meta.json"]})");
+  const Batch damaged = convert_all(f.command());
+  CHECK(damaged.exit_code == 4);
+  CHECK(damaged.n_lines == 2);
+  CHECK(damaged.lines.at("a.ply")["status"] == "converted");
+  CHECK(damaged.lines.at("tree/lod-meta.json")["error"]["code"] == "bad_syntax");
+  const std::string levels = f.file("levels.rgs");
+  REQUIRE(run_program({built("rgs-convert"), "--lod", f.in + "/a.ply", levels}).exit_code == 0);
+  REQUIRE(run_program({built("rgs-convert"), "--overwrite", levels, f.in + "/tree/lod-meta.json"}).exit_code == 0);
   const Batch run = convert_all(f.command());
-  CHECK(run.exit_code == 4);
+  CHECK(run.exit_code == 0);
   CHECK(run.n_lines == 2);
-  CHECK(run.lines.at("a.ply")["status"] == "converted");
-  const json& error = run.lines.at("tree/lod-meta.json")["error"];
-  CHECK(error["code"] == "unsupported_feature");
-  CHECK(error["message"].get<std::string>().find("a streamed SOG") != std::string::npos);
-  const Batch one = convert_all({f.in + "/tree/lod-meta.json", f.file("one.rgs")});
-  CHECK(one.exit_code == 4);
-  CHECK(one.err.find("a streamed SOG") != std::string::npos);
+  CHECK(run.lines.at("tree/lod-meta.json")["status"] == "converted");
+  CHECK(fs::exists(f.out + "/tree/lod-meta.rgs"));
   // Another file of that name is no scene.
   write_text(f.in + "/tree/lod-meta.json", "{}");
   CHECK(convert_all(f.command()).n_lines == 3);

@@ -7,6 +7,7 @@
 #include <array>
 #include <filesystem>
 #include <fstream>
+#include <map>
 
 #include "convert_scenes.hpp"
 #include "counted_program.hpp"
@@ -424,4 +425,83 @@ TEST_CASE("a file whose end is missing converts only the levels that are present
   bytes.resize(300);
   const ProgramResult head = rgs_convert({write_file(folder.file("head.rgs"), bytes), out});
   CHECK(head.exit_code == 4);
+}
+
+namespace {
+
+// Names and contents of all files below a folder.
+std::map<std::string, Bytes> files_below(const std::string& folder) {
+  std::map<std::string, Bytes> files;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(folder)) {
+    if (entry.is_regular_file())
+      files[entry.path().lexically_relative(folder).string()] = read_bytes(entry.path().string());
+  }
+  return files;
+}
+
+}  // namespace
+
+TEST_CASE("levels become a streamed SOG, a folder or an archive of the same files, and come back") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(5000, 1, 9)),
+                    levels = folder.file("levels.rgs"), out = folder.file("out"), meta = out + "/a/lod-meta.json",
+                    zip = folder.file("scene.ssog"), back = folder.file("back.rgs");
+  REQUIRE(rgs_convert({"--lod", "--chunk-size", "32", ply, levels}).exit_code == 0);
+  const ProgramResult run = rgs_convert({levels, meta});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("in 1 regions in all") != std::string::npos);
+  const auto files = files_below(out);
+  CHECK(files.contains("a/lod-meta.json"));
+  CHECK(files.contains("a/0_0/meta.json"));
+  CHECK(std::ranges::none_of(files, [](const auto& file) { return file.first.find(".tmp-") != std::string::npos; }));
+  REQUIRE(rgs_convert({"--threads", "1", levels, zip}).exit_code == 0);
+  const auto from_folder = read_splats(meta), from_zip = read_splats(zip);
+  REQUIRE(from_folder);
+  REQUIRE(from_zip);
+  CHECK(from_folder->cloud.size() == 5000);
+  CHECK(from_zip->format == SplatFormat::ssog);
+  CHECK(from_zip->cloud.mean == from_folder->cloud.mean);
+  CHECK(from_zip->bytes > from_folder->bytes);
+  // Python's reader of archives checks all of them.
+  CHECK(run_program({"/usr/bin/python3", "-m", "zipfile", "-t", zip}).exit_code == 0);
+  REQUIRE(rgs_convert({meta, back}).exit_code == 0);
+  CHECK(size_of(back) == 5000);
+  REQUIRE(rgs_convert({"--level-of-detail", "1", zip, back}).exit_code == 0);
+  CHECK(size_of(back) < 1500);
+  // An output may be none of the files that are read.
+  CHECK(rgs_convert({meta, out + "/a/0_0/meta.json", "--to", "sog"}).exit_code == 2);
+  // What is there is kept unless --overwrite is given, and then has the same bytes.
+  CHECK(run_program({built("rgs-convert"), levels, meta}).exit_code == 3);
+  std::filesystem::remove(meta);
+  const ProgramResult kept = run_program({built("rgs-convert"), levels, meta});
+  CHECK(kept.exit_code == 3);
+  CHECK(kept.err.find("--overwrite") != std::string::npos);
+  CHECK(files_below(out).size() + 1 == files.size());
+  REQUIRE(rgs_convert({levels, meta}).exit_code == 0);
+  CHECK(files_below(out) == files);
+}
+
+TEST_CASE("a streamed SOG is refused for scenes without levels and for edits, and leaves nothing") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(600, 0, 9)),
+                    plain = folder.file("plain.rgs"), levels = folder.file("levels.rgs"),
+                    meta = folder.file("out/lod-meta.json");
+  REQUIRE(rgs_convert({ply, plain}).exit_code == 0);
+  REQUIRE(rgs_convert({"--lod", "--chunk-size", "32", ply, levels}).exit_code == 0);
+  for (const std::vector<std::string>& arguments : {std::vector<std::string>{ply, meta},
+                                                    {plain, meta},
+                                                    {"--scale", "2", levels, meta},
+                                                    {"--min-opacity", "0.5", levels, meta},
+                                                    {"--level-of-detail", "0", levels, meta}}) {
+    CAPTURE(arguments);
+    const ProgramResult run = rgs_convert(arguments);
+    CHECK(run.exit_code == 4);
+    CHECK(run.err.find("rgs-convert --lod") != std::string::npos);
+  }
+  CHECK(rgs_convert({"--lod", ply, meta}).exit_code == 2);
+  const Bytes whole = read_bytes(levels);
+  const std::string cut = write_file(folder.file("cut.rgs"), Bytes(whole.begin(), whole.end() - 100));
+  CHECK(rgs_convert({cut, meta}).exit_code == 6);
+  CHECK_FALSE(std::filesystem::exists(folder.file("out")));
 }

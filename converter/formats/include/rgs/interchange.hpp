@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <span>
 #include <string>
@@ -20,6 +21,8 @@
 
 namespace RGS_API rgs {
 
+class PagedFile;
+
 /// docs/user/INTERCHANGE.md says what each format keeps and loses.
 enum class SplatFormat : std::uint8_t {
   unknown,
@@ -30,6 +33,7 @@ enum class SplatFormat : std::uint8_t {
   splat,           ///< 32 bytes a Gaussian, no harmonics
   ksplat,          ///< GaussianSplats3D, levels 0 to 2; written with level 1
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; written zipped
+  ssog,            ///< PlayCanvas streamed SOG, zipped or lod-meta.json above its SOGs; written by write_streamed_sog()
   glb,             ///< glTF with KHR_gaussian_splatting, also .gltf; written as .glb
   usda,            ///< OpenUSD text with ParticleField3DGaussianSplat
   usdz,            ///< OpenUSD package of a .usda
@@ -57,14 +61,14 @@ inline constexpr Axes kAxesLcc{Axis::right, Axis::forward, Axis::up};
 struct FormatInfo {
   SplatFormat format = SplatFormat::unknown;
   const char* name = "unknown";  ///< the ending of its files, and what rgs-convert's --from and --to take
-  const char* other_name = "";   ///< another name that its files have: "meta.json"
+  const char* other_name = "";   ///< another name that its files have: "meta.json", "lod-meta.json"
   const char* title = "";        ///< whose it is, and which versions are read
   const char* precision = "";    ///< of its Gaussians; docs/user/INTERCHANGE.md has the ranges
   /// The frame that it prescribes. The description of SPZ says OpenGL's, but its tools leave coordinates as a PLY has
   /// them: ReadOptions::spz_axes.
   Axes axes = kAxes3dgs;
   int sh_degree = 3;      ///< the highest that is written; of ksplat 3 is read
-  bool writable = false;  ///< by encode_splats(), .rgs by encode()
+  bool writable = false;  ///< by encode_splats(), .rgs by encode(), .ssog by write_streamed_sog()
   struct Keeps {
     bool levels = false;  ///< of detail
     bool origin = false;  ///< formats without hold FP32 positions
@@ -100,7 +104,7 @@ struct SplatFile {
   std::optional<Declarations> declarations = std::nullopt;
   std::optional<Provenance> provenance = std::nullopt;
   std::vector<std::uint32_t> source_index = {};
-  /// From an .rgs with levels of detail: the number of levels, and whether `cloud` is level 0.
+  /// From an .rgs or .ssog with levels of detail: the number of levels, and whether `cloud` is level 0.
   std::uint32_t n_levels = 0;
   bool finest = true;
   /// What the file also holds and SplatCloud has no field for, one phrase each: extensions of SPZ that do not change
@@ -126,8 +130,8 @@ struct ReadOptions {
   /// mean; SplatFile::unused names them.
   bool skip_unknown_extensions = false;
   Axes spz_axes = kAxes3dgs;  ///< of an SPZ that declares none by a coordinate record
-  /// For an .rgs with levels: read this level (0: the finest), or the finest cut of at most max_count Gaussians
-  /// (lod::finest_cut()). Neither: level 0. A level of a file without levels is bad_argument; files without levels are
+  /// For an .rgs or .ssog with levels: read this level (0: finest), or of an .rgs the finest cut of at most max_count
+  /// Gaussians (lod::finest_cut()). Neither: level 0. A level of a file without levels is bad_argument; files without levels are
   /// read whole whatever max_count is.
   std::optional<std::uint32_t> level_of_detail = std::nullopt;
   std::optional<std::uint64_t> max_count = std::nullopt;
@@ -191,6 +195,21 @@ struct WriteReport {
 /// least one, or WriteOptions::strict refuses what `report` counts).
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
                                              const WriteOptions& options = {}, WriteReport* report = nullptr);
+
+/// Receives a file of a scene that is a folder, by its path in it.
+using PutFile = std::function<Status(const std::string& name, std::span<const std::byte> bytes)>;
+struct StreamedSogReport {
+  std::uint32_t n_levels = 0, n_regions = 0, n_sogs = 0;
+  std::uint64_t n_stored = 0;  ///< Gaussians of all levels
+  double position_rounding = 0;
+  WriteReport clamped;
+};
+/// Writes an .rgs with levels as streamed SOG: SOG after SOG, of at most 512 Ki Gaussians, lod-meta.json last. Regions
+/// are pages of the coarsest level at which they hold so many with all their levels, or of a finer one if most are
+/// wider than 16 units; coarser levels are left out. options.axes and options.origin are those of the file. Deterministic.
+/// Memory: that of one SOG. Errors: pages_missing, those of read_pages(), encode_splats() and `put`.
+Result<StreamedSogReport> write_streamed_sog(const PagedFile& file, const WriteOptions& options, int sh_degree,
+                                             const PutFile& put);
 
 /// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
 /// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat

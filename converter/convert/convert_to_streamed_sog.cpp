@@ -1,0 +1,53 @@
+// convert_to_streamed_sog.cpp - writes the levels of an .rgs as a streamed SOG, in the memory of one of its SOGs.
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+
+#include "convert.hpp"
+#include "stage_clock.hpp"
+#include "streamed_output.hpp"
+
+namespace rgs {
+
+Result<ConvertSummary> convert_to_streamed_sog(const PagedFile& source, const std::string& output_path,
+                                               const ConvertOptions& options, const StageObserver& observer) {
+  ConvertSummary summary;
+  StageClock clock(observer, summary.seconds);
+  auto output = StreamedOutput::create(output_path, options.output);
+  if (!output) return tl::unexpected(output.error());
+  const EncodeOptions& encode = options.encode;
+  WriteOptions write;
+  write.aa_mode = encode.aa_mode;
+  write.axes = encode.axes;
+  write.threads = encode.archive.threads;
+  write.strict = options.strict;
+  write.origin = source.head().declarations().origin;
+  clock.begin("encode", 0, "");
+  const auto written = write_streamed_sog(
+      source, write, encode.sh_degree,
+      [&](const std::string& name, std::span<const std::byte> bytes) { return output->put(name, bytes); });
+  if (!written) return tl::unexpected(written.error());
+  clock.begin("commit", 0, "");
+  const auto synced = output->commit();
+  if (!synced) return tl::unexpected(synced.error());
+  clock.end();
+  summary.sync_seconds = *synced;
+  summary.source_format = format_name(SplatFormat::rgs);
+  summary.output_format = format_name(SplatFormat::ssog);
+  summary.source_bytes = source.head().bytes().size();
+  summary.output_bytes = output->bytes();
+  summary.n_source = summary.n_written = source.head().header().n_gaussians;
+  summary.source_sh_degree = source.head().header().sh_degree;
+  summary.sh_degree = std::min(summary.source_sh_degree, encode.sh_degree);
+  summary.n_levels = written->n_levels;
+  summary.n_regions = written->n_regions;
+  summary.n_stored = written->n_stored;
+  summary.clamped = written->clamped;
+  summary.position_rounding = written->position_rounding;
+  summary.declarations = source.head().declarations();
+  EncodeOptions turned = encode;
+  if (encode.axes[0] != Axis::undeclared) turned.axes = kAxes3dgs;
+  summary.lost = lost_declarations(SplatFormat::ssog, turned);
+  return summary;
+}
+
+}  // namespace rgs

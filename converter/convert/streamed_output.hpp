@@ -1,0 +1,50 @@
+// streamed_output.hpp - the files of a streamed SOG: a folder, or a zip archive.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "rgs/file.hpp"
+#include "rgs/result.hpp"
+
+namespace rgs {
+
+/// A path that ends with ".json" is the last file put, and the others lie in folders beside it; any other is a zip
+/// archive of all, stored. Nothing is seen before commit(). Files of a folder are first written below `PATH.tmp-XXXXXX`, which
+/// destruction removes and a killed program leaves behind; commit() renames one by one, and that at the path last: a
+/// program killed meanwhile leaves no file at the path.
+class StreamedOutput {
+ public:
+  /// Makes the folder of the path. Errors: AtomicFile::create()'s, write_failed.
+  static Result<StreamedOutput> create(const std::string& path, const AtomicFile::Options& options);
+  StreamedOutput(StreamedOutput&& other) noexcept = default;
+  StreamedOutput& operator=(StreamedOutput&& other) = delete;
+  ~StreamedOutput();
+
+  /// Files in any order, that at the path last. Errors: write_failed; output_exists; limit_exceeded (an archive of
+  /// 4 GiB or 65,534 files).
+  Status put(const std::string& name, std::span<const std::byte> bytes);
+  /// Returns the seconds spent in fsync. Errors: AtomicFile's, output_exists.
+  Result<double> commit();
+  std::uint64_t bytes() const { return bytes_; }
+
+ private:
+  StreamedOutput() = default;
+  bool is_zip() const { return staging_.empty(); }
+  Status put_zipped(const std::string& name, std::span<const std::byte> bytes);
+  Status put_in_folder(const std::string& name, std::span<const std::byte> bytes);
+  AtomicFile::Options options_;
+  AtomicFile file_;             // at the path
+  std::string path_, staging_;  // staging_: a folder beside the path; empty: none
+  std::vector<std::string> names_;
+  std::vector<std::byte> directory_;  // of the zip archive
+  std::uint64_t bytes_ = 0;
+  double sync_seconds_ = 0;
+  bool made_folder_ = false;
+};
+
+}  // namespace rgs
