@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "console.hpp"
 #include "convert.hpp"
 #include "rgs/splat_edit.hpp"
 #include "stage_clock.hpp"
@@ -70,6 +71,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   summary.declarations.low_pass_px2 = low_pass_of(options.encode);
   summary.declarations.colour_space = options.encode.colour_space;
   summary.declarations.metres_per_unit = options.encode.metres_per_unit;
+  summary.declarations.crs = options.encode.crs;
   summary.spz_version = format == SplatFormat::spz ? options.spz_version : 0;
   summary.output_bytes = bytes->size();
   summary.n_written = scene.cloud.size();
@@ -126,6 +128,8 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
     if (declared.metres_per_unit != 0) lost.push_back(fmt::format("metres per unit ({})", declared.metres_per_unit));
     if (declared.axes != format_info(format).axes) lost.push_back("axes other than the format's");
   }
+  if (declared.crs != Crs())
+    lost.push_back(fmt::format("coordinate reference system ({})", tool::printable(declared.crs.text)));
   if (declared.depth && declared.depth->source != DepthSource::scene_extent)
     lost.push_back(fmt::format("depth range ({} to {})", declared.depth->z_near, declared.depth->z_far));
   if (declared.cutoff_sigma != usual.cutoff_sigma || declared.alpha_threshold != usual.alpha_threshold ||

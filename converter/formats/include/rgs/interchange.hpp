@@ -103,12 +103,13 @@ struct SplatFile {
   SplatCloud cloud;
   Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, doubles of a PLY, npz or pt, or a far node of
                                  ///< a glb
+  Crs crs = {};                  ///< of origin + mean
   double position_rounding = 0;  ///< largest rounding of a coordinate by reading, world units: of doubles, or of far
                                  ///< nodes of a glb
 };
 
-/// `options` with the file's declarations: all, and the provenance, of an .rgs; axes, colours, anti-aliasing, low-pass
-/// and units of others. For encode() of Gaussians that were read from it, and perhaps filtered.
+/// `options` with the file's declarations: all, and the provenance, of an .rgs; axes, colours, anti-aliasing, low-pass,
+/// units, origin and CRS of others. For encode() of Gaussians that were read from it, and perhaps filtered.
 EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file);
 
 struct ReadOptions {
