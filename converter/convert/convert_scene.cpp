@@ -53,6 +53,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   write.spz_version = options.spz_version;
   write.strict = options.strict;
   write.origin = scene.origin;
+  write.crs = options.encode.crs;
   const auto rounding = position_rounding(scene.cloud.view(), format, scene.origin);
   if (!rounding) return tl::unexpected(rounding.error());
   summary.position_rounding = *rounding;
@@ -127,9 +128,9 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
                                                                           : "colour space (undeclared)");
     if (declared.metres_per_unit != 0) lost.push_back(fmt::format("metres per unit ({})", declared.metres_per_unit));
     if (declared.axes != format_info(format).axes) lost.push_back("axes other than the format's");
+    if (declared.crs != Crs())
+      lost.push_back(fmt::format("coordinate reference system ({})", tool::printable(declared.crs.text)));
   }
-  if (declared.crs != Crs())
-    lost.push_back(fmt::format("coordinate reference system ({})", tool::printable(declared.crs.text)));
   if (declared.depth && declared.depth->source != DepthSource::scene_extent)
     lost.push_back(fmt::format("depth range ({} to {})", declared.depth->z_near, declared.depth->z_far));
   if (declared.cutoff_sigma != usual.cutoff_sigma || declared.alpha_threshold != usual.alpha_threshold ||

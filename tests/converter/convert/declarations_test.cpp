@@ -337,6 +337,25 @@ TEST_CASE("a coordinate reference system goes with the scene, and is lost or ref
   CHECK(FileView::open(bytes)->find(SectionType::crs) == nullptr);
   CHECK(FileView::open(bytes)->header().version_minor == 3);
   CHECK(rgs_convert({"--crs", "a\nb", a, out}).exit_code == 2);
+  // Comments of a PLY and extras of a glTF keep it, with its case and its axes.
+  for (const std::string name : {"a.ply", "a.glb", "a.compressed.ply"}) {
+    CAPTURE(name);
+    const std::string kept = folder.file(name);
+    std::vector<std::string> arguments{"--crs", "GEODCRS[\"Z\u00fcrich: rgs_crs\"]", a, kept};
+    if (name == "a.compressed.ply") arguments.insert(arguments.begin(), "--allow-rounding");
+    CHECK_FALSE(holds(converted(arguments)["lost"], "coordinate reference system"));
+    ReadOptions as_stored;
+    as_stored.keep_axes = true;
+    const Crs stored = read_splats(kept, as_stored).value().crs;
+    CHECK(stored.text == "GEODCRS[\"Z\u00fcrich: rgs_crs\"]");
+    CHECK(stored.axes == (name == "a.glb" ? kAxes3dgs : Axes{}));
+    converted({kept, out});
+    CHECK(RgsFile(out).d.crs == Crs{stored.text, {}});
+  }
+  const std::string text = read_text(folder.file("a.ply"));
+  const std::size_t at = text.find("rgs_crs: ") + 9;
+  write_text(folder.file("bad.ply"), text.substr(0, at) + "\x01" + text.substr(at + 1));
+  CHECK(rgs_convert({folder.file("bad.ply"), folder.file("bad.rgs")}).exit_code == 4);
   CHECK(holds(converted({"--to", "npz", a, folder.file("a.npz")})["lost"], "EPSG:4978"));
 }
 

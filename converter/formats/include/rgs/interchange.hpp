@@ -151,6 +151,7 @@ struct WriteOptions {
   Axes axes = kAxes3dgs;                             ///< of the Gaussians; stated in ply and compressed_ply
   /// Of the Gaussians; ply, glb and npz keep it, others hold FP32 positions: position_rounding().
   Origin origin = kNoOrigin;
+  Crs crs = {};             ///< of origin + mean; stated in ply, compressed_ply and glb
   bool keep_order = false;  ///< compressed.ply, sog: do not sort Gaussians, so that close ones are neighbours
   unsigned threads = 0;     ///< sog; 0: as many as the machine runs at once. The file does not depend on it
   int spz_version = 3;      ///< 2, 3 or 4; docs/user/INTERCHANGE.md says which viewer reads which
