@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "console.hpp"
 #include "convert.hpp"
 #include "rgs/splat_edit.hpp"
 #include "stage_clock.hpp"
@@ -52,6 +53,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   write.spz_version = options.spz_version;
   write.strict = options.strict;
   write.origin = scene.origin;
+  write.crs = options.encode.crs;
   const auto rounding = position_rounding(scene.cloud.view(), format, scene.origin);
   if (!rounding) return tl::unexpected(rounding.error());
   summary.position_rounding = *rounding;
@@ -70,6 +72,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   summary.declarations.low_pass_px2 = low_pass_of(options.encode);
   summary.declarations.colour_space = options.encode.colour_space;
   summary.declarations.metres_per_unit = options.encode.metres_per_unit;
+  summary.declarations.crs = options.encode.crs;
   summary.spz_version = format == SplatFormat::spz ? options.spz_version : 0;
   summary.output_bytes = bytes->size();
   summary.n_written = scene.cloud.size();
@@ -125,6 +128,8 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
                                                                           : "colour space (undeclared)");
     if (declared.metres_per_unit != 0) lost.push_back(fmt::format("metres per unit ({})", declared.metres_per_unit));
     if (declared.axes != format_info(format).axes) lost.push_back("axes other than the format's");
+    if (declared.crs != Crs())
+      lost.push_back(fmt::format("coordinate reference system ({})", tool::printable(declared.crs.text)));
   }
   if (declared.depth && declared.depth->source != DepthSource::scene_extent)
     lost.push_back(fmt::format("depth range ({} to {})", declared.depth->z_near, declared.depth->z_far));

@@ -131,6 +131,7 @@ std::string summary_text(const ConvertSummary& s) {
   if (s.origin != kNoOrigin) {
     line("  origin     {}, {}, {}; means are FP32 relative to it", s.origin[0], s.origin[1], s.origin[2]);
   }
+  if (const Crs& crs = s.declarations.crs; crs != Crs()) line("  CRS        {}", tool::printable(crs.text));
   if (s.position_rounding > 0) line("  positions  rounded by up to {:.3g} world units", s.position_rounding);
   if (s.spz_version != 0) line("  version    {}", s.spz_version);
   for (const std::string& what : s.unused) line("  not kept   {}", what);
@@ -215,7 +216,8 @@ std::string summary_json(const ConvertSummary& s) {
   json["declared"] = {{"anti_aliasing", aa_name(s.declarations.aa_mode)},
                       {"low_pass_px2", decimal_of(s.declarations.low_pass_px2)},
                       {"colour_space", colour_name(s.declarations.colour_space)},
-                      {"metres_per_unit", decimal_of(s.declarations.metres_per_unit)}};
+                      {"metres_per_unit", decimal_of(s.declarations.metres_per_unit)},
+                      {"crs", s.declarations.crs.text}};
   json["lost"] = s.lost;
   json["notes"] = s.notes;
   if (s.n_regions != 0) json["levels"] = {{"levels", s.n_levels}, {"regions", s.n_regions}, {"gaussians", s.n_stored}};

@@ -9,6 +9,8 @@
 #include <numeric>
 #include <utility>
 
+#include "console.hpp"
+
 namespace rgs {
 namespace {
 
@@ -95,11 +97,39 @@ void declare_thresholds(EncodeOptions& encode, std::span<const InputDeclarations
   encode.transmittance_min = taken->stated.transmittance_min;
 }
 
+bool moves(const Similarity& placed) {
+  return placed.rotation != glm::dmat3(1) || placed.scale != 1 || placed.translation != glm::dvec3(0);
+}
+
+// Coordinates in different systems cannot be merged, so unlike other declarations these must not differ.
+Status declare_crs(EncodeOptions& encode, std::span<const InputDeclarations> inputs, const AskedDeclarations& asked,
+                   std::vector<std::string>& notes) {
+  encode.crs = {asked.crs.value_or(""), {}};
+  convert_axes(encode.crs, inputs.front().stated.axes, encode.axes);
+  for (const InputDeclarations& input : inputs) {
+    Crs crs = input.stated.crs;
+    if (crs == Crs() || asked.crs) continue;
+    convert_axes(crs, input.stated.axes, encode.axes);
+    if (input.is_moved) {
+      notes.push_back(fmt::format("{} is moved, so it is no longer in {} (--crs states what it is in)", input.name,
+                                  tool::printable(crs.text)));
+    } else if (encode.crs == Crs()) {
+      encode.crs = std::move(crs);
+    } else if (encode.crs != crs) {
+      return make_error(Errc::bad_argument, Error::kNone,
+                        "the inputs are in different coordinate reference systems, or their axes differ; convert them "
+                        "to one, or state that of the output with --crs");
+    }
+  }
+  return {};
+}
+
 }  // namespace
 
-InputDeclarations declared_by(const SplatFile& file, const std::string& name, double scale) {
-  InputDeclarations input{name, keep_declarations({}, file), file.declarations.has_value()};
+InputDeclarations declared_by(const SplatFile& file, const std::string& name, const Similarity& placed) {
+  InputDeclarations input{name, keep_declarations({}, file), file.declarations.has_value(), moves(placed)};
   EncodeOptions& o = input.stated;
+  const double scale = placed.scale;
   o.metres_per_unit = static_cast<float>(static_cast<double>(o.metres_per_unit) / scale);
   if (o.depth) {
     o.depth->z_near = static_cast<float>(static_cast<double>(o.depth->z_near) * scale);
@@ -108,10 +138,10 @@ InputDeclarations declared_by(const SplatFile& file, const std::string& name, do
   return input;
 }
 
-InputDeclarations declared_by(const PlyFile& ply, const std::string& name, double scale) {
-  InputDeclarations input{name, keep_declarations({}, ply.declarations()), false};
+InputDeclarations declared_by(const PlyFile& ply, const std::string& name, const Similarity& placed) {
+  InputDeclarations input{name, keep_declarations({}, ply.declarations()), false, moves(placed)};
   float& metres = input.stated.metres_per_unit;
-  metres = static_cast<float>(static_cast<double>(metres) / scale);
+  metres = static_cast<float>(static_cast<double>(metres) / placed.scale);
   input.stated.depth.reset();  // a PLY states none
   input.stated.depth_mapping = EncodeOptions().depth_mapping;
   return input;
@@ -149,6 +179,7 @@ Status declare_scene(EncodeOptions& encode, std::span<const InputDeclarations> i
         differs, &notes);
     if (low_pass >= 0) encode.low_pass_px2 = low_pass;
   }
+  if (Status s = declare_crs(encode, inputs, asked, notes); !s) return s;
   declare_depth(encode, inputs, asked, notes);
   declare_thresholds(encode, inputs, notes);
   return {};
@@ -160,6 +191,7 @@ Declarations stated_by(const EncodeOptions& encode, Declarations declared) {
   declared.aa_mode = encode.aa_mode;
   declared.low_pass_px2 = low_pass_of(encode);
   declared.metres_per_unit = encode.metres_per_unit;
+  declared.crs = encode.crs;
   return declared;
 }
 

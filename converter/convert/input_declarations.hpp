@@ -12,6 +12,7 @@
 #include "rgs/interchange.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/result.hpp"
+#include "rgs/splat_edit.hpp"
 
 namespace rgs {
 
@@ -22,6 +23,7 @@ struct AskedDeclarations {
   std::optional<ColourSpace> colour_space;
   std::optional<float> metres_per_unit;  ///< of the output
   std::optional<DepthMapping> depth_mapping;
+  std::optional<std::string> crs;  ///< of the inputs' axes, the output's positions; empty: none
 };
 
 /// The declarations of one input, in units of the output.
@@ -29,10 +31,11 @@ struct InputDeclarations {
   std::string name;      ///< for messages
   EncodeOptions stated;  ///< from keep_declarations(); no depth: none declared
   bool is_rgs = false;
+  bool is_moved = false;  ///< placed elsewhere than in its coordinates
 };
-/// `scale`: units of the output per unit of the input.
-InputDeclarations declared_by(const SplatFile& file, const std::string& name, double scale);
-InputDeclarations declared_by(const PlyFile& ply, const std::string& name, double scale = 1);
+/// `placed`: from the input, turned to the output's axes, to the output.
+InputDeclarations declared_by(const SplatFile& file, const std::string& name, const Similarity& placed);
+InputDeclarations declared_by(const PlyFile& ply, const std::string& name, const Similarity& placed = {});
 InputDeclarations declared_by(const FileView& view, const std::string& name);
 
 /// Losses and notes about declarations, for ConvertSummary.
@@ -42,7 +45,7 @@ struct DeclaredLoss {
 
 /// Sets the output's declarations in `encode`, except axes, provenance and counts. Where inputs differ, the first one's
 /// are taken, with a note, and the scene's extent gives the depth range.
-/// Errors: bad_argument (a low-pass is asked for but no anti-aliasing is declared).
+/// Errors: bad_argument (a low-pass is asked for but no anti-aliasing is declared; several CRS). `encode.axes` must be set.
 Status declare_scene(EncodeOptions& encode, std::span<const InputDeclarations> inputs, const AskedDeclarations& asked,
                      std::vector<std::string>& notes);
 

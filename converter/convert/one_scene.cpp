@@ -113,7 +113,9 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
     const auto ply = PlyFile::open(first.bytes());
     if (!ply) return failed(first.path(), ply.error());
     if (!options.axes) convert.encode.axes = ply->declarations().axes;
-    if (auto s = declare(declared_by(*ply, first.name())); !s) return failed(first.path(), s.error());
+    InputDeclarations declared = declared_by(*ply, first.name());
+    declared.stated.axes = convert.encode.axes;
+    if (auto s = declare(declared); !s) return failed(first.path(), s.error());
     return outcome(convert_to_rgs(*ply, options.output(), convert, observer));
   }
   if (to == SplatFormat::ssog) {

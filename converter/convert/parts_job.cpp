@@ -94,6 +94,7 @@ json encode_json(const EncodeOptions& o) {
          {"n_source", o.n_source},
          {"n_repaired", o.n_repaired}};
   if (o.depth) j["depth"] = json::array({o.depth->z_near, o.depth->z_far, enum_json(o.depth->source)});
+  if (o.crs != Crs()) j["crs"] = json::array({o.crs.text, axes_json(o.crs.axes)});
   if (o.provenance) {
     // Names need not be UTF-8.
     const auto bytes = [](const std::string& text) { return json::binary({text.begin(), text.end()}); };
@@ -141,6 +142,7 @@ EncodeOptions encode_of(const json& j) {
     const json& d = j["depth"];
     o.depth = DepthRange{d.at(0), d.at(1), enum_of<DepthSource>(d.at(2))};
   }
+  if (j.contains("crs")) o.crs = {j["crs"].at(0), axes_of(j["crs"].at(1))};
   if (j.contains("provenance")) {
     const json& p = j["provenance"];
     o.provenance = Provenance{p.at(0), p.at(1), text_of(p.at(2)), text_of(p.at(3))};

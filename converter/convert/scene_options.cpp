@@ -61,6 +61,13 @@ WorldBox parse_box(const std::string& text) {
   return WorldBox{{v[0], v[1], v[2]}, {v[3], v[4], v[5]}};
 }
 
+std::string parse_crs(const std::string& text) {
+  if (text == "none") return "";
+  if (!is_crs_text(text))
+    refuse_option("--crs takes UTF-8 of at most 16,384 bytes without control characters, e.g. EPSG:4978");
+  return text;
+}
+
 std::uint64_t parse_max_count(const std::string& text) {
   const auto count = tool::parse_count(text);
   if (!count) refuse_option(std::string("--max-count: ") + count.error().what);
@@ -188,6 +195,10 @@ void SceneOptions::add_to(CLI::App& app) {
       ->option_text("srgb|linear|undeclared");
   app.add_option("--metres-per-unit", asked.metres_per_unit, "Size of a unit of the output, if known")
       ->check(CLI::NonNegativeNumber);
+  add_parsed(
+      app, "--crs", asked.crs, parse_crs,
+      "Coordinate reference system of the output's positions, in the inputs' axes: an authority's code (EPSG:4978) "
+      "or WKT, or none [the inputs']");
   tool::add_max_expansion(app, limits);
   app.option_defaults()->group(kRgsGroup);
   app.add_option("--depth-map", asked.depth_mapping, "Mapping of depth to the sort key [an .rgs's, else log]")
@@ -260,7 +271,7 @@ Outcome<LoadedScene> load_scene(const SceneOptions& options, ConvertOptions& con
     hashes.push_back(inputs[i].hash());
     scene.unused.insert(scene.unused.end(), file->unused.begin(), file->unused.end());
     const Similarity placed = place(options, i, encode.axes, *file);
-    declared.push_back(declared_by(*file, inputs[i].name(), placed.scale));
+    declared.push_back(declared_by(*file, inputs[i].name(), placed));
     if (to != SplatFormat::rgs) restore_order(*file);
     parts.push_back({file->cloud.size(), file->origin, file->position_rounding * placed.scale});
     if (i == 0) {
@@ -302,7 +313,7 @@ Outcome<InputTile> open_tile(const SceneOptions& options, const SceneInput& inpu
   out.tile.placed = options.placement(i);
   if (out.tile.ply) {
     out.tile.axes = out.tile.ply->declarations().axes;
-    out.declared = declared_by(*out.tile.ply, input.name(), out.tile.placed.scale);
+    out.declared = declared_by(*out.tile.ply, input.name(), out.tile.placed);
     out.bytes = input.bytes().size();
   } else {
     const auto file = out.tile.load();
@@ -312,9 +323,10 @@ Outcome<InputTile> open_tile(const SceneOptions& options, const SceneInput& inpu
     out.bytes = file->bytes;
     out.unused = file->unused;
     note_spz_axes(options, input, *file, notes);
-    out.declared = declared_by(*file, input.name(), out.tile.placed.scale);
+    out.declared = declared_by(*file, input.name(), out.tile.placed);
   }
   if (options.axes) out.tile.axes = *options.axes;
+  out.declared.stated.axes = out.tile.axes;
   return out;
 }
 

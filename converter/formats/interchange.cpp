@@ -57,6 +57,7 @@ Result<SplatFile> decode_ply(Bytes bytes, const DecodeLimits& limits) {
 void declare_as(const Declarations& declarations, const std::optional<Provenance>& provenance, SplatFile& file) {
   detail::stated_scene(declarations).copy_to(file);
   file.declarations = declarations;
+  file.crs = declarations.crs;
   file.provenance = provenance;
 }
 
@@ -173,8 +174,12 @@ Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64
   if (!options.keep_axes && std::ranges::find(file->axes, Axis::undeclared) == file->axes.end()) {
     convert_axes(file->cloud, file->axes, kAxes3dgs);
     convert_axes(file->origin, file->axes, kAxes3dgs);
+    convert_axes(file->crs, file->axes, kAxes3dgs);
     file->axes = kAxes3dgs;
-    if (file->declarations) file->declarations->axes = kAxes3dgs, file->declarations->origin = file->origin;
+    if (file->declarations) {
+      file->declarations->axes = kAxes3dgs, file->declarations->origin = file->origin;
+      file->declarations->crs = file->crs;
+    }
   }
   return file;
 }
@@ -405,6 +410,7 @@ EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file) {
   options.low_pass_px2 = file.low_pass_px2;
   options.metres_per_unit = file.metres_per_unit;
   options.origin = file.origin;
+  options.crs = file.crs;
   return options;
 }
 

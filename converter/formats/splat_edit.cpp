@@ -205,6 +205,12 @@ void convert_axes(Origin& origin, const Axes& from, const Axes& to) {
   origin = {turned.x + 0.0, turned.y + 0.0, turned.z + 0.0};
 }
 
+void convert_axes(Crs& crs, const Axes& from, const Axes& to) {
+  if (crs.text.empty() || from == to || !is_declared(from) || !is_declared(to)) return;
+  if (!is_declared(crs.axes)) crs.axes = from;
+  if (crs.axes == to) crs.axes = Axes{};
+}
+
 void convert_axes(SplatCloud& cloud, const Axes& from, const Axes& to) {
   if (from == to || !is_declared(from) || !is_declared(to)) return;
   const glm::dmat3 change = glm::transpose(frame(to)) * frame(from);  // a signed permutation

@@ -106,6 +106,15 @@ bool read_value(std::string_view key, std::string_view value, StatedScene& scene
     scene.axes = axes.value_or(scene.axes);
     return axes.has_value();
   }
+  if (key == "crs") {
+    scene.crs.text = value;
+    return is_crs_text(value);
+  }
+  if (key == "crs_axes") {
+    const auto axes = axes_of_text(value);
+    scene.crs.axes = axes.value_or(kUndeclaredAxes);
+    return axes.has_value();
+  }
   if (key == "colour_space") {
     if (value != "srgb" && value != "linear" && value != "undeclared") return false;
     scene.colour_space = value == "srgb"     ? ColourSpace::srgb_display
@@ -127,6 +136,12 @@ bool is_usual_low_pass(const StatedScene& s) {
   return !s.low_pass_px2 || *s.low_pass_px2 == default_low_pass_px2(s.aa_mode);
 }
 
+// Axes mean something only with a text, and if the scene's are declared.
+Crs sound_crs(const StatedScene& s) {
+  if (s.crs.text.empty()) return {};
+  return {s.crs.text, s.axes == kUndeclaredAxes ? kUndeclaredAxes : s.crs.axes};
+}
+
 }  // namespace
 
 Declarations StatedScene::declarations() const {
@@ -137,6 +152,7 @@ Declarations StatedScene::declarations() const {
   d.low_pass_px2 = low_pass_px2.value_or(default_low_pass_px2(aa_mode));
   d.metres_per_unit = metres_per_unit;
   d.origin = origin;
+  d.crs = sound_crs(*this);
   return d;
 }
 
@@ -147,14 +163,15 @@ void StatedScene::copy_to(SplatFile& file) const {
   file.low_pass_px2 = low_pass_px2;
   file.metres_per_unit = metres_per_unit;
   file.origin = origin;
+  file.crs = sound_crs(*this);
 }
 
 StatedScene stated_scene(const Declarations& d) {
-  return {d.axes, d.colour_space, d.aa_mode, d.low_pass_px2, d.metres_per_unit, d.origin};
+  return {d.axes, d.colour_space, d.aa_mode, d.low_pass_px2, d.metres_per_unit, d.origin, d.crs};
 }
 
 StatedScene stated_scene(const WriteOptions& o) {
-  return {o.axes, o.colour_space, o.aa_mode, o.low_pass_px2, o.metres_per_unit, o.origin};
+  return {o.axes, o.colour_space, o.aa_mode, o.low_pass_px2, o.metres_per_unit, o.origin, o.crs};
 }
 
 bool read_comment(std::string_view text, StatedScene& scene) {
@@ -169,7 +186,11 @@ bool read_comment(std::string_view text, StatedScene& scene) {
   } else if (comment.starts_with(kOurs)) {
     const std::string_view rest = std::string_view(comment).substr(kOurs.size());
     const std::size_t colon = rest.find(':');
-    if (colon != rest.npos) return read_value(trimmed(rest.substr(0, colon)), trimmed(rest.substr(colon + 1)), scene);
+    if (colon == rest.npos) return true;
+    const std::string_view key = trimmed(rest.substr(0, colon));
+    // A code or WKT keeps its case.
+    const std::string_view value = key == "crs" ? trimmed(text).substr(kOurs.size()) : rest;
+    return read_value(key, trimmed(value.substr(colon + 1)), scene);
   }
   return true;
 }
@@ -186,6 +207,8 @@ std::string comment_lines(const StatedScene& s) {
   if (s.colour_space == ColourSpace::undeclared) ours("colour_space", "undeclared");
   if (s.metres_per_unit != 0) ours("metres_per_unit", text_of(s.metres_per_unit));
   if (s.axes != kAxes3dgs) ours("axes", axes_text(s.axes));
+  if (s.crs != Crs()) ours("crs", s.crs.text);
+  if (s.crs.axes != kUndeclaredAxes) ours("crs_axes", axes_text(s.crs.axes));
   return lines;
 }
 
@@ -212,6 +235,8 @@ nlohmann::ordered_json extras_of(const StatedScene& s) {
   if (s.colour_space == ColourSpace::undeclared) ours["colour_space"] = "undeclared";
   if (s.metres_per_unit != 0) ours["metres_per_unit"] = decimal_of(s.metres_per_unit);
   if (s.axes == kUndeclaredAxes) ours["axes"] = "undeclared";
+  if (s.crs != Crs()) ours["crs"] = s.crs.text;
+  if (s.crs.axes != kUndeclaredAxes) ours["crs_axes"] = axes_text(s.crs.axes);
   if (ours.is_null()) return nullptr;
   return {{kExtras, std::move(ours)}};
 }

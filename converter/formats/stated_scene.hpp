@@ -20,6 +20,7 @@ struct StatedScene {
   std::optional<float> low_pass_px2 = std::nullopt;  ///< absent: default_low_pass_px2(aa_mode)
   float metres_per_unit = 0;                         ///< 0: unknown
   Origin origin = kNoOrigin;                         ///< not stated in words: double coordinates, a translation
+  Crs crs = {};
 
   Declarations declarations() const;
   void copy_to(SplatFile& file) const;

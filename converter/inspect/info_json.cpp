@@ -61,6 +61,11 @@ Json json(const Declarations& d) {
   Json axes = Json::array();
   for (const Axis axis : d.axes) axes.push_back(name_of(axis).id);
   const auto right = right_handed(d.axes);
+  Json crs;
+  if (d.crs != Crs()) {
+    crs["text"] = d.crs.text;
+    for (const Axis axis : d.crs.axes) crs["axes"].push_back(name_of(axis).id);
+  }
   return {{"axes", axes},
           {"handedness", right ? Json(*right ? "right" : "left") : Json()},
           {"metres_per_unit", d.metres_per_unit > 0 ? number(d.metres_per_unit) : Json()},
@@ -82,6 +87,7 @@ Json json(const Declarations& d) {
             {"mapping", name_of(d.depth_mapping).id},
             {"source", name_of(d.depth_source).id}}},
           {"origin", d.origin},
+          {"crs", crs},
           {"full_box", json(d.full)},
           {"robust_box", json(d.robust)},
           {"robust_fraction", number(d.robust_fraction)},

@@ -519,6 +519,7 @@ const char* describe(SectionType type) {
     case SectionType::archive: return "archive: steps, tables";
     case SectionType::permutation: return "source positions";
     case SectionType::provenance: return "provenance";
+    case SectionType::crs: return "coordinate reference system";
     case SectionType::levels: return "levels: tree of pages";
     case SectionType::pages: return "pages of Gaussians";
   }

@@ -136,6 +136,13 @@ class TextReport : private TextLines {
       row("axes", "not declared");
     }
     row("unit", d.metres_per_unit > 0 ? fmt::format("{:.6g} m", d.metres_per_unit) : "unknown");
+    if (d.crs != Crs()) {
+      row("CRS", fmt::format("\"{}\"{}", escape_untrusted(d.crs.text, ascii_),
+                             d.crs.axes[0] == Axis::undeclared
+                                 ? ""
+                                 : fmt::format(", along {}, {}, {}", name_of(d.crs.axes[0]).words,
+                                               name_of(d.crs.axes[1]).words, name_of(d.crs.axes[2]).words)));
+    }
     row("colour", fmt::format("{}; SH basis {}", name_of(d.colour_space).words, name_of(d.sh_basis).words));
     row("kernel",
         fmt::format("{}, {:.4g} sigma; alpha {} to {:.4g}; stops at transmittance {:.4g}", name_of(d.kernel).words,

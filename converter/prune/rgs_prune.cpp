@@ -100,6 +100,7 @@ Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
   if (file->format != SplatFormat::rgs) {
     rgs::convert_axes(file->cloud, file->axes, rgs::kAxes3dgs);
     rgs::convert_axes(file->origin, file->axes, rgs::kAxes3dgs);
+    rgs::convert_axes(file->crs, file->axes, rgs::kAxes3dgs);
     file->axes = rgs::kAxes3dgs;
   }
   return *std::move(file);
@@ -142,6 +143,7 @@ Step<rgs::ConvertSummary> write_scene(const Options& o, SplatFormat to, rgs::Spl
   if (to == SplatFormat::ply && file.axes[0] != rgs::Axis::undeclared) {
     rgs::convert_axes(file.cloud, file.axes, rgs::kAxes3dgs);
     rgs::convert_axes(file.origin, file.axes, rgs::kAxes3dgs);
+    rgs::convert_axes(file.crs, file.axes, rgs::kAxes3dgs);
     file.axes = rgs::kAxes3dgs;
   }
   rgs::ConvertOptions options;

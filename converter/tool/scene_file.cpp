@@ -27,6 +27,7 @@ Result<SceneFile> load_other(const std::string& path, const ReadOptions& options
   if (axes[0] != Axis::undeclared && file->axes[0] != Axis::undeclared) {
     convert_axes(file->cloud, file->axes, axes);
     convert_axes(file->origin, file->axes, axes);
+    convert_axes(file->crs, file->axes, axes);
     file->axes = axes;
   }
   SceneFile out;
@@ -60,6 +61,7 @@ Declarations declarations_of(const SplatFile& file) {
   d.low_pass_px2 = file.low_pass_px2.value_or(default_low_pass_px2(file.aa_mode));
   d.metres_per_unit = file.metres_per_unit;
   d.origin = file.origin;
+  d.crs = file.crs;
   return d;
 }
 

@@ -232,6 +232,7 @@ Result<ConvertSummary> save_scene(const Scene& scene, const std::string& path, S
       const Axes axes = options.format == SplatFormat::spz ? options.spz_axes : format_info(options.format).axes;
       convert_axes(*cloud, encode.axes, axes);
       convert_axes(origin, encode.axes, axes);
+      convert_axes(encode.crs, encode.axes, axes);
       encode.axes = axes;
     }
     LoadedScene loaded;

@@ -90,6 +90,10 @@ void put_head(const FileView& view) {
   put<std::uint64_t>("counts", "u8", counts.size(), counts);
   put<double>("origin", "f8", d.origin.size(), d.origin);
 
+  if (d.crs != Crs()) {
+    put<char>("crs", "u1", 1, d.crs.text);
+    put<Axis>("crs_axes", "u1", 3, d.crs.axes);
+  }
   if (const auto& p = view.provenance()) {
     put<std::uint64_t>("source", "u8", 2, std::array{p->source_bytes, p->source_xxh3});
     put<char>("source_name", "u1", 1, p->source_name);

@@ -85,6 +85,10 @@ def compare(scene: rgs_reader.Scene, library: dict[str, NDArray[Any]]) -> None:
         "n_source", "n_dropped", "n_repaired", "n_scale_subnormal", "n_scale_zero", "n_opacity_zero",
         "n_opacity_one")]], np.uint64))
     same_bits("origin", library["origin"], [d["origin"]])
+    assert ("crs" in d) == ("crs" in library), "CRS"
+    if "crs" in d:
+        assert library["crs"].tobytes().decode("utf-8") == d["crs"]["text"], "text of the CRS"
+        same_bits("crs_axes", library["crs_axes"], [d["crs"]["axes"]])
     assert (p is None) == ("source" not in library), "provenance"
     if p:
         same_bits("source", library["source"], np.array([[p["source_bytes"], p["source_xxh3"]]], np.uint64))

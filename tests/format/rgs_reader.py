@@ -39,6 +39,7 @@ ROOT = 2**32 - 1
 CODED = ("SHSC", "CHNK", *ARCHIVED)
 PROV_HEAD = struct.Struct("<QQII")
 PROV_TEXT_MAX = 4096
+CRS_TEXT_MAX = 2**14
 ORIGIN_MAX = 1e12
 
 HEADER = np.dtype([
@@ -154,7 +155,8 @@ def require(ok: Any, code: str, offset: int, text: str) -> None:
 
 
 def known(h: Record) -> tuple[str, ...]:
-    return KNOWN + (("ARCH",) if h["version_minor"] >= 2 else ()) + (LEVELS if h["version_minor"] >= 4 else ())
+    versions = {"ARCH": 2, "LODS": 4, "PAGE": 4, "CREF": 5}
+    return KNOWN + tuple(kind for kind, minor in versions.items() if h["version_minor"] >= minor)
 
 
 def codec_exists(h: Record, s: Record) -> bool:
@@ -242,10 +244,10 @@ def read_table(data: memoryview, h: Record) -> list[Record]:
     levels = [s for s in entries if s["type"] in LEVELS and s["type"] in known(h)]
     for kind in ("DECL", *LEVELS) if levels else REQUIRED:
         require(kind in seen, "missing_section", HEADER_BYTES, kind + " is required")
-    before = True
+    before, needed = True, {"DECL", "LODS", "ARCH", "CREF"} & {*known(h)}
     for s in entries if levels else ():
         require(s["type"] not in IN_PAGES, "bad_section", s["at"], "a file with levels has its Gaussians in pages")
-        require(before or s["type"] not in ("DECL", "LODS", "ARCH"), "bad_section", s["at"], "it comes before PAGE")
+        require(before or s["type"] not in needed, "bad_section", s["at"], "it comes before PAGE")
         before &= s["type"] != "PAGE"
     require(levels or len(data) == h["file_bytes"], "truncated", len(data), "shorter than file_bytes says")
     archived = [s for s in entries if s["type"] in (*ARCHIVED, *LEVELS) and s["codec"] >= 2]
@@ -281,6 +283,12 @@ def require_sizes(h: Record, sections: dict[str, Record], n_source: int | None =
     for s in filter(lambda s: s["type"] in sizes, sections.values()):
         require(s["decoded_bytes"] == sizes[s["type"]], "size_mismatch", s["at"] + ENTRY.fields["decoded_bytes"][1],
                 f"{s['type']} contradicts the counts of the header")
+
+
+    if "CREF" in sections:
+        s = sections["CREF"]
+        require(4 < s["decoded_bytes"] <= 4 + CRS_TEXT_MAX, "size_mismatch", s["at"] + ENTRY.fields["decoded_bytes"][1],
+                "a text of 1 to 16,384 bytes")
 
 
 def is_there(data: memoryview, s: Record) -> bool:
@@ -334,6 +342,28 @@ def read_provenance(data: memoryview, s: Record) -> Record:
     name, tool = (bytes(data[p:q]) for p, q in ((base + 24, base + 24 + a), (base + 24 + a, base + size)))
     return {"source_bytes": source_bytes, "source_xxh3": source_xxh3,
             "source_name": name.decode("utf-8", "replace"), "tool": tool.decode("utf-8", "replace")}
+
+
+def read_crs(data: memoryview, s: Record, scene_axes: list[int]) -> Record:
+    base, size = s["offset"], s["stored_bytes"]
+    require_hash(data, s)
+    axes = list(data[base:base + 3])
+    for axis, direction in enumerate(axes):
+        require(direction <= 6, "bad_value", base + axis, "a direction is 0 to 6")
+    spans = sorted((a + 1) // 2 for a in axes) == [1, 2, 3]
+    require(spans or axes == [0, 0, 0], "bad_value", base, "directions that span space, or none declared")
+    require_reserved(data, base + 3, base + 4, "a reserved byte of CREF")
+    require(not spans or any(scene_axes), "bad_value", base, "no axes if the scene declares none")
+    stored = bytes(data[base + 4:base + size])
+    try:
+        text, sound = stored.decode("utf-8"), len(stored)
+    except UnicodeDecodeError as error:
+        text, sound = stored[:error.start].decode("utf-8"), error.start
+    control = next((i for i, c in enumerate(text) if ord(c) < 0x20 or 0x7F <= ord(c) < 0xA0), None)
+    if control is not None:
+        sound = len(text[:control].encode("utf-8"))
+    require(sound == len(stored), "bad_value", base + 4 + sound, "UTF-8 without control characters")
+    return {"text": text, "axes": axes}
 
 
 def read_frame_table(data: memoryview, h: Record, s: Record, row_bytes: int) -> None:
@@ -792,13 +822,16 @@ def read_page(data: memoryview, h: Record, p: Record, codec: int, arch: Record |
 def read_with_levels(data: memoryview, h: Record, entries: list[Record], max_gaussians: int, max_expansion: int) -> Scene:
     """read() for a file with levels of detail."""
     sections = {s["type"]: s for s in entries if s["type"] in known(h)}
-    require_sizes(h, {kind: s for kind, s in sections.items() if kind == "DECL"})
+    require_sizes(h, {kind: s for kind, s in sections.items() if kind in ("DECL", "CREF")})
     require(is_there(data, sections["DECL"]), "truncated", len(data), "the file ends before its first page")
     require_hash(data, sections["DECL"])
     d = read_declarations(data, h, sections["DECL"]["offset"])
     require_sizes(h, {kind: s for kind, s in sections.items() if kind == "PERM"}, d["n_source"])
     has_provenance = "PROV" in sections and is_there(data, sections["PROV"])
     provenance = read_provenance(data, sections["PROV"]) if has_provenance else None
+    if "CREF" in sections:
+        require(is_there(data, sections["CREF"]), "truncated", len(data), "the file ends before its first page")
+        d["crs"] = read_crs(data, sections["CREF"], d["axes"])
     arch = None
     if "ARCH" in sections:
         require(is_there(data, sections["ARCH"]), "truncated", len(data), "the file ends before its first page")
@@ -869,6 +902,8 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     d = read_declarations(data, h, base["DECL"])
     require_sizes(h, sections, d["n_source"])
     provenance = read_provenance(data, sections["PROV"]) if "PROV" in sections else None
+    if "CREF" in sections:
+        d["crs"] = read_crs(data, sections["CREF"], d["axes"])
 
     row_bytes = {"MEAN": 12, "GEOM": 16, "SHI8": h["sh_bytes"], "CHNK": 48, "SHSC": 48}
     coded = [s for s in entries if s["type"] in CODED and s["codec"] != 0]

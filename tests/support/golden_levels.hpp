@@ -47,6 +47,8 @@ inline std::vector<GoldenLevels> all_golden_levels() {
   scenes.push_back(golden_levels("levels_archive", Profile::archive, 300, 1, 34));  // Codec::archive_draco
   scenes.back().earlier = true;
   scenes.push_back(golden_levels("levels_archive3", Profile::archive, 300, 1, 34));
+  scenes.push_back(golden_levels("levels_crs", Profile::packed, 140, 0, 36));
+  scenes.back().options.crs = {"EPSG:4978", {}};
   return scenes;
 }
 

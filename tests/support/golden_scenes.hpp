@@ -163,6 +163,10 @@ inline std::vector<GoldenScene> golden_scenes() {
     scenes.back().cloud.mean[30] = 65536.f;
     scenes.back().cloud.mean[91] = -300.f;
   }
+  scenes.push_back({"crs", golden_cloud(6, 1, 26), golden_options()});
+  scenes.back().options.origin = {4201984.125, 168424.5, 4780209.25};
+  scenes.back().options.crs = {"GEODCRS[\"Z\u00fcrich \U0001f30d\", CS[Cartesian, 3]]",
+                               {Axis::right, Axis::forward, Axis::up}};
   return scenes;
 }
 

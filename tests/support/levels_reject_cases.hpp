@@ -195,6 +195,15 @@ inline void reject_levels(std::vector<RejectCase>& cases, const std::filesystem:
   reject_levels_head(direct);
   reject_records(direct);
   reject_pages(direct);
+  GoldenLevels stated = scene;
+  stated.options.crs = {"EPSG:4978", {}};
+  RejectMaker crs(cases, encode_levels(stated));
+  crs.change("levels_crs_behind_pages", Errc::bad_section, crs.entry("LODS"), [&](Bytes& b) {
+    put(b, crs.entry("CREF"), get<std::uint32_t>(b, crs.entry("PAGE")));
+    put(b, crs.entry("PAGE"), four_cc("CREF"));
+  });
+  crs.change("levels_crs_cut", Errc::truncated, crs.section("CREF") + 5,
+             [&](Bytes& b) { b.resize(crs.section("CREF") + 5); });
   GoldenLevels coded = scene;
   coded.options.profile = Profile::packed;
   coded.options.keep_permutation = false;

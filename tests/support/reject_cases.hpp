@@ -189,6 +189,40 @@ inline void reject_origin(RejectMaker& m) {
   m.set("origin_reserved", reserved_bits, origin + 24, std::uint8_t{1});
 }
 
+// `m` has a file with a CRS of ten bytes or more.
+inline void reject_crs(RejectMaker& m) {
+  using enum Errc;
+  const std::uint64_t crs = m.section("CREF"), text = crs + 4;
+  const auto resized = [&](const char* name, std::uint64_t bytes) {
+    m.change(name, size_mismatch, m.entry("CREF") + 32, [&](Bytes& b) {
+      b.resize(crs + bytes, std::byte{'x'});
+      put(b, 16, crs + bytes);
+      put(b, m.entry("CREF") + 24, bytes);
+      put(b, m.entry("CREF") + 32, bytes);
+    });
+  };
+  resized("crs_empty", 4);
+  resized("crs_long", 4 + (1u << 14) + 1);
+  m.flip("crs_checksum", checksum_mismatch, crs, text);
+  m.set("crs_coded", unsupported_codec, m.entry("CREF") + 8, 1u);
+  m.change("crs_required_in_1_4", unknown_required, m.entry("CREF"), [&](Bytes& b) {
+    put(b, 10, std::uint16_t{4});
+    put(b, m.entry("CREF") + 4, 1u);
+  });
+  m.set("crs_axis", bad_value, crs, std::uint8_t{7});
+  m.set("crs_axes_twice", bad_value, crs, crs + 1, std::uint8_t{1});
+  m.set("crs_axes_one", bad_value, crs, crs + 2, std::uint8_t{0});
+  m.set("crs_axes_alone", bad_value, crs, m.section("DECL"), std::array<std::uint8_t, 3>{});
+  m.set("crs_reserved", reserved_bits, crs + 3, std::uint8_t{1});
+  m.set("crs_control", bad_value, text + 1, std::uint8_t{'\n'});
+  m.set("crs_delete", bad_value, text + 2, std::uint8_t{0x7F});
+  m.set("crs_c1", bad_value, text + 2, std::array<std::uint8_t, 2>{0xC2, 0x9B});
+  m.set("crs_overlong", bad_value, text + 2, std::array<std::uint8_t, 3>{0xE0, 0x81, 0x81});
+  m.set("crs_surrogate", bad_value, text + 2, std::array<std::uint8_t, 3>{0xED, 0xA0, 0x80});
+  m.set("crs_beyond_unicode", bad_value, text + 2, std::array<std::uint8_t, 4>{0xF4, 0x90, 0x80, 0x80});
+  m.set("crs_cut_character", bad_value, m.file().size() - 1, std::uint8_t{0xC3});
+}
+
 inline void reject_payload(RejectMaker& m) {
   using enum Errc;
   constexpr float kNaN = std::numeric_limits<float>::quiet_NaN(), kInfinity = std::numeric_limits<float>::infinity();
@@ -311,6 +345,10 @@ inline std::vector<RejectCase> reject_cases(const std::filesystem::path& golden)
   far.origin = {4e6, 1e5, -0.1};
   detail::RejectMaker origin(cases, detail::sound(golden_cloud(6, 0, 15), far));
   detail::reject_origin(origin);
+
+  far.crs = {"LOCAL:house", {Axis::right, Axis::forward, Axis::up}};
+  detail::RejectMaker crs(cases, detail::sound(golden_cloud(6, 0, 15), far));
+  detail::reject_crs(crs);
 
   options.profile = Profile::packed;
   detail::RejectMaker coded(cases, detail::sound(golden_cloud(200, 0, 17), options));

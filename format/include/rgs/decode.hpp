@@ -80,13 +80,13 @@ class FileView {
   // For readers that fetch a file in pieces and want its head first; for a file with levels of detail see
   // PagedFile::needs(). `size`: bytes of the whole file. `parts`: what is in memory; the first has the file's first
   // bytes.
-  /// What open_head() needs besides `parts`: the head, then DECL and PROV; empty if nothing. A range has at most 66
-  /// KiB. Errors: those of open_head() for the bytes so far.
+  /// What open_head() needs besides `parts`: the head, then DECL, PROV and CREF; empty if nothing. A range has at most
+  /// 66 KiB. Errors: those of open_head() for the bytes so far.
   static Result<std::vector<FileRange>> head_needs(std::span<const FilePart> parts, std::uint64_t size,
                                                    const DecodeLimits& limits = {});
   /// Header, declarations, provenance and sections; nothing else may be used, since no other bytes are in memory or
-  /// checked. `parts` may be freed afterwards. If only PROV is missing, there is no provenance(). Errors: those of
-  /// open() for what is read; truncated if the head or DECL is missing.
+  /// checked. `parts` may be freed afterwards. Without PROV there is no provenance(), without CREF no CRS.
+  /// Errors: those of open() for what is read; truncated if the head or DECL is missing.
   static Result<FileView> open_head(std::span<const FilePart> parts, std::uint64_t size,
                                     const DecodeLimits& limits = {});
 

@@ -66,6 +66,7 @@ struct EncodeOptions {
   float metres_per_unit = 0;
   /// of the means; |x| <= kMaxOrigin
   Origin origin = kNoOrigin;
+  Crs crs;  ///< of origin + mean
   float cutoff_sigma = 3.f;
   float alpha_threshold = 1.f / 255.f;
   float alpha_max = 0.99f;
@@ -79,8 +80,8 @@ struct EncodeOptions {
   std::span<const std::uint32_t> source_index = {};
 };
 
-/// `options` with all that `declared` states of a scene: axes, colours, anti-aliasing, low-pass, units, origin, depth
-/// range and mapping, thresholds, n_source and n_repaired; so encode() keeps the declarations of a scene that was
+/// `options` with all that `declared` states of a scene: axes, colours, anti-aliasing, low-pass, units, origin, CRS,
+/// depth range and mapping, thresholds, n_source and n_repaired; so encode() keeps the declarations of a scene that was
 /// loaded and filtered. Provenance and positions are no declarations: see FileView::provenance() and source_index().
 EncodeOptions keep_declarations(EncodeOptions options, const Declarations& declared);
 

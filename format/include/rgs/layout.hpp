@@ -10,6 +10,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "rgs/splat_cloud.hpp"
@@ -18,7 +19,7 @@ namespace RGS_API rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
-/// The newest known. A file states the lowest that describes it: 5 with Codec::archive, 4 with levels of detail, 3 with
+/// The newest known. A file states the lowest that describes it: 5 with Codec::archive or a CRS, 4 with levels of detail, 3 with
 /// an origin, 2 with Codec::archive_draco, 1 with Codec::planes, else 0.
 inline constexpr std::uint16_t kVersionMinor = 5;
 
@@ -33,6 +34,7 @@ inline constexpr std::uint64_t kGeometryBytes = 16;  ///< FP16 w, x, y, z, sx, s
 inline constexpr std::uint64_t kStepSetBytes = 48;   ///< FP32 [4, 3]: degree, channel
 inline constexpr std::uint64_t kChunkEntryBytes = 48;
 inline constexpr std::uint64_t kDeclarationBytes = 256;
+inline constexpr std::uint64_t kCrsHeadBytes = 4;  ///< of CREF, before its text
 
 inline constexpr std::uint64_t kLevelsHeadBytes = 64;     ///< of LODS, before its records
 inline constexpr std::uint64_t kPageRecordBytes = 112;    ///< of LODS, one a page
@@ -65,6 +67,7 @@ enum class SectionType : std::uint32_t {
   archive = four_cc("ARCH"),       ///< with Codec::archive: its parameters, docs/format/ARCHIVE.md
   permutation = four_cc("PERM"),   ///< optional: position in the source, u32 [n], u64 [n] above 2^32 source Gaussians
   provenance = four_cc("PROV"),    ///< optional: Provenance
+  crs = four_cc("CREF"),           ///< optional: Crs
   levels = four_cc("LODS"),        ///< of a file with levels of detail: its tree of pages, see paged_file.hpp
   pages = four_cc("PAGE"),         ///< of such a file: its Gaussians, instead of SHSC, CHNK, MEAN, GEOM and SHI8
 };
@@ -154,6 +157,19 @@ struct Box {
   std::array<float, 3> max{0, 0, 0};
 };
 
+/// The coordinate reference system of positions, origin + mean.
+struct Crs {
+  std::string text;  ///< an authority's code, such as EPSG:4978, or WKT; empty: none. Untrusted: show it as plain text
+  /// Where the first, second, third coordinate of the system point, if the positions were turned since; undeclared: they
+  /// are x, y, z of the positions.
+  std::array<Axis, 3> axes{};
+
+  bool operator==(const Crs&) const = default;
+};
+inline constexpr std::uint32_t kMaxCrsText = 1u << 14;
+/// Whether a text can be that of a Crs: UTF-8 of at most kMaxCrsText bytes without control characters, not empty.
+bool is_crs_text(std::string_view text);
+
 /// Facts of a scene that a reader must not guess. Defaults are the original 3DGS code's.
 struct Declarations {
   std::array<Axis, 3> axes{Axis::right, Axis::down, Axis::forward};  ///< where +x, +y, +z point
@@ -184,6 +200,7 @@ struct Declarations {
   std::uint64_t n_opacity_zero = 0;     ///< stored opacities that are 0
   std::uint64_t n_opacity_one = 0;      ///< stored opacities that are 1
   Origin origin = kNoOrigin;            ///< of all means and boxes of the file; |x| <= kMaxOrigin
+  Crs crs;                              ///< in a section of its own, CREF
 };
 
 /// One entry of the chunk table: answers questions about a chunk without reading its Gaussians.

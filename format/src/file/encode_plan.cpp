@@ -42,6 +42,10 @@ Status check_options(const EncodeOptions& o) {
       (o.provenance->source_name.size() > kMaxProvenanceText || o.provenance->tool.size() > kMaxProvenanceText)) {
     return bad("provenance texts are limited to 4096 bytes");
   }
+  if (o.crs != Crs()) {
+    const auto written = detail::write_crs(o.crs);
+    if (const auto legal = detail::parse_crs(written, 0, o.axes); !legal) return bad(legal.error().what);
+  }
   return {};
 }
 
@@ -70,6 +74,7 @@ Declarations declare(const SceneScan& scan, const EncodeOptions& options) {
   d.order = options.order;
   d.metres_per_unit = options.metres_per_unit;
   d.origin = options.origin;
+  d.crs = options.crs;
   d.cutoff_sigma = options.cutoff_sigma;
   d.alpha_threshold = options.alpha_threshold;
   d.alpha_max = options.alpha_max;
@@ -125,6 +130,7 @@ EncodeOptions keep_declarations(EncodeOptions options, const Declarations& decla
   options.low_pass_px2 = declared.low_pass_px2;
   options.metres_per_unit = declared.metres_per_unit;
   options.origin = declared.origin;
+  options.crs = declared.crs;
   options.depth = DepthRange{declared.z_near, declared.z_far, declared.depth_source};
   options.depth_mapping = declared.depth_mapping;
   options.cutoff_sigma = declared.cutoff_sigma;
@@ -183,6 +189,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   Header& h = plan.header;
   h.version_minor = profile == Profile::direct ? 0 : profile == Profile::packed ? 1 : 5;
   if (options.origin != kNoOrigin) h.version_minor = std::max<std::uint16_t>(h.version_minor, 3);
+  if (options.crs != Crs()) h.version_minor = 5;
   h.n_gaussians = n;
   h.chunk_size = options.chunk_size;
   h.n_chunks = n / h.chunk_size + (n % h.chunk_size != 0 ? 1 : 0);
@@ -208,6 +215,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
     const std::uint64_t texts = options.provenance->source_name.size() + options.provenance->tool.size();
     plan.sections.push_back(section(SectionType::provenance, 24 + texts, 0));
   }
+  if (options.crs != Crs()) plan.sections.push_back(section(SectionType::crs, write_crs(options.crs).size(), 0));
   for (SectionEntry& entry : plan.sections) {
     if (profile == Profile::direct || !archive_type(static_cast<SectionType>(entry.type))) continue;
     entry.codec = static_cast<std::uint32_t>(profile == Profile::packed ? Codec::planes : Codec::archive);
@@ -259,6 +267,7 @@ Result<WrittenScene> finish_file(SectionWriter& file, const EncodePlan& plan, co
       case SectionType::archive: s = file.place(type, tables.archive); break;
       case SectionType::permutation: s = file.place(type, std::as_bytes(std::span(positions))); break;
       case SectionType::provenance: s = file.place(type, write_provenance(*plan.options.provenance)); break;
+      case SectionType::crs: s = file.place(type, write_crs(plan.options.crs)); break;
       case SectionType::levels:
       case SectionType::pages: break;  // LevelsWriter's
     }

@@ -101,6 +101,14 @@ std::vector<std::byte> write_provenance(const Provenance& p) {
   return out.take();
 }
 
+std::vector<std::byte> write_crs(const Crs& crs) {
+  ByteWriter out;
+  for (const Axis axis : crs.axes) out.u8(static_cast<std::uint8_t>(axis));
+  out.u8(0);
+  out.text(crs.text);
+  return out.take();
+}
+
 Result<Header> parse_header(std::span<const std::byte> bytes) {
   ByteReader in(bytes);
   // A prefix of the magic is a truncated file; anything else is another format.
@@ -196,6 +204,52 @@ bool read_enum(ByteReader& in, Enum& out, int low, int high) {
   return value >= low && value <= high;
 }
 
+Status read_axes(ByteReader& in, std::array<Axis, 3>& axes) {
+  const auto bad = [&in](std::uint64_t back, const char* what) {
+    return make_error(Errc::bad_value, in.offset() - back, what);
+  };
+  for (Axis& axis : axes) {
+    if (!read_enum(in, axis, 0, 6)) return bad(1, "axis direction is not 0 to 6");
+  }
+  // Three declared axes must be different directions; (a - 1) / 2 is the pair left-right, up-down, ...
+  if (std::ranges::count(axes, Axis::undeclared) != 0) {
+    if (std::ranges::count(axes, Axis::undeclared) != 3) return bad(3, "either all axes are declared or none");
+    return {};
+  }
+  unsigned seen = 0;
+  for (const Axis axis : axes) seen |= 1u << ((static_cast<unsigned>(axis) - 1) / 2);
+  if (seen != 7) return bad(3, "declared axes do not span space");
+  return {};
+}
+
+// Bytes of the character at the beginning of `text`, UTF-8 without overlong forms and surrogates (The Unicode Standard,
+// table 3-7); 0 if it is another byte, or a control character.
+std::size_t character_bytes(std::string_view text) {
+  const auto byte = [text](std::size_t i) { return std::uint32_t{static_cast<unsigned char>(text[i])}; };
+  const std::uint32_t lead = byte(0);
+  if (lead < 0x80) return lead < 0x20 || lead == 0x7F ? 0 : 1;
+  const std::size_t bytes = lead < 0xC2 || lead > 0xF4 ? 0 : lead < 0xE0 ? 2 : lead < 0xF0 ? 3 : 4;
+  if (bytes == 0 || text.size() < bytes) return 0;
+  std::uint32_t code = lead & (0x7Fu >> bytes);
+  for (std::size_t i = 1; i < bytes; ++i) {
+    if ((byte(i) & 0xC0) != 0x80) return 0;
+    code = code << 6 | (byte(i) & 0x3F);
+  }
+  const std::uint32_t least = bytes == 2 ? 0xA0 : bytes == 3 ? 0x800 : 0x10000;  // 0x80 to 0x9F are controls
+  return code < least || (code >= 0xD800 && code < 0xE000) || code > 0x10FFFF ? 0 : bytes;
+}
+
+// Bytes of sound characters at the beginning.
+std::size_t sound_bytes(std::string_view text) {
+  std::size_t at = 0;
+  while (at < text.size()) {
+    const std::size_t bytes = character_bytes(text.substr(at));
+    if (bytes == 0) break;
+    at += bytes;
+  }
+  return at;
+}
+
 bool ordered(const Box& box) {
   for (std::size_t i = 0; i < 3; ++i) {
     if (!std::isfinite(box.min[i]) || !std::isfinite(box.max[i]) || box.min[i] > box.max[i]) return false;
@@ -214,17 +268,7 @@ Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::u
   const auto bad = [&in](std::uint64_t back, const char* what) {
     return make_error(Errc::bad_value, in.offset() - back, what);
   };
-  for (Axis& axis : d.axes) {
-    if (!read_enum(in, axis, 0, 6)) return bad(1, "axis direction is not 0 to 6");
-  }
-  // Three declared axes must be different directions; (a - 1) / 2 is the pair left-right, up-down, ...
-  if (std::ranges::count(d.axes, Axis::undeclared) != 0) {
-    if (std::ranges::count(d.axes, Axis::undeclared) != 3) return bad(3, "either all axes are declared or none");
-  } else {
-    unsigned seen = 0;
-    for (const Axis axis : d.axes) seen |= 1u << ((static_cast<unsigned>(axis) - 1) / 2);
-    if (seen != 7) return bad(3, "declared axes do not span space");
-  }
+  if (const Status axes = read_axes(in, d.axes); !axes) return tl::unexpected(axes.error());
   if (!read_enum(in, d.colour_space, 0, 2)) return bad(1, "colour space is not 0 to 2");
   if (!read_enum(in, d.sh_basis, 1, 1)) return bad(1, "SH basis is not 1");
   if (!read_enum(in, d.kernel, 1, 1)) return bad(1, "kernel is not 1");
@@ -316,4 +360,32 @@ Result<Provenance> parse_provenance(std::span<const std::byte> bytes, std::uint6
   return p;
 }
 
+Result<Crs> parse_crs(std::span<const std::byte> bytes, std::uint64_t offset, const std::array<Axis, 3>& axes) {
+  ByteReader in(bytes, offset);
+  Crs crs;
+  if (const Status s = read_axes(in, crs.axes); !s) return tl::unexpected(s.error());
+  if (in.u8() != 0) return make_error(Errc::reserved_bits, offset + 3, "a reserved byte is not zero");
+  if (crs.axes[0] != Axis::undeclared && axes[0] == Axis::undeclared) {
+    return make_error(Errc::bad_value, offset, "the coordinate reference system has axes, but the scene declares none");
+  }
+  crs.text = in.text(in.remaining());
+  if (const std::size_t sound = sound_bytes(crs.text); sound != crs.text.size()) {
+    return make_error(Errc::bad_value, offset + kCrsHeadBytes + sound,
+                      "the coordinate reference system's text is not UTF-8, or has a control character");
+  }
+  if (!is_crs_text(crs.text)) {
+    return make_error(Errc::bad_value, offset + kCrsHeadBytes,
+                      "the coordinate reference system's text is empty or longer than 16,384 bytes");
+  }
+  return crs;
+}
+
 }  // namespace rgs::detail
+
+namespace rgs {
+
+bool is_crs_text(std::string_view text) {
+  return !text.empty() && text.size() <= kMaxCrsText && detail::sound_bytes(text) == text.size();
+}
+
+}  // namespace rgs

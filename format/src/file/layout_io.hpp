@@ -26,6 +26,7 @@ std::vector<std::byte> write_declarations(const Declarations& declarations);
 void write_chunk_entry(ByteWriter& out, const ChunkEntry& entry);
 void write_step_set(ByteWriter& out, const ShStepSet& set);
 std::vector<std::byte> write_provenance(const Provenance& provenance);
+std::vector<std::byte> write_crs(const Crs& crs);
 
 /// The first kHeaderBytes of a file.
 Result<Header> parse_header(std::span<const std::byte> bytes);
@@ -35,5 +36,7 @@ Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::u
 Result<ChunkEntry> parse_chunk_entry(std::span<const std::byte> bytes, std::uint64_t offset);
 ShStepSet parse_step_set(std::span<const std::byte> bytes);
 Result<Provenance> parse_provenance(std::span<const std::byte> bytes, std::uint64_t offset);
+/// `axes`: of the scene. `bytes`: of a size that open() accepts.
+Result<Crs> parse_crs(std::span<const std::byte> bytes, std::uint64_t offset, const std::array<Axis, 3>& axes);
 
 }  // namespace rgs::detail

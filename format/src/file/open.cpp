@@ -32,7 +32,8 @@ bool of_levels(SectionType type) {
 bool known(std::uint32_t type, std::uint16_t minor) {
   return std::ranges::find(kKnown, static_cast<SectionType>(type)) != kKnown.end() ||
          (minor >= 2 && type == static_cast<std::uint32_t>(SectionType::archive)) ||
-         (minor >= 4 && of_levels(static_cast<SectionType>(type)));
+         (minor >= 4 && of_levels(static_cast<SectionType>(type))) ||
+         (minor >= 5 && type == static_cast<std::uint32_t>(SectionType::crs));
 }
 
 bool known_codec(const SectionEntry& s, std::uint16_t minor) {
@@ -86,7 +87,7 @@ Status missing(SectionType type) {
 
 // Checks that all required sections are there, with or without levels of detail, and that sections that a reader needs
 // before the first page precede the pages, so that a prefix of the file is usable.
-Status check_required(std::span<const SectionEntry> sections, bool levels) {
+Status check_required(std::span<const SectionEntry> sections, std::uint16_t minor, bool levels) {
   const auto count = [&](SectionType type) {
     return std::ranges::count(sections, static_cast<std::uint32_t>(type), &SectionEntry::type);
   };
@@ -107,10 +108,11 @@ Status check_required(std::span<const SectionEntry> sections, bool levels) {
       return make_error(Errc::bad_section, at, "a file with levels of detail has its Gaussians in pages, not sections",
                         Error::kNone, sections[i].type);
     }
-    const bool needed =
-        type == SectionType::declarations || type == SectionType::levels || type == SectionType::archive;
+    const bool needed = type == SectionType::declarations || type == SectionType::levels ||
+                        type == SectionType::archive || (type == SectionType::crs && minor >= 5);
     if (after_pages && needed) {
-      return make_error(Errc::bad_section, at, "DECL, LODS and ARCH come before PAGE", Error::kNone, sections[i].type);
+      return make_error(Errc::bad_section, at, "DECL, LODS, ARCH and CREF come before PAGE", Error::kNone,
+                        sections[i].type);
     }
     after_pages = after_pages || type == SectionType::pages;
   }
@@ -146,7 +148,7 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
                         s.stored_bytes, s.decoded_bytes);
     }
   }
-  return check_required(sections, names_levels(sections, minor));
+  return check_required(sections, minor, names_levels(sections, minor));
 }
 
 std::uint64_t levels_entry(std::span<const SectionEntry> sections) {
@@ -198,7 +200,7 @@ Status check_size(const FileView& view, std::size_t index, std::uint64_t count, 
   return {};
 }
 
-// Checks sizes that follow from the header alone.
+// Checks sizes that follow from the header alone, and the one that is limited.
 Status check_sizes(const FileView& view) {
   const Header& h = view.header();
   for (std::size_t i = 0; i < view.sections().size(); ++i) {
@@ -210,6 +212,13 @@ Status check_sizes(const FileView& view) {
       case SectionType::means: bytes = kMeanBytes; break;
       case SectionType::geometry: bytes = kGeometryBytes; break;
       case SectionType::sh: bytes = sh_bytes(h.sh_degree); break;
+      case SectionType::crs:
+        if (const std::uint64_t size = view.sections()[i].decoded_bytes;
+            view.header().version_minor >= 5 && (size <= kCrsHeadBytes || size > kCrsHeadBytes + kMaxCrsText))
+          return make_error(Errc::size_mismatch, detail::section_entry_offset(i) + 32,
+                            "the coordinate reference system's text is empty or longer than 16,384 bytes",
+                            kCrsHeadBytes + kMaxCrsText, size);
+        continue;
       default: continue;
     }
     if (const Status s = check_size(view, i, count, bytes); !s) return s;
@@ -341,7 +350,7 @@ Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, std::uin
   return view;
 }
 
-// Parses what precedes the Gaussians in all files: head, declarations, provenance if there is any. The first part has
+// Parses what precedes the Gaussians in all files: head, declarations, provenance and CRS if there are any. The first part has
 // the file's first bytes.
 Result<FileView> FileView::parse_front(std::span<const FilePart> parts, std::uint64_t size, const DecodeLimits& limits,
                                        bool levels) {
@@ -361,6 +370,16 @@ Result<FileView> FileView::parse_front(std::span<const FilePart> parts, std::uin
       auto provenance = detail::parse_provenance(*stored, entry->offset);
       if (!provenance) return tl::unexpected(provenance.error());
       view.provenance_ = std::move(*provenance);
+    }
+  }
+  if (const SectionEntry* entry = view.find(SectionType::crs); entry != nullptr && view.header_.version_minor >= 5) {
+    if (const auto stored = bytes_of(*entry, parts)) {
+      if (const Status s = check_hash(*stored, *entry); !s) return tl::unexpected(s.error());
+      auto crs = detail::parse_crs(*stored, entry->offset, view.declarations_.axes);
+      if (!crs) return tl::unexpected(crs.error());
+      view.declarations_.crs = std::move(*crs);
+    } else if (levels) {
+      return tl::unexpected(too_short(view).error());
     }
   }
   return view;
@@ -422,6 +441,7 @@ Result<std::vector<FileRange>> FileView::head_needs(std::span<const FilePart> pa
     for (const SectionEntry& entry : view->sections()) {
       const auto type = static_cast<SectionType>(entry.type);
       const bool wanted = type == SectionType::declarations ||
+                          (type == SectionType::crs && entry.stored_bytes <= kCrsHeadBytes + kMaxCrsText) ||
                           (type == SectionType::provenance && entry.stored_bytes <= kMostProvenanceBytes);
       if (wanted && !bytes_of(entry, parts)) missing.push_back({entry.offset, entry.stored_bytes});
     }

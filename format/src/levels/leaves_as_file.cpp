@@ -69,7 +69,7 @@ Result<std::vector<std::byte>> leaves_as_file(const PagedFile& file, const LoadO
     }
     Header h = head.header();
     const std::uint64_t stride = sh_bytes(h.sh_degree);
-    h.version_minor = head.declarations().origin == kNoOrigin ? 0 : 3;
+    h.version_minor = head.declarations().crs != Crs() ? 5 : head.declarations().origin != kNoOrigin ? 3 : 0;
     h.n_step_sets = h.n_chunks;  // even if pages share one
     std::vector<SectionEntry> sections{entry_of(SectionType::declarations, kDeclarationBytes, true),
                                        entry_of(SectionType::sh_steps, h.n_step_sets * kStepSetBytes, true),
@@ -77,9 +77,9 @@ Result<std::vector<std::byte>> leaves_as_file(const PagedFile& file, const LoadO
                                        entry_of(SectionType::means, h.n_gaussians * kMeanBytes, true),
                                        entry_of(SectionType::geometry, h.n_gaussians * kGeometryBytes, true),
                                        entry_of(SectionType::sh, h.n_gaussians * stride, true)};
-    // Drops sections that are incomplete. Provenance was checked when the file was opened.
+    // Drops sections that are incomplete. Provenance and CRS were checked when the file was opened.
     std::vector<const SectionEntry*> kept;
-    for (const SectionType type : {SectionType::permutation, SectionType::provenance}) {
+    for (const SectionType type : {SectionType::permutation, SectionType::provenance, SectionType::crs}) {
       const SectionEntry* entry = head.find(type);
       if (entry == nullptr || entry->offset + entry->stored_bytes > head.bytes().size()) continue;
       if (type == SectionType::permutation && xxh3(head.stored(*entry)) != entry->xxh3) {

@@ -78,8 +78,9 @@ LevelsFile::LevelsFile(Sink sink, const EncodePlan& plan, PageTable table, std::
   table_.n_stored = 0;
   for (const lod::Page& page : table_.pages) table_.n_stored += page.count;
   table_.page_chunks = std::max(most_chunks(table_.pages, header_.chunk_size), table_.page_chunks);
-  sections_ = {section(SectionType::declarations, kDeclarationBytes),
-               section(SectionType::levels, kLevelsHeadBytes + n * kPageRecordBytes)};
+  sections_ = {section(SectionType::declarations, kDeclarationBytes)};
+  if (options_.crs != Crs()) sections_.push_back(section(SectionType::crs, write_crs(options_.crs).size(), 0));
+  sections_.push_back(section(SectionType::levels, kLevelsHeadBytes + n * kPageRecordBytes));
   if (!archive_.empty()) sections_.push_back(section(SectionType::archive, archive_.size()));
   if (options_.provenance) {
     sections_.push_back(section(SectionType::provenance, write_provenance(*options_.provenance).size(), 0));
@@ -152,7 +153,7 @@ Result<WrittenScene> LevelsFile::finish(const Declarations& declarations, std::s
     end_ = s.offset + s.stored_bytes;
   }
   WrittenScene written{header_, declarations, {}};
-  written.header.version_minor = options_.profile == Profile::archive ? 5 : 4;
+  written.header.version_minor = options_.profile == Profile::archive || options_.crs != Crs() ? 5 : 4;
   written.header.file_bytes = end_;
   written.header.n_sections = static_cast<std::uint32_t>(sections_.size());
   std::uint64_t before = section_entry_offset(sections_.size()) + kHeadChecksumBytes;
@@ -168,6 +169,7 @@ Result<WrittenScene> LevelsFile::finish(const Declarations& declarations, std::s
       case SectionType::levels: s = place(type, write_page_table(table_)); break;
       case SectionType::archive: s = place(type, archive_); break;
       case SectionType::provenance: s = place(type, write_provenance(*options_.provenance)); break;
+      case SectionType::crs: s = place(type, write_crs(options_.crs)); break;
       case SectionType::permutation: s = place(type, std::as_bytes(positions)); break;
       default: break;
     }

@@ -24,7 +24,7 @@ struct EncodedPage {
   Box extent;  ///< holds the stored Gaussians out to 3 standard deviations
 };
 
-/// Writes sections in the order DECL, LODS, ARCH, PROV, PAGE, PERM: sizes before PAGE are known in advance, and a
+/// Writes sections in the order DECL, CREF, LODS, ARCH, PROV, PAGE, PERM: sizes before PAGE are known in advance, and a
 /// reader needs just these sections before the first page. All functions return the errors of their sink.
 class LevelsFile {
  public:

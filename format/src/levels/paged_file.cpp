@@ -157,7 +157,8 @@ Result<std::vector<FileRange>> PagedFile::needs(std::span<const FilePart> parts,
         entry.stored_bytes = std::min(entry.stored_bytes, kLevelsHeadBytes + kPageRecordBytes);
       } else if (type == SectionType::archive) {
         if (Status s = check_archive_bytes(entry); !s) return tl::unexpected(s.error());
-      } else if (type != SectionType::declarations) {
+      } else if (type != SectionType::declarations &&
+                 !(type == SectionType::crs && entry.stored_bytes <= kCrsHeadBytes + kMaxCrsText)) {
         continue;
       }
       if (!FileView::bytes_of(entry, parts)) missing.push_back({entry.offset, entry.stored_bytes});
@@ -249,6 +250,7 @@ Status PagedFile::reserve() {
 std::uint64_t PagedFile::memory_bytes() const {
   std::uint64_t bytes = sizeof *this + head_.sections_.capacity() * sizeof(SectionEntry) +
                         table_.pages.capacity() * sizeof(lod::Page) + table_.stored.capacity() * sizeof(StoredPage);
+  bytes += head_.declarations_.crs.text.capacity();
   if (head_.archive_ != nullptr) bytes += detail::memory_bytes(*head_.archive_);
   if (head_.provenance_) bytes += head_.provenance_->source_name.capacity() + head_.provenance_->tool.capacity();
   return bytes;

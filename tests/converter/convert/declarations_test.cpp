@@ -7,6 +7,7 @@
 #include "convert_program.hpp"
 #include "convert_scenes.hpp"
 #include "interchange_samples.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/splat_edit.hpp"
 #include "run_program.hpp"
@@ -286,6 +287,76 @@ TEST_CASE("merged inputs with different declarations: the first is taken and rep
   json = converted({"--merge", a, a, out});
   CHECK(json["notes"].empty());
   CHECK(RgsFile(out).d.z_far == 32);
+}
+
+TEST_CASE("a coordinate reference system goes with the scene, and is lost or refused where it no longer holds") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(300, 0, 8);
+  EncodeOptions options;
+  options.origin = {4.2e6, 1.7e5, 4.8e6};
+  options.crs = {"EPSG:4978", {}};
+  const std::string a = write_rgs(folder.file("a.rgs"), cloud, options), out = folder.file("out.rgs");
+  options.crs.text = "EPSG:9988";
+  const std::string b = write_rgs(folder.file("b.rgs"), cloud, options);
+  options.crs = {};
+  const std::string none = write_rgs(folder.file("none.rgs"), cloud, options);
+  const Crs ecef{"EPSG:4978", {}};
+  for (const std::string profile : {"direct", "packed", "archive:high"}) {
+    CAPTURE(profile);
+    CHECK(converted({"--profile", profile, a, out})["declared"]["crs"] == "EPSG:4978");
+    CHECK(RgsFile(out).d.crs == ecef);
+  }
+  converted({"--lod", "--chunk-size", "32", a, out});
+  Bytes bytes = read_bytes(out);
+  CHECK(PagedFile::open(bytes)->head().declarations().crs == ecef);
+  converted({"--level-of-detail", "0", out, folder.file("finest.rgs")});
+  CHECK(RgsFile(folder.file("finest.rgs")).d.crs == ecef);
+  converted({"--merge", a, none, a, out});
+  CHECK(RgsFile(out).d.crs == ecef);
+  // Its axes stay those of the coordinates.
+  converted({"--to-axes", "opengl", a, out});
+  const std::string turned = folder.file("turned.rgs");
+  CHECK(RgsFile(out).d.crs == Crs{"EPSG:4978", kAxes3dgs});
+  converted({"--to-axes", "3dgs", out, turned});
+  CHECK(RgsFile(turned).d.crs == ecef);
+  for (const std::vector<std::string>& lod : {std::vector<std::string>{}, {"--lod"}}) {
+    auto arguments = lod;
+    arguments.insert(arguments.end(), {"--merge", a, b, out});
+    const auto refused = rgs_convert(arguments);
+    CHECK(refused.exit_code == 2);
+    CHECK(refused.err.find("--crs") != std::string::npos);
+    arguments.insert(arguments.begin(), {"--crs", "EPSG:7789"});
+    converted(arguments);
+  }
+  CHECK(holds(converted({"--translate", "0,0,1", a, out})["notes"], "no longer in EPSG:4978"));
+  CHECK(RgsFile(out).d.crs == Crs());
+  converted({"--translate", "0,0,1", "--crs", "LOCAL:x", a, out});
+  CHECK(RgsFile(out).d.crs == Crs{"LOCAL:x", {}});
+  converted({"--crs", "none", a, out});
+  bytes = read_bytes(out);
+  CHECK(FileView::open(bytes)->find(SectionType::crs) == nullptr);
+  CHECK(FileView::open(bytes)->header().version_minor == 3);
+  CHECK(rgs_convert({"--crs", "a\nb", a, out}).exit_code == 2);
+  // Comments of a PLY and extras of a glTF keep it, with its case and its axes.
+  for (const std::string name : {"a.ply", "a.glb", "a.compressed.ply"}) {
+    CAPTURE(name);
+    const std::string kept = folder.file(name);
+    std::vector<std::string> arguments{"--crs", "GEODCRS[\"Z\u00fcrich: rgs_crs\"]", a, kept};
+    if (name == "a.compressed.ply") arguments.insert(arguments.begin(), "--allow-rounding");
+    CHECK_FALSE(holds(converted(arguments)["lost"], "coordinate reference system"));
+    ReadOptions as_stored;
+    as_stored.keep_axes = true;
+    const Crs stored = read_splats(kept, as_stored).value().crs;
+    CHECK(stored.text == "GEODCRS[\"Z\u00fcrich: rgs_crs\"]");
+    CHECK(stored.axes == (name == "a.glb" ? kAxes3dgs : Axes{}));
+    converted({kept, out});
+    CHECK(RgsFile(out).d.crs == Crs{stored.text, {}});
+  }
+  const std::string text = read_text(folder.file("a.ply"));
+  const std::size_t at = text.find("rgs_crs: ") + 9;
+  write_text(folder.file("bad.ply"), text.substr(0, at) + "\x01" + text.substr(at + 1));
+  CHECK(rgs_convert({folder.file("bad.ply"), folder.file("bad.rgs")}).exit_code == 4);
+  CHECK(holds(converted({"--to", "npz", a, folder.file("a.npz")})["lost"], "EPSG:4978"));
 }
 
 TEST_CASE("positions in the source refer to the original, through .rgs files and filters") {

@@ -310,6 +310,12 @@ TEST_CASE("golden files have the scale sets and optional sections that they test
   CHECK(optional->provenance()->source_xxh3 == 0x0123456789ABCDEFu);
   CHECK(optional->provenance()->source_name == "garden.ply");
   CHECK(optional->provenance()->tool == "golden 1");
+  const Bytes crs_bytes = golden("crs");
+  const auto crs = FileView::open(crs_bytes);
+  REQUIRE(crs);
+  CHECK(crs->header().version_minor == 5);
+  CHECK(crs->declarations().crs.text == "GEODCRS[\"Z\u00fcrich \U0001f30d\", CS[Cartesian, 3]]");
+  CHECK(crs->declarations().crs.axes == std::array{Axis::right, Axis::forward, Axis::up});
   const auto edges = FileView::open(edges_bytes);
   REQUIRE(edges);
   CHECK(edges->declarations().n_scale_zero != 0);

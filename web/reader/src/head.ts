@@ -74,6 +74,15 @@ export interface Declarations {
   readonly nOpacityOne: number;
   /** World position = origin + mean. */
   readonly origin: Vector3;
+  /** Coordinate reference system of world positions; null: not stated. */
+  readonly crs: Crs | null;
+}
+/** The text is untrusted: show it as plain text. */
+export interface Crs {
+  /** An authority's code, such as `EPSG:4978`, or WKT. */
+  readonly text: string;
+  /** Where its coordinates point, if not along x, y and z of positions: these are `undeclared` then. */
+  readonly axes: readonly [Axis, Axis, Axis];
 }
 export type Axis = (typeof kAxes)[number];
 
@@ -162,7 +171,7 @@ function fourCharacters(code: number): string {
   return String.fromCharCode(code & 0xff, (code >>> 8) & 0xff, (code >>> 16) & 0xff, code >>> 24);
 }
 
-/** `text` is rgs_text() of rgs_head(): source name and tool, UTF-8. */
+/** `text` is rgs_text() of rgs_head(): CRS, source name and tool, UTF-8. */
 export function parseHead(values: Float64Array, text: Uint8Array): Head {
   const in_ = new Numbers(values);
   const header: Header = {
@@ -176,7 +185,7 @@ export function parseHead(values: Float64Array, text: Uint8Array): Head {
     shDegree: in_.next(),
     scaleExponent: in_.next(),
   };
-  const declarations: Declarations = {
+  let declarations: Declarations = {
     axes: [in_.of(kAxes), in_.of(kAxes), in_.of(kAxes)],
     colourSpace: in_.of(kColourSpaces),
     shBasis: in_.of(kShBases),
@@ -205,17 +214,21 @@ export function parseHead(values: Float64Array, text: Uint8Array): Head {
     nOpacityZero: in_.next(),
     nOpacityOne: in_.next(),
     origin: in_.vector(),
+    crs: null,
   };
+  const utf8 = new TextDecoder();
+  const crsBytes = in_.next();
+  const crsAxes: Crs["axes"] = [in_.of(kAxes), in_.of(kAxes), in_.of(kAxes)];
+  if (crsBytes > 0) declarations = { ...declarations, crs: { text: utf8.decode(text.subarray(0, crsBytes)), axes: crsAxes } };
   let provenance: Provenance | null = null;
   if (in_.next() !== 0) {
     const sourceBytes = in_.next();
-    const nameBytes = in_.next();
-    const utf8 = new TextDecoder();
+    const nameEnd = crsBytes + in_.next();
     provenance = {
       sourceBytes,
       sourceXxh3: in_.hash(),
-      sourceName: utf8.decode(text.subarray(0, nameBytes)),
-      tool: utf8.decode(text.subarray(nameBytes)),
+      sourceName: utf8.decode(text.subarray(crsBytes, nameEnd)),
+      tool: utf8.decode(text.subarray(nameEnd)),
     };
   }
   const sections: Section[] = [];

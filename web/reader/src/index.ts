@@ -6,6 +6,7 @@ export type {
   Axis,
   Box,
   Codec,
+  Crs,
   Declarations,
   Header,
   Levels,

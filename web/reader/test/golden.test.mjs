@@ -125,6 +125,12 @@ function assertHead(file, arrays) {
   const counts = [d.nSource, d.nDropped, d.nRepaired, d.nScaleSubnormal, d.nScaleZero, d.nOpacityZero, d.nOpacityOne];
   assert.deepEqual(counts.map(BigInt), [...arrays.counts]);
   assert.deepEqual([...d.origin], [...arrays.origin]);
+  if (arrays.crs) {
+    assert.equal(d.crs.text, Buffer.from(arrays.crs).toString());
+    assert.deepEqual(d.crs.axes.map((axis) => axes.indexOf(axis)), [...arrays.crs_axes]);
+  } else {
+    assert.equal(d.crs, null);
+  }
   if (arrays.source) {
     const p = file.provenance;
     assert.deepEqual([BigInt(p.sourceBytes), p.sourceXxh3], [...arrays.source]);

@@ -399,12 +399,15 @@ RGS_EXPORT(rgs_head) void rgs_head(File* file) {
   put_box(d.robust);
   put(d.n_source, d.n_dropped, d.n_repaired, d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one);
   for (const double x : d.origin) put(x);
+  put(d.crs.text.size());
+  for (const Axis axis : d.crs.axes) put(static_cast<int>(axis));
+  text = d.crs.text;
   const auto& p = view.provenance();
   put(p.has_value());
   if (p) {
     put(p->source_bytes, p->source_name.size());
     put_hash(p->source_xxh3);
-    text = p->source_name + p->tool;
+    text += p->source_name + p->tool;
   }
   put(view.sections().size());
   for (const SectionEntry& s : view.sections()) {

@@ -114,12 +114,13 @@ struct SplatFile {
   SplatCloud cloud;
   Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, doubles of a PLY, npz or pt, or a far node or
                                  ///< prim of a glb or usda
+  Crs crs = {};                  ///< of origin + mean
   double position_rounding = 0;  ///< largest rounding of a coordinate by reading, world units: of doubles, or of far
                                  ///< nodes or prims
 };
 
-/// `options` with the file's declarations: all, and the provenance, of an .rgs; axes, colours, anti-aliasing, low-pass
-/// and units of others. For encode() of Gaussians that were read from it, and perhaps filtered.
+/// `options` with the file's declarations: all, and the provenance, of an .rgs; axes, colours, anti-aliasing, low-pass,
+/// units, origin and CRS of others. For encode() of Gaussians that were read from it, and perhaps filtered.
 EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file);
 
 struct ReadOptions {
@@ -161,6 +162,7 @@ struct WriteOptions {
   Axes axes = kAxes3dgs;                                 ///< of the Gaussians; stated in ply and compressed_ply
   /// Of the Gaussians; ply, glb, usda and npz keep it, others hold FP32 positions: position_rounding().
   Origin origin = kNoOrigin;
+  Crs crs = {};             ///< of origin + mean; stated in ply, compressed_ply and glb
   bool keep_order = false;  ///< compressed.ply, sog: do not sort Gaussians, so that close ones are neighbours
   unsigned threads = 0;     ///< sog; 0: as many as the machine runs at once. The file does not depend on it
   int spz_version = 3;      ///< 2, 3 or 4; docs/user/INTERCHANGE.md says which viewer reads which

@@ -62,6 +62,8 @@ Origin merged_origin(std::span<const Origin> origins);
 void convert_axes(SplatCloud& cloud, const Axes& from, const Axes& to);
 /// The same for an origin.
 void convert_axes(Origin& origin, const Axes& from, const Axes& to);
+/// The same for the CRS of the positions: it remembers the axes that they had.
+void convert_axes(Crs& crs, const Axes& from, const Axes& to);
 
 /// Drops the harmonics above `degree`.
 void strip_sh(SplatCloud& cloud, int degree);
