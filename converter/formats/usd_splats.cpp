@@ -159,7 +159,7 @@ class StageReader {
   void value(Prim& prim, std::string_view type, bool is_array, std::string_view name, std::uint64_t at);
   bool splat_value(SplatPrim& splats, std::string_view type, bool is_array, std::string_view name, std::uint64_t at);
   Floats floats(std::uint64_t each);
-  Op numbers(std::uint64_t at);
+  void numbers(Op& op);
   std::vector<std::string_view> texts();
   void leave(Prim& prim);
   std::optional<glm::dmat4> transform_of(const Prim& prim, bool& is_placed);
@@ -335,9 +335,9 @@ void StageReader::value(Prim& prim, std::string_view type, bool is_array, std::s
   const std::string_view base = name.substr(0, name.find('.'));
   if (base.starts_with("xformOp:")) {
     Op& op = prim.ops[base];
-    if (base == name) return void(op = numbers(at));
+    if (op.is_static) op.at = at;
+    if (base == name) return numbers(op);
     op.is_static = false;
-    op.at = at;
   } else if (name == "xformOpOrder") {
     prim.order_at = at;
     prim.order = texts();
@@ -402,23 +402,21 @@ Floats StageReader::floats(std::uint64_t each) {
 }
 
 // A number, a tuple or a tuple of tuples, in order.
-Op StageReader::numbers(std::uint64_t at) {
-  Op op;
-  op.at = at;
+void StageReader::numbers(Op& op) {
+  op.n = 0;
   int depth = 0;
   do {
-    if (text_.take('('))
+    if (depth < 2 && text_.take('('))
       ++depth;
     else if (depth > 0 && text_.take(')'))
       --depth;
     else if (depth > 0 && text_.take(','))
       continue;
-    else if (op.n == op.numbers.size() || depth > 2)
+    else if (op.n == op.numbers.size())
       text_.fail("a transform is not of at most 4 x 4 numbers");
     else
       op.numbers[op.n++] = text_.number<double>();
   } while (text_.ok() && depth > 0);
-  return op;
 }
 
 std::vector<std::string_view> StageReader::texts() {
@@ -504,7 +502,7 @@ SplatCloud StageReader::cloud_of(const SplatPrim& splats, ScenePart& part) const
 
 Result<SplatFile> StageReader::read(std::uint64_t file_bytes) {
   if (text_.take('(')) layer_metadata();
-  while (text_.next() != '\0') {
+  while (!text_.ends()) {
     const std::string_view first = text_.word();
     if (first == "def" || first == "over" || first == "class") {
       prim(first, 0);

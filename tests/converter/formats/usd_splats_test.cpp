@@ -293,6 +293,7 @@ TEST_CASE("usda: unsupported or invalid text is refused at its byte, which ^ mar
       {"^#usda 1.0\ndef Xform \"X\" {}\n", Errc::not_gaussian_splats},
       {"#usda 1.0\ndef Xform \"X\" {^", Errc::truncated},
       {"#usda 1.0\n^12", Errc::bad_syntax},
+      {stage("") + "^" + std::string(1, '\0') + stage("").substr(10), Errc::bad_syntax},
       {"#usda 1.0\ndef \"X\" ^[]", Errc::bad_syntax},
       {"#usda 1.0\ndef ^\"X", Errc::truncated},
       {"#usda 1.0\n^/* def", Errc::truncated},
@@ -333,6 +334,10 @@ TEST_CASE("usda: unsupported or invalid text is refused at its byte, which ^ mar
       {stage("double3 ^xformOp:translate.timeSamples = { 0: (1, 2, 3) }\n"
              "uniform token[] xformOpOrder = [\"xformOp:translate\"]"),
        Errc::unsupported_feature},
+      {stage("double3 ^xformOp:translate.timeSamples = { 0: (1, 2, 3) }\ndouble3 xformOp:translate = (1, 2, 3)\n"
+             "uniform token[] xformOpOrder = [\"xformOp:translate\"]"),
+       Errc::unsupported_feature},
+      {stage("matrix4d xformOp:transform = ((^(1, 0, 0, 0)))"), Errc::bad_syntax},
       {stage("uniform token[] ^xformOpOrder = [\"xformOp:translate\"]"), Errc::bad_value},
       {"#usda 1.0\ndef ^ParticleField3DGaussianSplat \"S\" { float3 xformOp:scale = (1, 1, -1)\n"
        "uniform token[] xformOpOrder = [\"xformOp:scale\"] }",
