@@ -100,7 +100,7 @@ struct Prim {
   std::string_view type;
   std::uint64_t at = 0;
   std::size_t first = 0;  // of its Gaussians in the stage's list
-  bool is_shown = true;
+  bool is_shown = true, comes_and_goes = false;
   std::map<std::string_view, Op> ops;
   std::vector<std::string_view> order;
   std::uint64_t order_at = 0;
@@ -348,6 +348,8 @@ void StageReader::value(Prim& prim, std::string_view type, bool is_array, std::s
   } else if (name == "visibility") {
     prim.is_shown = text_.quoted() != "invisible";
     return;
+  } else if (base == "visibility") {
+    prim.comes_and_goes = true;
   }
   text_.skip_value();
 }
@@ -469,6 +471,7 @@ void StageReader::leave(Prim& prim) {
     splats_.resize(prim.first);
     return;
   }
+  if (prim.comes_and_goes) note("visibility that varies in time");
   bool is_placed = false;
   const auto transform = transform_of(prim, is_placed);
   if (!transform) return;

@@ -278,6 +278,11 @@ TEST_CASE("usda: what is not shown or not followed is named") {
   const SplatFile more =
       read_text(stage("", "", "def \"X\" (\n prepend references = @a.usdc@</A> (scale = 2)\n) {}\n%"));
   CHECK(more.unused == std::vector<std::string>{"references, payloads or variants"});
+  CHECK(read_text(stage("token visibility.timeSamples = { 0: \"invisible\" }", "",
+                        "def \"X\" { token visibility.timeSamples = { 0: \"invisible\" } }\n%"))
+            .unused == std::vector<std::string>{"visibility that varies in time"});
+  CHECK(
+      read_text(stage("", "", "def \"X\" { token visibility.timeSamples = { 0: \"invisible\" } }\n%")).unused.empty());
   for (const char* without : {"def \"X\" ( active = false ) {%}\n", "class \"X\" {%}\n", "over \"X\" {%}\n"}) {
     CAPTURE(without);
     CHECK(read_text(stage("", "", without + stage("").substr(10))).cloud.size() == 1);
