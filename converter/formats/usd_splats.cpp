@@ -145,9 +145,10 @@ std::optional<glm::dmat4> matrix_of(std::string_view kind, const Op& op) {
 
 class StageReader {
  public:
-  StageReader(std::string_view text, const DecodeLimits& limits) : text_(text), limits_(limits) {}
+  StageReader(std::string_view text, std::uint64_t file_bytes, const DecodeLimits& limits)
+      : text_(text), file_bytes_(file_bytes), limits_(limits) {}
 
-  Result<SplatFile> read(std::uint64_t file_bytes);
+  Result<SplatFile> read();
 
  private:
   void layer_metadata();
@@ -176,6 +177,7 @@ class StageReader {
   }
 
   UsdaText text_;
+  std::uint64_t file_bytes_;
   const DecodeLimits& limits_;
   StatedScene stated_{.axes = kAxesOpenGl, .metres_per_unit = static_cast<float>(kCentimetre)};
   std::vector<SplatPrim> splats_;
@@ -296,6 +298,8 @@ void StageReader::prim(std::string_view specifier, int depth) {
   if (prim.is_splats()) {
     if (arc_above_ != Error::kNone) return text_.fail(Errc::unsupported_feature, arc_above_, kArcs);
     splats_.emplace_back().at = prim.at;
+    if (const Status s = check_expansion(sizeof(SplatPrim) * splats_.size(), file_bytes_, prim.at, limits_); !s)
+      return text_.fail(s.error().code, prim.at, s.error().what);
   }
   text_.expect('{');
   while (text_.ok() && !text_.take('}')) statement(prim, text_.word(), depth);
@@ -503,7 +507,7 @@ SplatCloud StageReader::cloud_of(const SplatPrim& splats, ScenePart& part) const
   return cloud;
 }
 
-Result<SplatFile> StageReader::read(std::uint64_t file_bytes) {
+Result<SplatFile> StageReader::read() {
   if (text_.take('(')) layer_metadata();
   while (!text_.ends()) {
     const std::string_view first = text_.word();
@@ -536,7 +540,7 @@ Result<SplatFile> StageReader::read(std::uint64_t file_bytes) {
   }
   if (n > limits_.max_gaussians)
     return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits_.max_gaussians, n);
-  if (const Status s = check_expansion(4 * n * floats_each, file_bytes, 0, limits_); !s)
+  if (const Status s = check_expansion(4 * n * floats_each, file_bytes_, 0, limits_); !s)
     return tl::unexpected(s.error());
   const std::string_view space = splats_.front().colour_space;
   if (space.starts_with(kLinear))
@@ -567,7 +571,7 @@ Result<SplatFile> decode_layer(std::span<const std::byte> bytes, std::uint64_t f
   const std::string_view text = text_of(bytes);
   if (!text.substr(kMagicUsda.size()).starts_with("1."))
     return make_error(Errc::unsupported_version, kMagicUsda.size(), "a version of .usda other than 1");
-  return StageReader(text, limits).read(file_bytes);
+  return StageReader(text, file_bytes, limits).read();
 }
 
 // ---- writing --------------------------------------------------------------------------------------------------------

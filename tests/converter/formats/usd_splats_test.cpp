@@ -402,6 +402,13 @@ TEST_CASE("usdz: one stored .usda at a multiple of 64 bytes; other packages by t
   CHECK(read({{"a.usda", bytes_of("#usda 1.0\n^")}}).error().offset == 10);
 }
 
+TEST_CASE("usdz: prims without Gaussians count as what a small package expands to") {
+  std::string text = "#usda 1.0\n";
+  for (int i = 0; i < 10'000; ++i) text += "def ParticleField3DGaussianSplat \"\" {}\n";
+  CHECK(read_splats(bytes_of(text))->cloud.size() == 0);
+  CHECK(read_splats(zipped({{"a.usda", bytes_of(text)}})).error().code == Errc::limit_exceeded);
+}
+
 TEST_CASE("growth: usda: reading is linear in prims, transforms and texts that are skipped") {
   const auto repeated = [](const std::string& text, std::uint64_t n) {
     std::string all;
