@@ -100,7 +100,7 @@ struct Prim {
   std::string_view type;
   std::uint64_t at = 0;
   std::size_t first = 0;  // of its Gaussians in the stage's list
-  bool is_shown = true;
+  bool is_shown = true, comes_and_goes = false;
   std::map<std::string_view, Op> ops;
   std::vector<std::string_view> order;
   std::uint64_t order_at = 0;
@@ -145,9 +145,10 @@ std::optional<glm::dmat4> matrix_of(std::string_view kind, const Op& op) {
 
 class StageReader {
  public:
-  StageReader(std::string_view text, const DecodeLimits& limits) : text_(text), limits_(limits) {}
+  StageReader(std::string_view text, std::uint64_t file_bytes, const DecodeLimits& limits)
+      : text_(text), file_bytes_(file_bytes), limits_(limits) {}
 
-  Result<SplatFile> read(std::uint64_t file_bytes);
+  Result<SplatFile> read();
 
  private:
   void layer_metadata();
@@ -159,7 +160,7 @@ class StageReader {
   void value(Prim& prim, std::string_view type, bool is_array, std::string_view name, std::uint64_t at);
   bool splat_value(SplatPrim& splats, std::string_view type, bool is_array, std::string_view name, std::uint64_t at);
   Floats floats(std::uint64_t each);
-  Op numbers(std::uint64_t at);
+  void numbers(Op& op);
   std::vector<std::string_view> texts();
   void leave(Prim& prim);
   std::optional<glm::dmat4> transform_of(const Prim& prim, bool& is_placed);
@@ -176,6 +177,7 @@ class StageReader {
   }
 
   UsdaText text_;
+  std::uint64_t file_bytes_;
   const DecodeLimits& limits_;
   StatedScene stated_{.axes = kAxesOpenGl, .metres_per_unit = static_cast<float>(kCentimetre)};
   std::vector<SplatPrim> splats_;
@@ -296,6 +298,8 @@ void StageReader::prim(std::string_view specifier, int depth) {
   if (prim.is_splats()) {
     if (arc_above_ != Error::kNone) return text_.fail(Errc::unsupported_feature, arc_above_, kArcs);
     splats_.emplace_back().at = prim.at;
+    if (const Status s = check_expansion(sizeof(SplatPrim) * splats_.size(), file_bytes_, prim.at, limits_); !s)
+      return text_.fail(s.error().code, prim.at, s.error().what);
   }
   text_.expect('{');
   while (text_.ok() && !text_.take('}')) statement(prim, text_.word(), depth);
@@ -335,9 +339,9 @@ void StageReader::value(Prim& prim, std::string_view type, bool is_array, std::s
   const std::string_view base = name.substr(0, name.find('.'));
   if (base.starts_with("xformOp:")) {
     Op& op = prim.ops[base];
-    if (base == name) return void(op = numbers(at));
+    if (op.is_static) op.at = at;
+    if (base == name) return numbers(op);
     op.is_static = false;
-    op.at = at;
   } else if (name == "xformOpOrder") {
     prim.order_at = at;
     prim.order = texts();
@@ -348,6 +352,8 @@ void StageReader::value(Prim& prim, std::string_view type, bool is_array, std::s
   } else if (name == "visibility") {
     prim.is_shown = text_.quoted() != "invisible";
     return;
+  } else if (base == "visibility") {
+    prim.comes_and_goes = true;
   }
   text_.skip_value();
 }
@@ -402,23 +408,21 @@ Floats StageReader::floats(std::uint64_t each) {
 }
 
 // A number, a tuple or a tuple of tuples, in order.
-Op StageReader::numbers(std::uint64_t at) {
-  Op op;
-  op.at = at;
+void StageReader::numbers(Op& op) {
+  op.n = 0;
   int depth = 0;
   do {
-    if (text_.take('('))
+    if (depth < 2 && text_.take('('))
       ++depth;
     else if (depth > 0 && text_.take(')'))
       --depth;
     else if (depth > 0 && text_.take(','))
       continue;
-    else if (op.n == op.numbers.size() || depth > 2)
+    else if (op.n == op.numbers.size())
       text_.fail("a transform is not of at most 4 x 4 numbers");
     else
       op.numbers[op.n++] = text_.number<double>();
   } while (text_.ok() && depth > 0);
-  return op;
 }
 
 std::vector<std::string_view> StageReader::texts() {
@@ -471,6 +475,7 @@ void StageReader::leave(Prim& prim) {
     splats_.resize(prim.first);
     return;
   }
+  if (prim.comes_and_goes) note("visibility that varies in time");
   bool is_placed = false;
   const auto transform = transform_of(prim, is_placed);
   if (!transform) return;
@@ -502,9 +507,9 @@ SplatCloud StageReader::cloud_of(const SplatPrim& splats, ScenePart& part) const
   return cloud;
 }
 
-Result<SplatFile> StageReader::read(std::uint64_t file_bytes) {
+Result<SplatFile> StageReader::read() {
   if (text_.take('(')) layer_metadata();
-  while (text_.next() != '\0') {
+  while (!text_.ends()) {
     const std::string_view first = text_.word();
     if (first == "def" || first == "over" || first == "class") {
       prim(first, 0);
@@ -535,7 +540,7 @@ Result<SplatFile> StageReader::read(std::uint64_t file_bytes) {
   }
   if (n > limits_.max_gaussians)
     return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits_.max_gaussians, n);
-  if (const Status s = check_expansion(4 * n * floats_each, file_bytes, 0, limits_); !s)
+  if (const Status s = check_expansion(4 * n * floats_each, file_bytes_, 0, limits_); !s)
     return tl::unexpected(s.error());
   const std::string_view space = splats_.front().colour_space;
   if (space.starts_with(kLinear))
@@ -566,7 +571,7 @@ Result<SplatFile> decode_layer(std::span<const std::byte> bytes, std::uint64_t f
   const std::string_view text = text_of(bytes);
   if (!text.substr(kMagicUsda.size()).starts_with("1."))
     return make_error(Errc::unsupported_version, kMagicUsda.size(), "a version of .usda other than 1");
-  return StageReader(text, limits).read(file_bytes);
+  return StageReader(text, file_bytes, limits).read();
 }
 
 // ---- writing --------------------------------------------------------------------------------------------------------

@@ -29,8 +29,7 @@ void UsdaText::fail(Errc code, std::uint64_t offset, const char* what) {
 }
 
 void UsdaText::fail(const char* what) {
-  if (next() == '\0' && at_ == text_.size())
-    return fail(Errc::truncated, at_, "the text ends inside a prim or a value");
+  if (ends()) return fail(Errc::truncated, at_, "the text ends inside a prim or a value");
   fail(Errc::bad_syntax, at_, what);
 }
 

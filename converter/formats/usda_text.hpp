@@ -27,6 +27,7 @@ class UsdaText {
   std::uint64_t at() { return skip_blanks(), at_; }
   /// 0 at the end.
   char next() { return skip_blanks(), at_ < text_.size() ? text_[at_] : '\0'; }
+  bool ends() { return at() == text_.size(); }
   bool take(char c) { return next() == c && ++at_ != 0; }
   void expect(char c) {
     if (!take(c)) fail("the text is not in the grammar of .usda");

@@ -278,6 +278,11 @@ TEST_CASE("usda: what is not shown or not followed is named") {
   const SplatFile more =
       read_text(stage("", "", "def \"X\" (\n prepend references = @a.usdc@</A> (scale = 2)\n) {}\n%"));
   CHECK(more.unused == std::vector<std::string>{"references, payloads or variants"});
+  CHECK(read_text(stage("token visibility.timeSamples = { 0: \"invisible\" }", "",
+                        "def \"X\" { token visibility.timeSamples = { 0: \"invisible\" } }\n%"))
+            .unused == std::vector<std::string>{"visibility that varies in time"});
+  CHECK(
+      read_text(stage("", "", "def \"X\" { token visibility.timeSamples = { 0: \"invisible\" } }\n%")).unused.empty());
   for (const char* without : {"def \"X\" ( active = false ) {%}\n", "class \"X\" {%}\n", "over \"X\" {%}\n"}) {
     CAPTURE(without);
     CHECK(read_text(stage("", "", without + stage("").substr(10))).cloud.size() == 1);
@@ -293,6 +298,7 @@ TEST_CASE("usda: unsupported or invalid text is refused at its byte, which ^ mar
       {"^#usda 1.0\ndef Xform \"X\" {}\n", Errc::not_gaussian_splats},
       {"#usda 1.0\ndef Xform \"X\" {^", Errc::truncated},
       {"#usda 1.0\n^12", Errc::bad_syntax},
+      {stage("") + "^" + std::string(1, '\0') + stage("").substr(10), Errc::bad_syntax},
       {"#usda 1.0\ndef \"X\" ^[]", Errc::bad_syntax},
       {"#usda 1.0\ndef ^\"X", Errc::truncated},
       {"#usda 1.0\n^/* def", Errc::truncated},
@@ -333,6 +339,10 @@ TEST_CASE("usda: unsupported or invalid text is refused at its byte, which ^ mar
       {stage("double3 ^xformOp:translate.timeSamples = { 0: (1, 2, 3) }\n"
              "uniform token[] xformOpOrder = [\"xformOp:translate\"]"),
        Errc::unsupported_feature},
+      {stage("double3 ^xformOp:translate.timeSamples = { 0: (1, 2, 3) }\ndouble3 xformOp:translate = (1, 2, 3)\n"
+             "uniform token[] xformOpOrder = [\"xformOp:translate\"]"),
+       Errc::unsupported_feature},
+      {stage("matrix4d xformOp:transform = ((^(1, 0, 0, 0)))"), Errc::bad_syntax},
       {stage("uniform token[] ^xformOpOrder = [\"xformOp:translate\"]"), Errc::bad_value},
       {"#usda 1.0\ndef ^ParticleField3DGaussianSplat \"S\" { float3 xformOp:scale = (1, 1, -1)\n"
        "uniform token[] xformOpOrder = [\"xformOp:scale\"] }",
@@ -390,6 +400,13 @@ TEST_CASE("usdz: one stored .usda at a multiple of 64 bytes; other packages by t
   CHECK(std::string(read({{"a.usdc", bytes_of("PXR-USDC")}}).error().what).find("usdcat -o") != std::string::npos);
   CHECK(read({{"a.usda", bytes_of("text")}}).error().code == Errc::bad_magic);
   CHECK(read({{"a.usda", bytes_of("#usda 1.0\n^")}}).error().offset == 10);
+}
+
+TEST_CASE("usdz: prims without Gaussians count as what a small package expands to") {
+  std::string text = "#usda 1.0\n";
+  for (int i = 0; i < 10'000; ++i) text += "def ParticleField3DGaussianSplat \"\" {}\n";
+  CHECK(read_splats(bytes_of(text))->cloud.size() == 0);
+  CHECK(read_splats(zipped({{"a.usda", bytes_of(text)}})).error().code == Errc::limit_exceeded);
 }
 
 TEST_CASE("growth: usda: reading is linear in prims, transforms and texts that are skipped") {
