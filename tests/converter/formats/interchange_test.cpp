@@ -204,10 +204,6 @@ TEST_CASE("growth: all formats are read and written in linear time, coincident G
 }
 
 TEST_CASE("formats that are not read are named, with what to do, and so is an empty file") {
-  // A zip archive's first entry, as far as its name.
-  const auto zip = [](const std::string& name) {
-    return std::string("PK\3\4") + std::string(22, '\0') + static_cast<char>(name.size()) + std::string(3, '\0') + name;
-  };
   const std::pair<std::string, const char*> files[] = {
       {"RAD0....{\"version\":1}", ".rad of Spark"},
       {"RADC....{\"version\":1}", ".rad of Spark"},
