@@ -34,16 +34,16 @@ void append(std::vector<std::byte>& to, std::initializer_list<std::uint64_t> val
 
 Result<StreamedOutput> StreamedOutput::create(const std::string& path, const AtomicFile::Options& options) {
   StreamedOutput output;
-  output.path_ = path;
+  output.path_ = path == "-" ? path : follow_links(path);  // the SOGs lie beside the file itself
   output.options_ = options;
   std::error_code failed;
-  if (path != "-") output.made_folder_ = fs::create_directories(folder_of(path), failed);
+  if (path != "-") output.made_folder_ = fs::create_directories(folder_of(output.path_), failed);
   if (failed) return cannot("cannot make the output's folder", failed.value());
   auto file = AtomicFile::create(path, options);
   if (!file) return tl::unexpected(file.error());
   output.file_ = std::move(*file);
   if (!path.ends_with(".json")) return output;
-  std::string name = path + ".tmp-XXXXXX";
+  std::string name = output.path_ + ".tmp-XXXXXX";
   if (::mkdtemp(name.data()) == nullptr) return cannot("cannot make a temporary folder", errno);
   output.staging_ = name;
   return output;
@@ -59,13 +59,22 @@ Status StreamedOutput::put(const std::string& name, std::span<const std::byte> b
   return is_zip() ? put_zipped(name, bytes) : put_in_folder(name, bytes);
 }
 
+// Errors: output_exists, output_unusable.
+Status StreamedOutput::check_free(const std::string& path) const {
+  std::error_code ignored;
+  if (!options_.overwrite && fs::exists(path, ignored))
+    return make_error(Errc::output_exists, Error::kNone,
+                      "a file of the output's folder exists already; pass --overwrite to replace it");
+  if (fs::is_directory(path, ignored))
+    return make_error(Errc::output_unusable, Error::kNone, "a file of the output's folder is a directory");
+  return {};
+}
+
 Status StreamedOutput::put_in_folder(const std::string& name, std::span<const std::byte> bytes) {
   bytes_ += bytes.size();
   if (fs::path(name).filename() == name) return file_.write_at(0, bytes);
+  if (Status s = check_free(folder_of(path_) + "/" + name); !s) return s;
   std::error_code failed;
-  if (!options_.overwrite && fs::exists(folder_of(path_) + "/" + name, failed))
-    return make_error(Errc::output_exists, Error::kNone,
-                      "a file of the output's folder exists already; pass --overwrite to replace it");
   const std::string staged = staging_ + "/" + name;
   fs::create_directories(folder_of(staged), failed);
   if (failed) return cannot("cannot make a folder", failed.value());
@@ -126,12 +135,18 @@ Result<double> StreamedOutput::commit() {
   for (const MappedFile* input : options_.inputs) {
     if (Status s = input->check_unchanged(); !s) return tl::unexpected(s.error());
   }
-  // The old scene's lod-meta.json must not name files of the new one.
+  // What can fail comes before the first change of what is there, which may have appeared since put().
+  if (Status s = check_free(path_); !s) return tl::unexpected(s.error());
   std::error_code failed;
-  if (options_.overwrite) fs::remove(follow_links(path_), failed);
   const std::string folder = folder_of(path_) + "/";
   for (const std::string& name : names_) {
-    if (!failed) fs::create_directories(folder_of(folder + name), failed);
+    if (Status s = check_free(folder + name); !s) return tl::unexpected(s.error());
+    fs::create_directories(folder_of(folder + name), failed);
+    if (failed) return cannot("cannot make a folder", failed.value());
+  }
+  // The old scene's lod-meta.json must not name files of the new one.
+  if (options_.overwrite) fs::remove(path_, failed);
+  for (const std::string& name : names_) {
     if (!failed) fs::rename(staging_ + "/" + name, folder + name, failed);
   }
   if (failed) return cannot("cannot move a file to the output's folder", failed.value());

@@ -25,10 +25,10 @@ class StreamedOutput {
   StreamedOutput& operator=(StreamedOutput&& other) = delete;
   ~StreamedOutput();
 
-  /// Files in any order, that at the path last. Errors: write_failed; output_exists; limit_exceeded (an archive of
-  /// 4 GiB or 65,534 files).
+  /// Files in any order, that at the path last. Errors: write_failed; output_exists; output_unusable; limit_exceeded
+  /// (an archive of 4 GiB or 65,534 files).
   Status put(const std::string& name, std::span<const std::byte> bytes);
-  /// Returns the seconds spent in fsync. Errors: AtomicFile's, output_exists.
+  /// Returns the seconds spent in fsync. Errors: AtomicFile's; output_exists and output_unusable leave all as it was.
   Result<double> commit();
   std::uint64_t bytes() const { return bytes_; }
 
@@ -36,6 +36,7 @@ class StreamedOutput {
   StreamedOutput() = default;
   bool is_zip() const { return staging_.empty(); }
   Status put_zipped(const std::string& name, std::span<const std::byte> bytes);
+  Status check_free(const std::string& path) const;
   Status put_in_folder(const std::string& name, std::span<const std::byte> bytes);
   AtomicFile::Options options_;
   AtomicFile file_;             // at the path

@@ -32,7 +32,7 @@ using nlohmann::json;
 using Bytes = std::vector<std::byte>;
 
 constexpr std::string_view kMetaName = "lod-meta.json";
-constexpr std::uint64_t kMaxMetaBytes = std::uint64_t{1} << 28;  // 200 bytes a region
+constexpr std::uint64_t kMaxMetaBytes = std::uint64_t{1} << 25;  // 200 bytes a region; parsed many times as large
 constexpr std::uint64_t kBytesInImages = 20;                     // of a Gaussian: five pixels
 
 struct Run {
@@ -115,7 +115,7 @@ Status read_region(const json& lods, std::uint64_t wanted, Meta& meta) {
 }
 
 Result<Meta> parse_meta(std::span<const std::byte> bytes, const ReadOptions& options) {
-  if (bytes.size() > kMaxMetaBytes) return make_error(Errc::limit_exceeded, 0, "lod-meta.json is longer than 256 MiB");
+  if (bytes.size() > kMaxMetaBytes) return make_error(Errc::limit_exceeded, 0, "lod-meta.json is longer than 32 MiB");
   const std::string_view text = text_of(bytes);
   const json root = json::parse(text.begin(), text.end(), nullptr, false);
   if (!root.is_object()) return bad_meta("lod-meta.json is not a JSON object");

@@ -7,6 +7,7 @@
 #include <array>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <map>
 
 #include "convert_scenes.hpp"
@@ -19,6 +20,7 @@
 #include "run_program.hpp"
 #include "sanitized.hpp"
 #include "skip.hpp"
+#include "streamed_output.hpp"
 #include "temporary_folder.hpp"
 #include "trivial_levels.hpp"
 
@@ -504,4 +506,49 @@ TEST_CASE("a streamed SOG is refused for scenes without levels and for edits, an
   const std::string cut = write_file(folder.file("cut.rgs"), Bytes(whole.begin(), whole.end() - 100));
   CHECK(rgs_convert({cut, meta}).exit_code == 6);
   CHECK_FALSE(std::filesystem::exists(folder.file("out")));
+}
+
+TEST_CASE("a streamed SOG that cannot replace or must not leaves the folder as it was") {
+  const TemporaryFolder folder;
+  const std::string out = folder.file("out"), meta = out + "/lod-meta.json";
+  const Bytes old = bytes_of("old"), content = bytes_of("new");
+  // Puts two SOGs and lod-meta.json, meanwhile changes the folder, and commits.
+  const auto commit = [&](bool overwrite, const std::function<void()>& meanwhile) {
+    auto output = StreamedOutput::create(meta, {.overwrite = overwrite, .sync = false});
+    REQUIRE(output);
+    for (const char* name : {"0_0/meta.json", "1_0/meta.json", "lod-meta.json"}) REQUIRE(output->put(name, content));
+    meanwhile();
+    const auto done = output->commit();
+    REQUIRE_FALSE(done);
+    for (const auto& [name, bytes] : files_below(out)) CHECK((bytes == old || name.find(".tmp-") != name.npos));
+    return done.error().code;
+  };
+  const auto make = [&](const std::string& name) {
+    std::filesystem::create_directories(std::filesystem::path(out + "/" + name).parent_path());
+    write_file(out + "/" + name, old);
+  };
+  CHECK(commit(false, [&] { make("1_0/meta.json"); }) == Errc::output_exists);
+  std::filesystem::remove_all(out);
+  CHECK(commit(false, [&] { make("lod-meta.json"); }) == Errc::output_exists);
+  CHECK(read_bytes(meta) == old);
+  // A file in place of a SOG's folder, or a folder in place of its file.
+  make("0_0/meta.json");
+  CHECK(commit(true, [&] { make("1_0"); }) == Errc::write_failed);
+  CHECK(read_bytes(meta) == old);
+  std::filesystem::remove(out + "/1_0");
+  CHECK(commit(true, [&] { make("1_0/meta.json/inside"); }) == Errc::output_unusable);
+  CHECK(read_bytes(meta) == old);
+}
+
+TEST_CASE("the SOGs of a streamed SOG lie beside its file, where a link leads") {
+  const TemporaryFolder folder;
+  std::filesystem::create_directories(folder.path() / "scene");
+  write_file(folder.file("scene/lod-meta.json"), bytes_of("old"));
+  std::filesystem::create_symlink("scene/lod-meta.json", folder.path() / "lod-meta.json");
+  auto output = StreamedOutput::create(folder.file("lod-meta.json"), {.overwrite = true, .sync = false});
+  REQUIRE(output);
+  for (const char* name : {"0_0/meta.json", "lod-meta.json"}) REQUIRE(output->put(name, bytes_of("new")));
+  REQUIRE(output->commit());
+  CHECK(read_bytes(folder.file("scene/0_0/meta.json")) == bytes_of("new"));
+  CHECK(read_bytes(folder.file("scene/lod-meta.json")) == bytes_of("new"));
 }

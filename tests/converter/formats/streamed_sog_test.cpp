@@ -276,8 +276,13 @@ TEST_CASE("streamed SOGs that contradict themselves, or point elsewhere, are ref
         region(m)["0"]["count"] = 4000000000;  // more than the archive can unfold to
       },
       Errc::limit_exceeded);
-  // As deep as a small file can be.
+  // Parsed JSON takes many times its text's bytes.
   Files files = three_regions();
+  files["lod-meta.json"].resize((std::size_t{1} << 25) + 1, std::byte{' '});
+  const auto longer = read_splats(zipped(files));
+  REQUIRE_FALSE(longer);
+  CHECK(longer.error().code == Errc::limit_exceeded);
+  // As deep as a small file can be.
   std::string deep = R"({"version":1,"lodLevels":1,"filenames":[],"tree":)";
   for (int i = 0; i < 100000; ++i) deep += R"({"children":[)";
   deep += "{}";
