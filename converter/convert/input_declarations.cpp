@@ -113,6 +113,11 @@ Status declare_crs(EncodeOptions& encode, std::span<const InputDeclarations> inp
     if (input.is_moved) {
       notes.push_back(fmt::format("{} is moved, so it is no longer in {} (--crs states what it is in)", input.name,
                                   tool::printable(crs.text)));
+    } else if (crs.axes[0] != Axis::undeclared && encode.axes[0] == Axis::undeclared) {
+      notes.push_back(
+          fmt::format("{} was turned since it was in {}, which undeclared axes cannot state (--crs states "
+                      "what it is in)",
+                      input.name, tool::printable(crs.text)));
     } else if (encode.crs == Crs()) {
       encode.crs = std::move(crs);
     } else if (encode.crs != crs) {

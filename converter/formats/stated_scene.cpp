@@ -108,7 +108,7 @@ bool read_value(std::string_view key, std::string_view value, StatedScene& scene
   }
   if (key == "crs") {
     scene.crs.text = value;
-    return is_crs_text(value);
+    return value.empty() || is_crs_text(value);  // blanks of a comment are trimmed
   }
   if (key == "crs_axes") {
     const auto axes = axes_of_text(value);

@@ -317,6 +317,11 @@ TEST_CASE("a coordinate reference system goes with the scene, and is lost or ref
   converted({"--to-axes", "opengl", a, out});
   const std::string turned = folder.file("turned.rgs");
   CHECK(RgsFile(out).d.crs == Crs{"EPSG:4978", kAxes3dgs});
+  for (const std::string name : {"undeclared.rgs", "undeclared.ply"}) {
+    CAPTURE(name);
+    CHECK(holds(converted({"--axes", "undeclared", out, folder.file(name)})["notes"], "was turned since"));
+    CHECK(read_splats(folder.file(name)).value().crs == Crs());
+  }
   converted({"--to-axes", "3dgs", out, turned});
   CHECK(RgsFile(turned).d.crs == ecef);
   for (const std::vector<std::string>& lod : {std::vector<std::string>{}, {"--lod"}}) {
@@ -352,6 +357,8 @@ TEST_CASE("a coordinate reference system goes with the scene, and is lost or ref
     converted({kept, out});
     CHECK(RgsFile(out).d.crs == Crs{stored.text, {}});
   }
+  converted({"--crs", " ", a, folder.file("blank.ply")});
+  CHECK(read_splats(folder.file("blank.ply")).value().crs == Crs());
   const std::string text = read_text(folder.file("a.ply"));
   const std::size_t at = text.find("rgs_crs: ") + 9;
   write_text(folder.file("bad.ply"), text.substr(0, at) + "\x01" + text.substr(at + 1));
