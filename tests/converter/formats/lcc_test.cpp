@@ -349,6 +349,17 @@ TEST_CASE("LCC2: chunks of the finest level in the order of their files, in LCC'
   }
 }
 
+TEST_CASE("LCC2: nodes without a finest level are named, but for the environment") {
+  const auto file = read_folder(edited(lcc2(SplatFormat::spz), "a.lcc2",
+                                       [](json& meta) {
+                                         for (const int name : {0, 1}) meta["root"]["child"].push_back(node(name, 4));
+                                       }),
+                                "a.lcc2");
+  REQUIRE(file);
+  CHECK(file->unused ==
+        std::vector<std::string>{"1 coarser levels of detail", "1 nodes that have only coarser levels", "environment"});
+}
+
 TEST_CASE("LCC2: more chunks than a process may hold open") {
   constexpr int kMany = 200;
   Files files;
