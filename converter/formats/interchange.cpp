@@ -333,23 +333,29 @@ tl::unexpected<Error> no_levels() {
   return make_error(Errc::bad_argument, Error::kNone, "no levels of detail are read from this file");
 }
 
-// An .lcc or .lcc2 with the files in its folder, which it keeps open.
+// An .lcc or .lcc2 with the files in its folder; the chunks of an .lcc2, which may be thousands, one at a time.
 Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOptions& options) {
   if (options.level_of_detail) return no_levels();
   std::vector<MappedFile> files;
   std::uint64_t total = bytes.size();
+  Status unchanged;
+  const bool is_lcc = detail::is_lcc(bytes);
   const detail::FetchBeside fetch = [&](const std::string& name) -> Result<Bytes> {
+    if (!is_lcc && !files.empty()) {
+      if (unchanged) unchanged = files.back().check_unchanged();
+      files.pop_back();
+    }
     auto file = MappedFile::open(folder + "/" + name);
     if (!file) return tl::unexpected(file.error());
     total += file->bytes().size();
     files.push_back(std::move(*file));
     return files.back().bytes();
   };
-  const bool is_lcc = detail::is_lcc(bytes);
   auto splats = (is_lcc ? detail::decode_lcc : detail::decode_lcc2)(bytes, fetch, options.limits);
   for (const MappedFile& file : files) {
-    if (const Status s = file.check_unchanged(); !s) return tl::unexpected(s.error());
+    if (unchanged) unchanged = file.check_unchanged();
   }
+  if (!unchanged) return tl::unexpected(unchanged.error());
   return finish(std::move(splats), is_lcc ? SplatFormat::lcc : SplatFormat::lcc2, total, options);
 }
 

@@ -258,12 +258,14 @@ struct Bucket {
 };
 
 // Full buckets in the order in which they fill up, then the others from cube to cube along x, y and z. Returns them and
-// the number of full ones. Cubes count from the smallest coordinates; FP64 holds their numbers for any FP32 mean.
+// the number of full ones. Cubes count from the smallest coordinates, but not from one so far out that FP64 would round
+// the others.
 std::pair<std::vector<Bucket>, std::uint32_t> fill_buckets(const SplatView& splats) {
+  constexpr double kFarthest = -0x1p30;
   std::array<double, 3> low;
   low.fill(std::numeric_limits<double>::infinity());
   for (std::size_t i = 0; i < splats.mean.size(); ++i) {
-    low[i % 3] = std::min(low[i % 3], static_cast<double>(splats.mean[i]));
+    low[i % 3] = std::min(low[i % 3], std::max(static_cast<double>(splats.mean[i]), kFarthest));
   }
   std::vector<Bucket> buckets;
   std::map<std::array<double, 3>, Bucket> open;

@@ -260,16 +260,26 @@ Result<Tree> parse_tree(const json& root, const json& top) {
   return tree;
 }
 
-// Chunks of the finest level in the order of their files, each with its Gaussians, if the nodes say how many.
-Result<std::map<std::uint64_t, std::optional<std::uint64_t>>> finest_chunks(const json& top, const Tree& tree) {
+struct Finest {
+  // In the order of their files, each with its Gaussians, if the nodes say how many.
   std::map<std::uint64_t, std::optional<std::uint64_t>> chunks;
+  std::uint64_t n_coarser = 0;  // nodes of coarser levels without any below
+};
+
+Result<Finest> finest_chunks(const json& top, const Tree& tree) {
+  Finest finest;
+  auto& chunks = finest.chunks;
   std::vector<std::pair<const json*, std::uint64_t>> open{{&top, 0}};  // nodes, with their depth
   while (!open.empty()) {
     const auto [node, depth] = open.back();
     open.pop_back();
     if (depth < tree.n_levels) {
       const json* children = json_member(*node, "child");
-      const bool has_children = children != nullptr && (children->is_array() || children->is_object());
+      const bool has_children = children != nullptr && children->is_structured() && !children->empty();
+      const json* data = json_member(*node, "data");
+      const json* splats = data != nullptr ? json_member(*data, "3dgs") : nullptr;
+      const auto file = splats != nullptr ? whole(json_member(*splats, "name")) : std::nullopt;
+      if (!has_children && file && file != tree.environment) ++finest.n_coarser;
       if (!has_children) continue;
       for (const json& child : *children) open.emplace_back(&child, depth + 1);
       continue;
@@ -287,7 +297,7 @@ Result<std::map<std::uint64_t, std::optional<std::uint64_t>>> finest_chunks(cons
     if (!is_new) known->second = known->second && count ? std::optional(*known->second + *count) : std::nullopt;
   }
   if (chunks.empty()) return bad_json("the .lcc2 has no chunks of its finest level");
-  return chunks;
+  return finest;
 }
 
 }  // namespace
@@ -356,12 +366,12 @@ Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBesid
   const json& top = stated != nullptr ? *stated : none;
   const auto tree = parse_tree(*root, top);
   if (!tree) return tl::unexpected(tree.error());
-  const auto chunks = finest_chunks(top, *tree);
-  if (!chunks) return tl::unexpected(chunks.error());
+  const auto finest = finest_chunks(top, *tree);
+  if (!finest) return tl::unexpected(finest.error());
   SplatFile file = file_of(SplatFormat::lcc2);
   std::set<std::string> names;
   ReadOptions options{.limits = limits, .format = tree->chunks, .keep_axes = true};
-  for (const auto& [index, count] : *chunks) {
+  for (const auto& [index, count] : finest->chunks) {
     if (!names.insert(tree->files[index]).second) {
       return make_error(Errc::bad_value, 0, "root.splatFiles names a chunk twice", Error::kNone, index);
     }
@@ -382,6 +392,8 @@ Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBesid
     append_splats(file.cloud, chunk->cloud);
   }
   note_levels(tree->n_levels, file.unused);
+  if (finest->n_coarser != 0)
+    file.unused.push_back(std::to_string(finest->n_coarser) + " nodes that have only coarser levels");
   if (tree->environment) file.unused.emplace_back("environment");
   if (const json* meshes = json_member(top, "meshFiles"); meshes != nullptr && !meshes->empty())
     file.unused.emplace_back("meshes");

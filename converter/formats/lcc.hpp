@@ -11,7 +11,7 @@
 
 namespace rgs::detail {
 
-/// Returns the bytes of a file in the scene's folder, by its path from there.
+/// Returns the bytes of a file in the scene's folder, by its path from there; of an .lcc2 only until the next call.
 using FetchBeside = std::function<Result<std::span<const std::byte>>(const std::string&)>;
 
 /// A meta.lcc, or a .lcc2, by its first keys.

@@ -408,6 +408,13 @@ TEST_CASE(".ksplat: an empty scene, and one in a plane across many cubes, where 
   CHECK(compare(copy, plane).mean[1] <= 0.501 * kBucketWidth / 2 / kCodeRange + 1e-5);
 }
 
+TEST_CASE(".ksplat: a Gaussian however far out leaves the others where they are") {
+  SplatCloud cloud = ordinary_cloud(3, 0, 25);
+  cloud.mean = {-1e30F, -1e20F, -1e17F, 3, 1, 2, 1000, 1, 2};
+  const SplatCloud copy = read_splats(encode_splats(cloud.view(), SplatFormat::ksplat).value()).value().cloud;
+  for (std::size_t i = 0; i < 9; ++i) CHECK(copy.mean[i] == doctest::Approx(cloud.mean[i]).epsilon(1e-4));
+}
+
 TEST_CASE("damaged .ksplat files are refused or read, but never crash") {
   const Bytes file = ksplat({{near_cloud(6, 1, 9), {1, 1, 1, {2}, 0}}});
   for (std::size_t size = 0; size < file.size(); ++size) {

@@ -1,5 +1,7 @@
 // lcc_test.cpp - LCC and LCC2: folders built from the published layouts, what is refused, hostile files.
 // SPDX-License-Identifier: Apache-2.0
+#include <sys/resource.h>
+
 #include <cstring>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -345,6 +347,42 @@ TEST_CASE("LCC2: chunks of the finest level in the order of their files, in LCC'
     CHECK(compare(file->cloud, chunks).sum() == 0);
     CHECK(read_folder(files, "a.lcc2", {}).value().cloud.mean[1] == -chunks.mean[2]);
   }
+}
+
+TEST_CASE("LCC2: nodes without a finest level are named, but for the environment") {
+  const auto file = read_folder(edited(lcc2(SplatFormat::spz), "a.lcc2",
+                                       [](json& meta) {
+                                         for (const int name : {0, 1}) meta["root"]["child"].push_back(node(name, 4));
+                                       }),
+                                "a.lcc2");
+  REQUIRE(file);
+  CHECK(file->unused ==
+        std::vector<std::string>{"1 coarser levels of detail", "1 nodes that have only coarser levels", "environment"});
+}
+
+TEST_CASE("LCC2: more chunks than a process may hold open") {
+  constexpr int kMany = 200;
+  Files files;
+  json names = json::array(), nodes = json::array();
+  const Bytes chunk = encode_splats(kChunks[0].view(), SplatFormat::spz).value();
+  for (int i = 0; i < kMany; ++i) {
+    names.push_back(std::to_string(i) + ".spz");
+    files[std::to_string(i) + ".spz"] = chunk;
+    nodes.push_back(node(i, 4));
+  }
+  files["a.lcc2"] = bytes_of(json{{"lodSplats", {4 * kMany}},
+                                  {"totalLevels", 1},
+                                  {"splatType", ".spz"},
+                                  {"root", {{"splatFiles", names}, {"child", nodes}}}}
+                                 .dump());
+  rlimit before{};
+  REQUIRE(getrlimit(RLIMIT_NOFILE, &before) == 0);
+  const rlimit few{100, before.rlim_max};
+  REQUIRE(setrlimit(RLIMIT_NOFILE, &few) == 0);
+  const auto file = read_folder(files, "a.lcc2");
+  setrlimit(RLIMIT_NOFILE, &before);
+  REQUIRE(file);
+  CHECK(file->cloud.size() == 4 * kMany);
 }
 
 TEST_CASE("LCC2: what names no chunk in the folder, or one twice, is refused") {
