@@ -457,6 +457,19 @@ TEST_CASE(".gltf: buffers are data: URIs or files in its folder") {
     CHECK(file->cloud.mean == cloud.mean);
     CHECK(file->bytes == text(uri).size() + (uri == data ? 0 : bin.size()));
   }
+  // Other spellings of a file's name do not make it count again, which would raise the limits on expansion.
+  json root = json_of(glb);
+  root["buffers"][0]["uri"] = "scene.bin";
+  for (const char* uri : {"./scene.bin", ".//scene.bin", "%2E/./scene.bin"}) {
+    root["bufferViews"][root["buffers"].size()]["buffer"] = root["buffers"].size();
+    root["buffers"].push_back({{"uri", uri}});
+  }
+  const Bytes spellings = bytes_of(root.dump());
+  write_bytes(folder.file("in/scene.gltf"), spellings);
+  const auto once = read_splats(folder.file("in/scene.gltf"), kKeepAxes);
+  REQUIRE(once);
+  CHECK(once->bytes == spellings.size() + bin.size());
+  CHECK(once->cloud.mean == cloud.mean);
   const std::string absolute = folder.file("outside.bin");
   for (const std::string& uri :
        {std::string("../outside.bin"), std::string("a part/../../outside.bin"), absolute,
