@@ -599,6 +599,19 @@ TEST_CASE(".glb: an SPZ that is damaged, overlaps another or unfolds too far is 
   limits = {};
   limits.max_decoded_bytes = 1000;
   CHECK(read_splats(whole, {limits}).error().code == Errc::limit_exceeded);
+  Bytes both = spz;
+  both.insert(both.end(), spz.begin(), spz.end());
+  const Bytes two = glb_of_spz(both, 400, extension, [&](json& r) {
+    r["bufferViews"][0]["byteLength"] = spz.size();
+    r["bufferViews"].push_back({{"buffer", 0}, {"byteOffset", spz.size()}, {"byteLength", spz.size()}});
+    json& primitives = r["meshes"][0]["primitives"];
+    primitives.push_back(primitives[0]);
+    primitives[1]["extensions"]["KHR_gaussian_splatting"]["extensions"][extension]["bufferView"] = 1;
+  });
+  limits.max_decoded_bytes = 400 * 2 * 20;
+  CHECK(read_splats(two, {limits}));
+  limits.max_decoded_bytes = 400 * 2 * 20 * 3 / 4;  // holds each, but not both
+  CHECK(read_splats(two, {limits}).error().code == Errc::limit_exceeded);
   refused(edited([&](json& r) {
             json& primitives = r["meshes"][0]["primitives"];
             for (std::size_t i = 1; i < 4; ++i) {
