@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <filesystem>
 #include <limits>
 #include <string_view>
 #include <utility>
@@ -78,7 +79,7 @@ std::optional<std::vector<std::byte>> decode_base64(std::string_view text) {
   return bytes;
 }
 
-// The file that a relative URI names; nullopt if it may leave the folder, or is an address on the web.
+// The file that a relative URI names, in one spelling; nullopt if it may leave the folder, or is an address on the web.
 std::optional<std::string> file_within_folder(std::string_view uri) {
   std::string path;
   for (std::size_t i = 0; i < uri.size(); ++i) {
@@ -95,7 +96,7 @@ std::optional<std::string> file_within_folder(std::string_view uri) {
     path += c;
   }
   if (path.empty() || path.front() == '/' || ("/" + path + "/").find("/../") != std::string::npos) return std::nullopt;
-  return path;
+  return std::filesystem::path(path).lexically_normal().string();
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -77,6 +78,12 @@ class GltfDocument {
   /// Counts a compressed buffer view. Errors: limit_exceeded (they overlap, so that a little file holds many).
   Status add_unpacked(std::uint64_t stored_bytes, std::uint64_t bytes_as_floats);
   std::uint64_t unpacked_bytes() const { return unpacked_bytes_; }  ///< of these, as floats
+  /// What further compressed data may decode to, within the document's limits; add_decoded() counts it.
+  std::uint64_t decodable_bytes() const {
+    const std::uint64_t all = limits_.decoded_bytes(bytes_);
+    return all - std::min(all, decoded_bytes_);
+  }
+  void add_decoded(std::uint64_t bytes) { decoded_bytes_ += bytes; }
   /// An error at the JSON's begin.
   tl::unexpected<Error> bad(const char* what, Errc code = Errc::bad_syntax, std::uint64_t expected = Error::kNone,
                             std::uint64_t found = Error::kNone) const;

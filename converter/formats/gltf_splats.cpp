@@ -43,6 +43,7 @@ constexpr const char* kExtension = "KHR_gaussian_splatting";
 constexpr std::array kSpzExtensions{"KHR_gaussian_splatting_compression_spz_2",
                                     "KHR_gaussian_splatting_compression_spz"};
 constexpr const char* kSpzAlone = "KHR_spz_gaussian_splats_compression";
+constexpr std::uint64_t kSpzBytesWithoutSh = 19;  // of a decoded Gaussian, at least
 constexpr int kMaxNodeDepth = 64;
 // Instances and shared arrays may expand to 64 times the file's size, plus 1 MiB, and what is compressed once.
 constexpr std::uint64_t kMaxUnfolding = 64, kUnfoldingAnyway = std::uint64_t{1} << 20;
@@ -323,6 +324,7 @@ class SceneWalk {
       if (!is_spz(view->bytes)) return make_error(Errc::bad_magic, view->offset, "a buffer view is no SPZ");
       ReadOptions options = options_;
       options.spz_axes = kAxesGltf;
+      options.limits.max_decoded_bytes = gltf_.decodable_bytes();  // of all SPZ of the file together
       auto unpacked = decode_spz(view->bytes, options);
       if (!unpacked) {
         Error error = unpacked.error();
@@ -330,6 +332,8 @@ class SceneWalk {
         return tl::unexpected(error);
       }
       file = std::move(*unpacked);
+      const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(file.cloud.sh_degree));
+      gltf_.add_decoded(file.cloud.size() * (kSpzBytesWithoutSh + floats - 3));
       convert_axes(file.cloud, file.axes, kAxesGltf);
       if (const Status s = gltf_.add_unpacked(0, bytes_of(file.cloud.size(), file.cloud.sh_degree)); !s)
         return tl::unexpected(s.error());

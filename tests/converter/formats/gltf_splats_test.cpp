@@ -457,6 +457,19 @@ TEST_CASE(".gltf: buffers are data: URIs or files in its folder") {
     CHECK(file->cloud.mean == cloud.mean);
     CHECK(file->bytes == text(uri).size() + (uri == data ? 0 : bin.size()));
   }
+  // Other spellings of a file's name do not make it count again, which would raise the limits on expansion.
+  json root = json_of(glb);
+  root["buffers"][0]["uri"] = "scene.bin";
+  for (const char* uri : {"./scene.bin", ".//scene.bin", "%2E/./scene.bin"}) {
+    root["bufferViews"][root["buffers"].size()]["buffer"] = root["buffers"].size();
+    root["buffers"].push_back({{"uri", uri}});
+  }
+  const Bytes spellings = bytes_of(root.dump());
+  write_bytes(folder.file("in/scene.gltf"), spellings);
+  const auto once = read_splats(folder.file("in/scene.gltf"), kKeepAxes);
+  REQUIRE(once);
+  CHECK(once->bytes == spellings.size() + bin.size());
+  CHECK(once->cloud.mean == cloud.mean);
   const std::string absolute = folder.file("outside.bin");
   for (const std::string& uri :
        {std::string("../outside.bin"), std::string("a part/../../outside.bin"), absolute,
@@ -586,6 +599,19 @@ TEST_CASE(".glb: an SPZ that is damaged, overlaps another or unfolds too far is 
   limits = {};
   limits.max_decoded_bytes = 1000;
   CHECK(read_splats(whole, {limits}).error().code == Errc::limit_exceeded);
+  Bytes both = spz;
+  both.insert(both.end(), spz.begin(), spz.end());
+  const Bytes two = glb_of_spz(both, 400, extension, [&](json& r) {
+    r["bufferViews"][0]["byteLength"] = spz.size();
+    r["bufferViews"].push_back({{"buffer", 0}, {"byteOffset", spz.size()}, {"byteLength", spz.size()}});
+    json& primitives = r["meshes"][0]["primitives"];
+    primitives.push_back(primitives[0]);
+    primitives[1]["extensions"]["KHR_gaussian_splatting"]["extensions"][extension]["bufferView"] = 1;
+  });
+  limits.max_decoded_bytes = 400 * 2 * 20;
+  CHECK(read_splats(two, {limits}));
+  limits.max_decoded_bytes = 400 * 2 * 20 * 3 / 4;  // holds each, but not both
+  CHECK(read_splats(two, {limits}).error().code == Errc::limit_exceeded);
   refused(edited([&](json& r) {
             json& primitives = r["meshes"][0]["primitives"];
             for (std::size_t i = 1; i < 4; ++i) {
