@@ -223,6 +223,16 @@ void StageReader::layer_metadata() {
     text_.fail(Errc::bad_value, ours_at, "customLayerData's rgs has an invalid value");
 }
 
+// A text without the backslashes before quotes and backslashes.
+std::string unescaped(std::string_view quoted) {
+  std::string text;
+  for (std::size_t i = 0; i < quoted.size(); ++i) {
+    if (quoted[i] == '\\' && i + 1 < quoted.size()) ++i;
+    text += quoted[i];
+  }
+  return text;
+}
+
 // Of customLayerData only the dictionary rgs, which has the names and values of a glTF primitive's extras.rgs.
 void StageReader::our_data(nlohmann::json& ours, std::uint64_t& at) {
   const auto entries = [this](const auto& entry) {
@@ -241,7 +251,7 @@ void StageReader::our_data(nlohmann::json& ours, std::uint64_t& at) {
     entries([&](std::string_view kind, std::string_view member) {
       nlohmann::json& value = ours[std::string(member)];
       if (kind == "string")
-        value = std::string(text_.quoted());
+        value = unescaped(text_.quoted());
       else if (kind == "double")
         value = text_.number<double>();
       else

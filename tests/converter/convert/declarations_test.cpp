@@ -343,7 +343,7 @@ TEST_CASE("a coordinate reference system goes with the scene, and is lost or ref
   CHECK(FileView::open(bytes)->header().version_minor == 3);
   CHECK(rgs_convert({"--crs", "a\nb", a, out}).exit_code == 2);
   // Comments of a PLY and extras of a glTF keep it, with its case and its axes.
-  for (const std::string name : {"a.ply", "a.glb", "a.compressed.ply"}) {
+  for (const std::string name : {"a.ply", "a.glb", "a.usda", "a.compressed.ply"}) {
     CAPTURE(name);
     const std::string kept = folder.file(name);
     std::vector<std::string> arguments{"--crs", "GEODCRS[\"Z\u00fcrich: rgs_crs\"]", a, kept};
@@ -353,7 +353,7 @@ TEST_CASE("a coordinate reference system goes with the scene, and is lost or ref
     as_stored.keep_axes = true;
     const Crs stored = read_splats(kept, as_stored).value().crs;
     CHECK(stored.text == "GEODCRS[\"Z\u00fcrich: rgs_crs\"]");
-    CHECK(stored.axes == (name == "a.glb" ? kAxes3dgs : Axes{}));
+    CHECK(stored.axes == (name == "a.glb" || name == "a.usda" ? kAxes3dgs : Axes{}));
     converted({kept, out});
     CHECK(RgsFile(out).d.crs == Crs{stored.text, {}});
   }
