@@ -74,6 +74,7 @@ rule link
   done
   for source in reader pages no_console; do
     echo "build $build/$source.o: cxx $here/wasm/$source.cpp"
+    echo "  size = -Oz"
     objects="$objects $build/$source.o"
   done
   for source in $decoder; do
