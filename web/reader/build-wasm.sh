@@ -30,7 +30,8 @@ stand_ins=$(sed -nE 's/^set\(RGS_FORMAT_STAND_INS (.*)\)$/\1/p' "$root/format/CM
 fast=" src/archive/archive_kernels.cpp src/archive/point_decode.cpp src/archive/rans.cpp src/file/row_kernels.cpp \
 src/packed/codec_kernels.cpp src/packed/codec_sh.cpp src/packed/frame_decoder.cpp src/packed/inflater.cpp "
 small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/load_direct.cpp src/file/open.cpp src/file/result.cpp \
-src/file/splat_cloud.cpp src/file/subject_box.cpp src/levels/page.cpp src/levels/page_table.cpp src/levels/paged_file.cpp src/packed/frames.cpp "
+src/file/splat_cloud.cpp src/file/subject_box.cpp src/levels/page.cpp src/levels/page_table.cpp src/levels/paged_file.cpp src/file/validate.cpp \
+src/levels/page_decode.cpp src/packed/frames.cpp "
 decoder="common/debug common/entropy_common common/error_private common/fse_decompress common/xxhash common/zstd_common
   decompress/huf_decompress decompress/zstd_ddict decompress/zstd_decompress_block decompress/zstd_decompress"
 
