@@ -299,7 +299,7 @@ TEST_CASE(".glb: attributes of all types that the extension allows, in any strid
         CAPTURE(type);
         CAPTURE(normalized);
         const auto value = [&](std::uint64_t i, std::uint64_t k) {
-          const double v = which < 2 && (is_signed || is_float) ? signed_value(i, k) : unsigned_value(i, k);
+          const double v = attribute < 2 && (is_signed || is_float) ? signed_value(i, k) : unsigned_value(i, k);
           return normalized || is_float ? v : std::round(50 * v);
         };
         const std::uint64_t stride =
