@@ -136,7 +136,7 @@ Result<SplatPrimitive> find_primitive(GltfDocument& gltf, const json& primitive)
   for (const Wanted& w : wanted) {
     auto array = gltf.array(json_member(*attributes, w.name.c_str()), w.components, w.types);
     if (!array) return tl::unexpected(array.error());
-    w.to = std::move(*array);
+    w.to = *array;
     if (w.to.size() != out.position.size()) return gltf.bad("the attributes of a splat primitive differ in count");
   }
   out.n = out.position.size();

@@ -214,7 +214,8 @@ void undo_colour(std::span<std::byte> element) {
   std::memcpy(v, element.data(), sizeof v);
   using Signed = std::make_signed_t<T>;
   const int largest = (1 << std::bit_width(v[3])) - 1;
-  const int y = v[0], co = static_cast<Signed>(v[1]), cg = static_cast<Signed>(v[2]), alpha = v[3] & largest >> 1;
+  const auto with_sign = [](auto bits) { return static_cast<int>(static_cast<Signed>(bits)); };
+  const int y = v[0], co = with_sign(v[1]), cg = with_sign(v[2]), alpha = v[3] & largest >> 1;
   const float factor = static_cast<float>(std::numeric_limits<T>::max()) / static_cast<float>(largest);
   const int rgba[4] = {y + co - cg, y + cg, y - co - cg, alpha << 1 | (alpha & 1)};
   for (unsigned k = 0; k < 4; ++k) v[k] = rounded<T>(static_cast<float>(rgba[k]) * factor);

@@ -149,12 +149,13 @@ class Writer {
     add(clamped);
     const auto archive = detail::ZipArchive::open(*zipped);
     if (!archive) return tl::unexpected(archive.error());
+    const std::string folder = name + "/";
     for (const std::string& file : archive->names()) {
       const auto bytes = archive->read(file, {}, "");
       if (!bytes) return tl::unexpected(bytes.error());
-      if (Status s = put_(name + "/" + file, *bytes); !s) return s;
+      if (Status s = put_(folder + file, *bytes); !s) return s;
     }
-    filenames_.push_back(name + "/meta.json");
+    filenames_.push_back(folder + "meta.json");
     ++report_.n_sogs;
     return {};
   }
