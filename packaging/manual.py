@@ -119,8 +119,8 @@ def is_item(lines, at):
 
 
 def roff(text):
-    """Text that groff prints as it stands."""
-    text = text.replace("\\", "\\e").replace("-", "\\-").replace("^", "\\(ha").replace("~", "\\(ti")
+    """Text that groff prints as it stands; a line may end after "|"."""
+    text = text.replace("\\", "\\e").replace("-", "\\-").replace("^", "\\(ha").replace("~", "\\(ti").replace("|", "|\\:")
     return re.sub(r"^([.'])", r"\\&\1", text, flags=re.MULTILINE)
 
 
