@@ -35,7 +35,12 @@ def test_numbers_of_damaged_files(tmp_path):
     assert isinstance(error, ValueError) and error.hint
 
 
-@pytest.mark.parametrize("entry", sorted((GOLDEN / "reject").glob("*.rgs"))[::9], ids=lambda path: path.stem)
+# What is there of levels whose end is missing is no error.
+WITHOUT_END = ("levels_page_missing", "levels_positions_missing")
+REJECTED = sorted(path for path in (GOLDEN / "reject").glob("*.rgs") if path.stem not in WITHOUT_END)
+
+
+@pytest.mark.parametrize("entry", REJECTED[::9], ids=lambda path: path.stem)
 def test_rejected_files(entry):
     with pytest.raises(roofgs.Error) as caught:
         roofgs.info(entry, verify=True)
