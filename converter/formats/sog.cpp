@@ -392,16 +392,19 @@ Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimit
   return file;
 }
 
-Result<SplatFile> decode_sog_folder(std::span<const std::byte> bytes, const std::string& folder,
-                                    const DecodeLimits& limits) {
-  std::uint64_t total = bytes.size();
-  const FetchFile fetch = [&](const std::string& name) -> Result<Bytes> {
+FetchFile fetch_from(const std::string& folder, std::uint64_t& total) {
+  return [&folder, &total](const std::string& name) -> Result<Bytes> {
     const auto file = MappedFile::open(folder + "/" + name);
     if (!file) return tl::unexpected(file.error());
     total += file->bytes().size();
     return Bytes(file->bytes().begin(), file->bytes().end());
   };
-  auto file = decode_sog_files(bytes, fetch, limits);
+}
+
+Result<SplatFile> decode_sog_folder(std::span<const std::byte> bytes, const std::string& folder,
+                                    const DecodeLimits& limits) {
+  std::uint64_t total = bytes.size();
+  auto file = decode_sog_files(bytes, fetch_from(folder, total), limits);
   if (file) file->bytes = total;
   return file;
 }

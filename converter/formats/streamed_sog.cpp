@@ -19,7 +19,6 @@
 
 #include "json_member.hpp"
 #include "quantised.hpp"
-#include "rgs/file.hpp"
 #include "rgs/splat_edit.hpp"
 #include "signature.hpp"
 #include "sog.hpp"
@@ -255,13 +254,7 @@ Result<SplatFile> decode_streamed_sog(std::span<const std::byte> bytes, const Re
 Result<SplatFile> decode_streamed_sog_folder(std::span<const std::byte> bytes, const std::string& folder,
                                              const ReadOptions& options) {
   std::uint64_t total = bytes.size();
-  const FetchFile fetch = [&](const std::string& name) -> Result<Bytes> {
-    const auto file = MappedFile::open(folder + "/" + name);
-    if (!file) return tl::unexpected(file.error());
-    total += file->bytes().size();
-    return Bytes(file->bytes().begin(), file->bytes().end());
-  };
-  auto file = decode_scene(bytes, fetch, 0, options);
+  auto file = decode_scene(bytes, fetch_from(folder, total), 0, options);
   if (file) file->bytes = total;
   return file;
 }

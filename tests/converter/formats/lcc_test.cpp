@@ -205,13 +205,13 @@ TEST_CASE("LCC: harmonics are there if fileType is Quality, or nothing says that
   };
   CHECK(degree([](json& meta) { meta["fileType"] = "Portable"; }) == 0);
   CHECK(degree([](json& meta) { meta.erase("fileType"); }) == 3);
-  const auto stub = [](json& meta) {
+  const auto state_none = [](json& meta) {
     meta.erase("fileType");
     meta["attributes"][0]["min"] = {0, 0, 0};
     meta["attributes"][0]["max"] = {1, 1, 1};
   };
-  CHECK(degree(stub) == 0);
-  CHECK(degree([&](json& meta) { stub(meta), meta["fileType"] = "Quality"; }) == 3);
+  CHECK(degree(state_none) == 0);
+  CHECK(degree([&](json& meta) { state_none(meta), meta["fileType"] = "Quality"; }) == 3);
   CHECK(degree([](json& meta) { meta.erase("fileType"), meta["attributes"].erase(0); }) == 0);
 }
 
