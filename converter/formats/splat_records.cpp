@@ -45,6 +45,9 @@ void encode_rotation(const float* q, std::span<std::byte> out) {
 
 bool looks_like_splat_records(std::span<const std::byte> bytes) {
   if (bytes.empty() || bytes.size() % kRecordBytes != 0) return false;
+  // Letters are sound numbers and, of the right length, nearly unit rotations.
+  const auto is_text = [](std::byte b) { return (b >= std::byte{' '} && b <= std::byte{'~'}) || b == std::byte{'\n'}; };
+  if (std::ranges::all_of(bytes.first(std::min<std::size_t>(bytes.size(), 256)), is_text)) return false;
   const std::uint64_t n = bytes.size() / kRecordBytes, sampled = std::min<std::uint64_t>(n, 256);
   std::uint64_t n_unit = 0;
   for (std::uint64_t i = 0; i < sampled; ++i) {

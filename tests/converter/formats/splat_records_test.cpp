@@ -2,6 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cstring>
 #include <limits>
+#include <span>
+#include <string>
 
 #include "interchange_samples.hpp"
 
@@ -73,4 +75,11 @@ TEST_CASE(".splat files of nonsense or of a size that is no multiple of 32 are r
     check_refusal(read_splats(damaged), damaged.size());
   }
   check_refusal(read_splats(Bytes(4096)), 4096);  // zeros
+}
+
+TEST_CASE(".splat: a text of as many bytes as records have is none") {
+  std::string text;
+  for (int i = 0; i < 64; ++i) text += "{\"schema\":\"state/1\",\"input_p\":1}";
+  REQUIRE(text.size() % 32 == 0);
+  CHECK(detect_format(std::as_bytes(std::span(text))) == SplatFormat::unknown);
 }
