@@ -35,12 +35,13 @@ Failure explained(Failure failure, const std::deque<SceneInput>& inputs) {
   return failure;
 }
 
-// Whether levels are built from tiles, so that inputs are not in memory together: several, or one PLY. Filters need all
-// Gaussians in memory, and so does a single .rgs, which may name a source of its own.
+// Whether levels are built from tiles, so that inputs are not in memory together: several, or one that is read in parts.
+// Filters need all Gaussians in memory, and so does a single .rgs, which may name a source of its own.
 bool streams_tiles(const ConvertArguments& arguments, const std::deque<SceneInput>& inputs, SplatFormat to) {
+  const SplatFormat from = arguments.scene.format_of(inputs.front());
   return to == SplatFormat::rgs && arguments.output.levels && arguments.scene.filter.keeps_all() &&
          !arguments.scene.level_of_detail &&
-         (inputs.size() > 1 || arguments.scene.format_of(inputs.front()) == SplatFormat::ply);
+         (inputs.size() > 1 || (format_info(from).in_parts && from != SplatFormat::rgs));
 }
 
 // The file, or the folder of scratch files, that an error is about.

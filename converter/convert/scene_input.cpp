@@ -100,7 +100,11 @@ Result<std::vector<std::uint32_t>> SceneInput::count_in_pages(const DecodeLimits
 Result<Tile> SceneInput::tile(SplatFormat format, const ReadOptions& options) const {
   Tile tile;
   if (format != SplatFormat::ply) {
-    tile.load = [this, options] { return read(options); };
+    tile.read = [this, options](const auto& visit) {
+      ReadOptions with_visit = options;
+      with_visit.visit = visit;
+      return read(with_visit);
+    };
     return tile;
   }
   auto ply = PlyFile::open(bytes_);

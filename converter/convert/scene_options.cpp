@@ -316,7 +316,7 @@ Outcome<InputTile> open_tile(const SceneOptions& options, const SceneInput& inpu
     out.declared = declared_by(*out.tile.ply, input.name(), out.tile.placed);
     out.bytes = input.bytes().size();
   } else {
-    const auto file = out.tile.load();
+    const auto file = out.tile.read([](const SplatFile&) { return Status(); });
     if (!file) return failed(input.path(), file.error());
     out.tile.axes = file->axes;
     out.format = file->format;

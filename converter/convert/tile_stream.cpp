@@ -18,9 +18,8 @@ constexpr std::uint64_t kRows = 65536;
 // `rounding`: the largest of a coordinate by reading, so far.
 Status read_tile(const Tile& tile, const std::function<Status(SplatCloud& block, double rounding)>& visit) {
   if (!tile.ply) {
-    auto loaded = tile.load();
-    if (!loaded) return tl::unexpected(loaded.error());
-    return visit(loaded->cloud, loaded->position_rounding);
+    const auto read = tile.read([&](SplatFile& piece) { return visit(piece.cloud, piece.position_rounding); });
+    return read.map([](const SplatFile&) {});
   }
   SplatCloud block;
   std::vector<Splat> rows;
@@ -51,10 +50,15 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
       if (Status s = read_tile(tile, add); !s) return tl::unexpected(s.error());
     }
   } else {
-    const auto loaded = tile.load();
-    if (!loaded) return tl::unexpected(loaded.error());
-    facts = {loaded->cloud.size(), loaded->cloud.sh_degree, false, loaded->origin};
-    move.add(loaded->cloud.mean);
+    const auto file = tile.read([&](SplatFile& piece) -> Status {
+      facts.n += piece.cloud.size();
+      facts.sh_degree = std::max(facts.sh_degree, piece.cloud.sh_degree);
+      move.add(piece.cloud.mean);
+      return {};
+    });
+    if (!file) return tl::unexpected(file.error());
+    facts.sh_degree = std::max(facts.sh_degree, file->cloud.sh_degree);
+    facts.origin = file->origin;
   }
   // As transform_splats() of a scene with an origin.
   convert_axes(facts.origin, tile.axes, axes);

@@ -15,11 +15,11 @@
 
 namespace rgs {
 
-/// One scene: a PLY file, read block by block, or the result of `load`, in memory only during its turn.
+/// One scene: a PLY file, or what `read` hands over (ReadOptions::visit).
 struct Tile {
   std::optional<PlyFile> ply;
   const MappedFile* file = nullptr;         ///< of the PLY, so that read pages can leave memory; or null
-  std::function<Result<SplatFile>()> load;  ///< must return a scene in `axes`
+  std::function<Result<SplatFile>(const std::function<Status(SplatFile& piece)>& visit)> read;  ///< in `axes`
   Axes axes = kAxes3dgs;
   Similarity placed;  ///< in the axes of the whole
 };
@@ -37,12 +37,12 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes);
 /// Streams the Gaussians that merging all tiles in memory would give, in the same order and with the same bits.
 class TileStream {
  public:
-  /// Reads all tiles once. Errors: those of load for tile `failed`; limit_exceeded (more than 2^32 - 1 Gaussians).
+  /// Reads all tiles once. Errors: those of read for tile `failed`; limit_exceeded (more than 2^32 - 1 Gaussians).
   static Result<TileStream> open(std::vector<Tile> tiles, const Axes& axes, std::size_t& failed);
   /// One tile of a whole with this origin and degree.
   static TileStream of_one(Tile tile, const TileFacts& facts, const Axes& axes, const Origin& origin, int sh_degree);
 
-  /// A view: the TileStream must outlive it. Errors of reading: those of load; check_rounding()'s.
+  /// A view: the TileStream must outlive it. Errors of reading: those of read; check_rounding()'s.
   lod::SplatStream stream(double max_rounding = std::numeric_limits<double>::infinity()) const;
   /// The tile whose reading goes on or failed; else 0.
   std::size_t reading() const { return reading_; }

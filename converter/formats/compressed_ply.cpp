@@ -18,6 +18,7 @@
 #include <string>
 #include <string_view>
 
+#include "pieces.hpp"
 #include "ply_header.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
@@ -358,18 +359,19 @@ bool is_compressed_ply(std::span<const std::byte> bytes) {
                                                 &PlyProperty::name) != vertex->properties.end();
 }
 
-Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const ReadOptions& options) {
   const auto tables = locate_tables(bytes);
   if (!tables) return tl::unexpected(tables.error());
   const std::uint64_t n = tables->vertex.count;
-  if (n > limits.max_gaussians) {
-    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
+  if (n > options.limits.max_gaussians) {
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", options.limits.max_gaussians,
+                      n);
   }
   SplatFile file;
   file.format = SplatFormat::compressed_ply;
   file.bytes = bytes.size();
   tables->stated.copy_to(file);
-  file.cloud.resize(n, tables->sh_degree);
+  PieceFiller filler(file, n, tables->sh_degree, options);
   const auto per_channel = static_cast<std::size_t>(sh_coefficients(tables->sh_degree) - 1);
   Bounds bounds{};
   for (std::uint64_t i = 0; i < n; ++i) {
@@ -383,7 +385,7 @@ Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const 
         s.sh[3 * (k + 1) + c] = static_cast<float>(decode_sh(code));
       }
     }
-    file.cloud.set(i, s);
+    if (const Status filled = filler.add(s); !filled) return tl::unexpected(filled.error());
   }
   return file;
 }

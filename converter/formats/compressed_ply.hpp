@@ -17,7 +17,7 @@ inline constexpr double kMaxCompressedLogScale = 20;
 bool is_compressed_ply(std::span<const std::byte> bytes);
 
 /// With 18 (chunk colours) or 12 chunk properties, with or without SH, as PlayCanvas's tools and gsplat write it.
-Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const DecodeLimits& limits);
+Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const ReadOptions& options);
 
 /// Comments state what options declare. Chunks hold 256 Gaussians that are close in space, or consecutive ones if
 /// options.keep_order.

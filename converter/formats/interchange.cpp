@@ -17,6 +17,7 @@
 #include "ksplat.hpp"
 #include "lcc.hpp"
 #include "npz.hpp"
+#include "pieces.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/paged_file.hpp"
@@ -37,19 +38,28 @@ namespace {
 
 using Bytes = std::span<const std::byte>;
 
-Result<SplatFile> decode_ply(Bytes bytes, const DecodeLimits& limits) {
+Result<SplatFile> decode_ply(Bytes bytes, const ReadOptions& options) {
+  const DecodeLimits& limits = options.limits;
   const auto ply = PlyFile::open(bytes);
   if (!ply) return tl::unexpected(ply.error());
   if (ply->size() > limits.max_gaussians) {
     return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians,
                       ply->size());
   }
-  auto cloud = read_cloud(*ply);
-  if (!cloud) return tl::unexpected(cloud.error());
   SplatFile file;
   detail::stated_scene(ply->declarations()).copy_to(file);
-  file.cloud = *std::move(cloud);
   file.origin = ply->origin();
+  std::vector<Splat> rows;
+  for (std::uint64_t first = 0; first < ply->size() && options.visit; first += rows.size()) {
+    rows.resize(std::min(detail::kPieceRows, ply->size() - first));
+    ply->read(first, rows);
+    file.position_rounding = ply->position_rounding();
+    if (const Status s = detail::hand_over(rows, ply->sh_degree(), file, options); !s) return tl::unexpected(s.error());
+  }
+  if (options.visit) return file;
+  auto cloud = read_cloud(*ply);
+  if (!cloud) return tl::unexpected(cloud.error());
+  file.cloud = *std::move(cloud);
   file.position_rounding = ply->position_rounding();
   return file;
 }
@@ -69,9 +79,35 @@ bool is_ply(Bytes bytes) {
   return detail::begins_with(bytes, "ply");
 }
 
-Result<SplatFile> decode_plain(Bytes bytes, const DecodeLimits& limits) {
+// All checks of decode(), on some chunks at a time.
+Status visit_chunks(const FileView& view, SplatFile& file, const ReadOptions& options) {
+  auto validation = Validation::begin(view);
+  if (!validation) return tl::unexpected(validation.error());
+  const std::uint64_t n_chunks = view.header().n_chunks, at_once = validation->chunks_at_a_time();
+  std::vector<Splat> rows;
+  for (std::uint64_t chunk = 0; chunk < n_chunks; chunk += at_once) {
+    const auto data = read_chunks(view, chunk, std::min(at_once, n_chunks - chunk), {.validate = false});
+    if (!data) return tl::unexpected(data.error());
+    if (Status s = validation->check(*data); !s) return s;
+    rows.resize(data->size());
+    if (Status s = data->read(data->first(), rows); !s) return s;
+    if (Status s = detail::hand_over(rows, view.header().sh_degree, file, options); !s) return s;
+  }
+  return validation->finish();
+}
+
+constexpr std::size_t kPagesAtOnce = 64;
+
+Result<SplatFile> decode_plain(Bytes bytes, const ReadOptions& options) {
+  const DecodeLimits& limits = options.limits;
   const auto view = FileView::open(bytes, limits);
   if (!view) return tl::unexpected(view.error());
+  if (options.visit) {
+    SplatFile file;
+    declare_as(view->declarations(), view->provenance(), file);
+    if (const Status s = visit_chunks(*view, file, options); !s) return tl::unexpected(s.error());
+    return file;
+  }
   auto cloud = decode(bytes, limits);
   if (!cloud) return tl::unexpected(cloud.error());
   SplatFile file;
@@ -133,7 +169,9 @@ Result<SplatFile> decode_levels(Bytes bytes, const ReadOptions& options) {
     if (is_part && pages.empty()) pages = lod::pages_of_level(counted, 0);
     if (is_part) std::erase_if(pages, [&](std::uint32_t i) { return counted[i].count == 0; });
   }
-  if (!is_part && std::ranges::all_of(pages, [&](std::uint32_t i) { return paged->pages()[i].level == 0; })) {
+  const bool leaves =
+      !is_part && std::ranges::all_of(pages, [&](std::uint32_t i) { return paged->pages()[i].level == 0; });
+  if (leaves) {
     if (!paged->complete() && !options.max_count) {
       return make_error(
           Errc::pages_missing, bytes.size(),
@@ -144,34 +182,44 @@ Result<SplatFile> decode_levels(Bytes bytes, const ReadOptions& options) {
                 "are present (--max-count reads them)",
           paged->head().header().file_bytes, bytes.size());
     }
+    if (options.visit) pages = lod::pages_of_level(paged->pages(), 0);
+  }
+  if (leaves && !options.visit) {
     // The leaves get all checks of a file without levels.
     const auto plain = leaves_as_file(*paged, {.validate = false});
     if (!plain) return tl::unexpected(plain.error());
-    DecodeLimits limits = options.limits;
-    limits.max_file_bytes = plain->size();  // the file's own size was checked above
-    auto file = decode_plain(*plain, limits);
+    ReadOptions as_plain = options;
+    as_plain.limits.max_file_bytes = plain->size();  // the file's own size was checked above
+    auto file = decode_plain(*plain, as_plain);
     if (file) file->n_levels = paged->n_levels();
     return file;
   }
-  auto cloud = read_pages(*paged, pages);
-  if (!cloud) return tl::unexpected(cloud.error());
   SplatFile file;
   declare_as(paged->head().declarations(), paged->head().provenance(), file);
   file.n_levels = paged->n_levels();
-  file.finest = false;
-  file.cloud = std::move(*cloud);
+  file.finest = leaves;
+  const std::size_t at_once = options.visit ? kPagesAtOnce : pages.size();
+  for (std::span<const std::uint32_t> rest(pages); !rest.empty();) {
+    const auto some = rest.first(std::min(at_once, rest.size()));
+    rest = rest.subspan(some.size());
+    auto cloud = read_pages(*paged, some);
+    if (!cloud) return tl::unexpected(cloud.error());
+    file.cloud = std::move(*cloud);
+    if (const Status s = detail::hand_over(file, options); !s) return tl::unexpected(s.error());
+  }
   return file;
 }
 
 Result<SplatFile> decode_rgs(Bytes bytes, const ReadOptions& options) {
-  return has_levels(bytes) ? decode_levels(bytes, options) : decode_plain(bytes, options.limits);
+  return has_levels(bytes) ? decode_levels(bytes, options) : decode_plain(bytes, options);
 }
 
 Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64_t bytes, const ReadOptions& options) {
   if (!file) return file;
   file->format = format;
   file->bytes = std::max(file->bytes, bytes);
-  if (!options.keep_axes && std::ranges::find(file->axes, Axis::undeclared) == file->axes.end()) {
+  if (const Status s = detail::hand_over(*file, options); !s) return tl::unexpected(s.error());
+  if (!options.keep_axes && !options.visit && std::ranges::find(file->axes, Axis::undeclared) == file->axes.end()) {
     convert_axes(file->cloud, file->axes, kAxes3dgs);
     convert_axes(file->origin, file->axes, kAxes3dgs);
     convert_axes(file->crs, file->axes, kAxes3dgs);
@@ -242,12 +290,12 @@ constexpr Format kFormats[] = {
      is_rgs, decode_rgs},
     {{SplatFormat::compressed_ply, "compressed.ply", "", "PlayCanvas, SuperSplat, gsplat",
       "mean, scale 11, 10, 11 bits by chunk; rotation 32; opacity, harmonics 8",
-      kAxes3dgs, 3, true, {.aa_mode = true, .declarations = true}},
-     detail::is_compressed_ply, read_within<detail::decode_compressed_ply>, detail::encode_compressed_ply},
+      kAxes3dgs, 3, true, {.aa_mode = true, .declarations = true}, true},
+     detail::is_compressed_ply, detail::decode_compressed_ply, detail::encode_compressed_ply},
     {{SplatFormat::ply, "ply", "", "3DGS; any order and type of properties, further columns",
       "FP32; damaged Gaussians too",
       kAxes3dgs, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, true},
-     is_ply, read_within<decode_ply>, encode_ply},
+     is_ply, decode_ply, encode_ply},
     {{SplatFormat::glb, "glb", "", "glTF 2.0 with KHR_gaussian_splatting, also .gltf; written as .glb",
       "FP32; read from integers of 8 and 16 bits too",
       kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, false, true},
@@ -274,28 +322,28 @@ constexpr Format kFormats[] = {
      detail::is_torch_checkpoint, read_within<detail::decode_torch_checkpoint>},
     {{SplatFormat::ssog, "ssog", "lod-meta.json", "PlayCanvas, streamed SOG, a folder or zipped; written of an .rgs with levels",
       "as .sog",
-      kAxes3dgs, 3, true, {.levels = true, .aa_mode = true}, false, true},
+      kAxes3dgs, 3, true, {.levels = true, .aa_mode = true}, true, true},
      detail::is_streamed_sog, detail::decode_streamed_sog},
     {{SplatFormat::sog, "sog", "meta.json", "PlayCanvas, versions 1 and 2, zipped or beside its WebP images; written zipped",
       "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
-      kAxes3dgs, 3, true, {.aa_mode = true}, false, true},
-     detail::is_sog, read_within<detail::decode_sog>, detail::encode_sog},
+      kAxes3dgs, 3, true, {.aa_mode = true}, true, true},
+     detail::is_sog, detail::decode_sog, detail::encode_sog},
     {{SplatFormat::lcc, "lcc", "", "XGRIDS, beside its index.bin, data.bin and shcoef.bin; the finest level",
       "mean FP32; scale 16 bits; rotation 32; opacity, colour 8; harmonics 11, 10, 11",
-      kAxesLcc, 3, false, {}, false, true},
+      kAxesLcc, 3, false, {}, true, true},
      detail::is_lcc, read_within<detail::decode_lone_lcc>},
     {{SplatFormat::lcc2, "lcc2", "", "XGRIDS, beside its .sog or .spz; the finest level",
       "that of .sog or .spz",
-      kAxesLcc, 3, false, {.aa_mode = true}, false, true},
+      kAxesLcc, 3, false, {.aa_mode = true}, true, true},
      detail::is_lcc2, read_within<detail::decode_lone_lcc>},
     {{SplatFormat::ksplat, "ksplat", "", "GaussianSplats3D, levels 0 to 2; written with level 1",
       "level 0 FP32, 1 and 2 FP16; opacity, colour 8 bits",
-      kAxes3dgs, detail::kKsplatShDegree, true},
-     detail::looks_like_ksplat, read_within<detail::decode_ksplat>, detail::encode_ksplat},
+      kAxes3dgs, detail::kKsplatShDegree, true, {}, true},
+     detail::looks_like_ksplat, detail::decode_ksplat, detail::encode_ksplat},
     {{SplatFormat::splat, "splat", "", "antimatter15",
       "mean, scale FP32; rotation, opacity, colour 8 bits",
-      kAxes3dgs, 0, true},
-     detail::looks_like_splat_records, read_within<detail::decode_splat_records>, detail::encode_splat_records},
+      kAxes3dgs, 0, true, {}, true},
+     detail::looks_like_splat_records, detail::decode_splat_records, detail::encode_splat_records},
 };
 // clang-format on
 
@@ -461,7 +509,7 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     }
     return is_gltf
                ? finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options)
-               : finish(detail::decode_sog_folder(file->bytes(), folder, options.limits), SplatFormat::sog, 0, options);
+               : finish(detail::decode_sog_folder(file->bytes(), folder, options), SplatFormat::sog, 0, options);
   });
 }
 

@@ -23,6 +23,7 @@
 #include <utility>
 #include <vector>
 
+#include "pieces.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 
@@ -325,15 +326,15 @@ bool looks_like_ksplat(std::span<const std::byte> bytes) {
   return header && !header->sections.empty();
 }
 
-Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const ReadOptions& options) {
   auto header = parse_header(bytes);
   if (!header) return tl::unexpected(header.error());
   if (const Status s = choose_sections(*header); !s) return tl::unexpected(s.error());
   if (header->end != bytes.size()) {
     return make_error(Errc::trailing_bytes, header->end, "bytes after the last section", header->end, bytes.size());
   }
-  if (header->n > limits.max_gaussians) {
-    return make_error(Errc::limit_exceeded, 16, "more Gaussians than the caller allows", limits.max_gaussians,
+  if (header->n > options.limits.max_gaussians) {
+    return make_error(Errc::limit_exceeded, 16, "more Gaussians than the caller allows", options.limits.max_gaussians,
                       header->n);
   }
   int degree = 0;
@@ -341,8 +342,7 @@ Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLi
   SplatFile file;
   file.format = SplatFormat::ksplat;
   file.bytes = bytes.size();
-  file.cloud.resize(header->n, degree);
-  std::uint64_t written = 0;
+  PieceFiller filler(file, header->n, degree, options);
   for (const Section& section : header->sections) {
     const std::uint64_t stride = splat_bytes(header->level, section.sh_degree);
     const RecordReader reader(*header, section);
@@ -352,7 +352,8 @@ Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLi
     Buckets buckets(bytes, section);
     for (std::uint64_t i = 0; i < section.n; ++i) {
       const auto centre = header->level == 0 ? std::array<double, 3>() : buckets.next();
-      file.cloud.set(written++, reader.read(bytes.subspan(section.data + stride * i, stride), centre));
+      const Status filled = filler.add(reader.read(bytes.subspan(section.data + stride * i, stride), centre));
+      if (!filled) return tl::unexpected(filled.error());
     }
   }
   return file;

@@ -14,7 +14,7 @@ namespace rgs::detail {
 bool looks_like_ksplat(std::span<const std::byte> bytes);
 
 /// Compression levels 0 to 2, SH degrees 0 to 3 (the sections' largest; smaller ones are padded with zeros).
-Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLimits& limits);
+Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const ReadOptions& options);
 
 /// GaussianSplats3D has no higher harmonics.
 inline constexpr int kKsplatShDegree = 2;

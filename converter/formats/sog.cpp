@@ -17,6 +17,7 @@
 #include <optional>
 
 #include "json_member.hpp"
+#include "pieces.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 #include "signature.hpp"
@@ -350,7 +351,8 @@ Result<Splat> decode_splat(const Meta& meta, const Images& images, std::uint64_t
 }  // namespace
 
 Result<SplatFile> decode_sog_files(std::span<const std::byte> meta_bytes, const FetchFile& fetch,
-                                   const DecodeLimits& limits) {
+                                   const ReadOptions& options) {
+  const DecodeLimits& limits = options.limits;
   auto meta = parse_meta(meta_bytes);
   if (!meta) return tl::unexpected(meta.error());
   if (meta->n > std::min<std::uint64_t>(limits.max_gaussians, std::uint64_t{1} << 28)) {  // WebP's largest image
@@ -362,11 +364,11 @@ Result<SplatFile> decode_sog_files(std::span<const std::byte> meta_bytes, const 
   SplatFile file;
   file.format = SplatFormat::sog;
   file.aa_mode = meta->aa_mode;
-  file.cloud.resize(meta->n, meta->sh_degree);
+  PieceFiller filler(file, meta->n, meta->sh_degree, options);
   for (std::uint64_t i = 0; i < meta->n; ++i) {
     const auto splat = decode_splat(*meta, images, i);
     if (!splat) return tl::unexpected(splat.error());
-    file.cloud.set(i, *splat);
+    if (const Status filled = filler.add(*splat); !filled) return tl::unexpected(filled.error());
   }
   return file;
 }
@@ -379,15 +381,15 @@ bool is_sog_meta(std::span<const std::byte> bytes) {
   return is_json_with(bytes, "\"means\"");
 }
 
-Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const ReadOptions& options) {
   const auto archive = ZipArchive::open(bytes);
   if (!archive) return tl::unexpected(archive.error());
   const FetchFile fetch = [&](const std::string& name) {
-    return archive->read(name, limits, "the SOG lacks meta.json or a file that meta.json names");
+    return archive->read(name, options.limits, "the SOG lacks meta.json or a file that meta.json names");
   };
   const auto meta = fetch("meta.json");
   if (!meta) return tl::unexpected(meta.error());
-  auto file = decode_sog_files(*meta, fetch, limits);
+  auto file = decode_sog_files(*meta, fetch, options);
   if (file) file->bytes = bytes.size();
   return file;
 }
@@ -402,9 +404,9 @@ FetchFile fetch_from(const std::string& folder, std::uint64_t& total) {
 }
 
 Result<SplatFile> decode_sog_folder(std::span<const std::byte> bytes, const std::string& folder,
-                                    const DecodeLimits& limits) {
+                                    const ReadOptions& options) {
   std::uint64_t total = bytes.size();
-  auto file = decode_sog_files(bytes, fetch_from(folder, total), limits);
+  auto file = decode_sog_files(bytes, fetch_from(folder, total), options);
   if (file) file->bytes = total;
   return file;
 }

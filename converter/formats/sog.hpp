@@ -18,10 +18,10 @@ bool is_sog(std::span<const std::byte> bytes);
 bool is_sog_meta(std::span<const std::byte> bytes);
 
 /// A zipped SOG, version 1 or 2. Error offsets are in the image or in meta.json.
-Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimits& limits);
+Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const ReadOptions& options);
 /// meta.json (`bytes`) with its images in `folder`.
 Result<SplatFile> decode_sog_folder(std::span<const std::byte> bytes, const std::string& folder,
-                                    const DecodeLimits& limits);
+                                    const ReadOptions& options);
 
 /// Returns the bytes of one of the scene's files by its name.
 using FetchFile = std::function<Result<std::vector<std::byte>>(const std::string&)>;
@@ -29,7 +29,7 @@ using FetchFile = std::function<Result<std::vector<std::byte>>(const std::string
 FetchFile fetch_from(const std::string& folder, std::uint64_t& total);
 /// meta.json (`bytes`) with images from `fetch`; SplatFile::bytes is the caller's.
 Result<SplatFile> decode_sog_files(std::span<const std::byte> bytes, const FetchFile& fetch,
-                                   const DecodeLimits& limits);
+                                   const ReadOptions& options);
 
 /// Harmonics are clamped to +- this when written, so that their squares and sums stay numbers.
 inline constexpr float kMaxSogHarmonic = 1e6F;

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "pieces.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 
@@ -60,19 +61,19 @@ bool looks_like_splat_records(std::span<const std::byte> bytes) {
   return n_unit >= sampled;  // half of the sample: some scenes have Gaussians without a rotation
 }
 
-Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const ReadOptions& options) {
   const std::uint64_t n = bytes.size() / kRecordBytes;
   if (bytes.size() % kRecordBytes != 0) {
     return make_error(Errc::truncated, n * kRecordBytes, "the last record of the .splat file is cut off", kRecordBytes,
                       bytes.size() % kRecordBytes);
   }
-  if (n > limits.max_gaussians) {
-    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
+  if (n > options.limits.max_gaussians) {
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", options.limits.max_gaussians, n);
   }
   SplatFile file;
   file.format = SplatFormat::splat;
   file.bytes = bytes.size();
-  file.cloud.resize(n, 0);
+  PieceFiller filler(file, n, 0, options);
   for (std::uint64_t i = 0; i < n; ++i) {
     const auto record = bytes.subspan(kRecordBytes * i, kRecordBytes);
     Splat s;
@@ -83,7 +84,7 @@ Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const D
     }
     s.opacity_logit = logit_from_opacity(static_cast<float>(load_u8(record, 27)) / 255.F);
     for (std::uint64_t k = 0; k < 4; ++k) s.rotation[k] = static_cast<float>(load_u8(record, 28 + k) - 128) / 128.F;
-    file.cloud.set(i, s);
+    if (const Status filled = filler.add(s); !filled) return tl::unexpected(filled.error());
   }
   return file;
 }

@@ -15,7 +15,7 @@ namespace rgs::detail {
 bool looks_like_splat_records(std::span<const std::byte> bytes);
 
 /// Errors: truncated (the size is no multiple of 32), limit_exceeded.
-Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const DecodeLimits& limits);
+Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const ReadOptions& options);
 
 /// Harmonics above the constant one are left out.
 Result<std::vector<std::byte>> encode_splat_records(const SplatView& splats, const WriteOptions& options);

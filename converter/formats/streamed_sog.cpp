@@ -202,7 +202,7 @@ Result<SplatFile> decode_scene(std::span<const std::byte> bytes, const FetchFile
     const auto sog_meta = fetch(name);
     if (!sog_meta) return tl::unexpected(sog_meta.error());
     auto sog = decode_sog_files(
-        *sog_meta, [&](const std::string& image) { return fetch(folder_of(name) + image); }, options.limits);
+        *sog_meta, [&](const std::string& image) { return fetch(folder_of(name) + image); }, {.limits = options.limits});
     if (!sog) return tl::unexpected(sog.error());
     if (const Status s = check_runs(of_file, sog->cloud.size()); !s) return tl::unexpected(s.error());
     if (!std::ranges::all_of(of_file, &Run::wanted)) {

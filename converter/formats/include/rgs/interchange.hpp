@@ -76,7 +76,7 @@ struct FormatInfo {
     bool declarations = false;  ///< low-pass, colour space and metres per unit; axes, where none are prescribed
   };
   Keeps keeps = {};
-  bool in_parts = false;   ///< rgs-convert can read and write it in less memory than the file takes
+  bool in_parts = false;   ///< read in less memory than its Gaussians take: ReadOptions::visit
   bool in_folder = false;  ///< its Gaussians are, or may be, in files beside it
 };
 const FormatInfo& format_info(SplatFormat format);
@@ -139,6 +139,10 @@ struct ReadOptions {
   /// [pages] how many Gaussians of each page count towards max_count, for callers that keep only some; empty: all.
   /// Pages that count 0 are not read, except from a file with positions in its source that fits whole.
   std::vector<std::uint32_t> page_counts = {};
+  /// Receives the Gaussians in their order, piece by piece, as `cloud` of what is known of the file; it may change them.
+  /// Pieces of formats that are FormatInfo::in_parts are small, so the scene need not fit into memory; others come
+  /// whole. Implies keep_axes; the returned file has no `cloud` and no `source_index`. An error of it ends the reading.
+  std::function<Status(SplatFile& piece)> visit = nullptr;
 };
 
 /// Reads a whole file of any format. Memory: a constant times the file's size (decompressed sizes are checked against
