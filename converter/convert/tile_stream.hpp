@@ -18,7 +18,7 @@ namespace rgs {
 /// One scene: a PLY file, or what `read` hands over (ReadOptions::visit).
 struct Tile {
   std::optional<PlyFile> ply;
-  const MappedFile* file = nullptr;         ///< of the PLY, so that read pages can leave memory; or null
+  const MappedFile* file = nullptr;  ///< of the PLY, so that read pages can leave memory; or null
   std::function<Result<SplatFile>(const std::function<Status(SplatFile& piece)>& visit)> read;  ///< in `axes`
   Axes axes = kAxes3dgs;
   Similarity placed;  ///< in the axes of the whole

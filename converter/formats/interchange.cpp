@@ -399,7 +399,7 @@ Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOpt
     files.push_back(std::move(*file));
     return files.back().bytes();
   };
-  auto splats = (is_lcc ? detail::decode_lcc : detail::decode_lcc2)(bytes, fetch, options.limits);
+  auto splats = (is_lcc ? detail::decode_lcc : detail::decode_lcc2)(bytes, fetch, options);
   for (const MappedFile& file : files) {
     if (unchanged) unchanged = file.check_unchanged();
   }
@@ -507,9 +507,8 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     if (is_streamed) {
       return finish(detail::decode_streamed_sog_folder(file->bytes(), folder, options), SplatFormat::ssog, 0, options);
     }
-    return is_gltf
-               ? finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options)
-               : finish(detail::decode_sog_folder(file->bytes(), folder, options), SplatFormat::sog, 0, options);
+    return is_gltf ? finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options)
+                   : finish(detail::decode_sog_folder(file->bytes(), folder, options), SplatFormat::sog, 0, options);
   });
 }
 

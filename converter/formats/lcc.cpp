@@ -24,6 +24,7 @@
 #include <vector>
 
 #include "json_member.hpp"
+#include "pieces.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/splat_edit.hpp"
@@ -314,7 +315,8 @@ Result<SplatFile> decode_lone_lcc(std::span<const std::byte>, const DecodeLimits
   return make_error(Errc::unsupported_feature, 0, "an .lcc or .lcc2 without the files beside it: name the file");
 }
 
-Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const DecodeLimits& limits) {
+Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options) {
+  const DecodeLimits& limits = options.limits;
   const auto root = parse_json(bytes);
   if (!root) return tl::unexpected(root.error());
   const auto meta = parse_meta(*root);
@@ -343,12 +345,12 @@ Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside
   const auto runs = find_runs(*meta, *index, *data, *harmonics);
   if (!runs) return tl::unexpected(runs.error());
   SplatFile file = file_of(SplatFormat::lcc);
-  file.cloud.resize(meta->n, meta->sh ? 3 : 0);
-  std::uint64_t written = 0;
+  PieceFiller filler(file, meta->n, meta->sh ? 3 : 0, options);
   for (const Run& run : *runs) {
     for (std::uint64_t i = 0; i < run.n; ++i) {
       const Bytes sh = meta->sh ? harmonics->subspan(2 * run.offset + kHarmonicsBytes * i, kHarmonicsBytes) : Bytes();
-      file.cloud.set(written++, read_record(data->subspan(run.offset + kRecordBytes * i, kRecordBytes), sh, *meta));
+      const Bytes record = data->subspan(run.offset + kRecordBytes * i, kRecordBytes);
+      if (const Status s = filler.add(read_record(record, sh, *meta)); !s) return tl::unexpected(s.error());
     }
   }
   note_levels(meta->n_levels, file.unused);
@@ -358,7 +360,7 @@ Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside
   return file;
 }
 
-Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const DecodeLimits& limits) {
+Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options) {
   const auto root = parse_json(bytes);
   if (!root) return tl::unexpected(root.error());
   static const json none;
@@ -370,7 +372,7 @@ Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBesid
   if (!finest) return tl::unexpected(finest.error());
   SplatFile file = file_of(SplatFormat::lcc2);
   std::set<std::string> names;
-  ReadOptions options{.limits = limits, .format = tree->chunks, .keep_axes = true};
+  ReadOptions of_chunk{.limits = options.limits, .format = tree->chunks, .keep_axes = true};
   for (const auto& [index, count] : finest->chunks) {
     if (!names.insert(tree->files[index]).second) {
       return make_error(Errc::bad_value, 0, "root.splatFiles names a chunk twice", Error::kNone, index);
@@ -381,15 +383,16 @@ Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBesid
       error.what = "cannot open a chunk that root.splatFiles names";
       return tl::unexpected(error);
     }
-    const auto chunk = read_splats(*chunk_bytes, options);
+    const auto chunk = read_splats(*chunk_bytes, of_chunk);
     if (!chunk) return tl::unexpected(chunk.error());
     if (count && *count != chunk->cloud.size()) {
       return make_error(Errc::size_mismatch, 0, "a chunk has another number of Gaussians than its nodes", *count,
                         chunk->cloud.size());
     }
     if (names.size() == 1) file.aa_mode = chunk->aa_mode;
-    options.limits.max_gaussians -= chunk->cloud.size();
+    of_chunk.limits.max_gaussians -= chunk->cloud.size();
     append_splats(file.cloud, chunk->cloud);
+    if (const Status s = hand_over(file, options); !s) return tl::unexpected(s.error());
   }
   note_levels(tree->n_levels, file.unused);
   if (finest->n_coarser != 0)

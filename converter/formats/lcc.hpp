@@ -23,8 +23,8 @@ Result<SplatFile> decode_lone_lcc(std::span<const std::byte> bytes, const Decode
 
 /// The JSON (`bytes`) with the files that `fetch` returns. SplatFile::unused names coarser levels, the environment, the
 /// collision mesh and a georeference. Error offsets are in the file that the text names.
-Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const DecodeLimits& limits);
+Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options);
 /// Chunks are .sog or .spz.
-Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const DecodeLimits& limits);
+Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options);
 
 }  // namespace rgs::detail

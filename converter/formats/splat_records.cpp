@@ -68,7 +68,8 @@ Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const R
                       bytes.size() % kRecordBytes);
   }
   if (n > options.limits.max_gaussians) {
-    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", options.limits.max_gaussians, n);
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", options.limits.max_gaussians,
+                      n);
   }
   SplatFile file;
   file.format = SplatFormat::splat;

@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "json_member.hpp"
+#include "pieces.hpp"
 #include "quantised.hpp"
 #include "rgs/splat_edit.hpp"
 #include "signature.hpp"
@@ -193,6 +194,7 @@ Result<SplatFile> decode_scene(std::span<const std::byte> bytes, const FetchFile
   SplatFile file;
   file.n_levels = static_cast<std::uint32_t>(std::min<std::uint64_t>(meta->n_levels, ~std::uint32_t{0}));
   file.finest = options.level_of_detail.value_or(0) == 0;
+  bool is_first = true;
   for (auto first = runs.begin(); first != runs.end();) {
     const auto last = std::find_if(first, runs.end(), [&](const Run& run) { return run.file != first->file; });
     const std::span<const Run> of_file(first, last);
@@ -201,8 +203,8 @@ Result<SplatFile> decode_scene(std::span<const std::byte> bytes, const FetchFile
     const std::string& name = meta->filenames[of_file.front().file];
     const auto sog_meta = fetch(name);
     if (!sog_meta) return tl::unexpected(sog_meta.error());
-    auto sog = decode_sog_files(
-        *sog_meta, [&](const std::string& image) { return fetch(folder_of(name) + image); }, {.limits = options.limits});
+    auto sog = decode_sog_files(*sog_meta, [&](const std::string& image) { return fetch(folder_of(name) + image); },
+                                {.limits = options.limits});
     if (!sog) return tl::unexpected(sog.error());
     if (const Status s = check_runs(of_file, sog->cloud.size()); !s) return tl::unexpected(s.error());
     if (!std::ranges::all_of(of_file, &Run::wanted)) {
@@ -214,8 +216,9 @@ Result<SplatFile> decode_scene(std::span<const std::byte> bytes, const FetchFile
       }
       keep_splats(sog->cloud, kept);
     }
-    if (file.cloud.size() == 0) file.aa_mode = sog->aa_mode;
+    if (std::exchange(is_first, false)) file.aa_mode = sog->aa_mode;
     append_splats(file.cloud, sog->cloud);
+    if (const Status s = hand_over(file, options); !s) return tl::unexpected(s.error());
   }
   if (meta->n_levels > 1 && !options.level_of_detail) file.unused.emplace_back("levels of detail but the finest");
   if (!meta->environment.empty()) file.unused.emplace_back("the environment, a SOG of its own");

@@ -23,6 +23,7 @@
 #include "rgs/file.hpp"
 #include "rgs/interchange.hpp"
 #include "rgs/quantize.hpp"
+#include "rgs/splat_edit.hpp"
 #include "skip.hpp"
 
 namespace rgs::test {
@@ -59,6 +60,39 @@ inline SplatCloud ordinary_cloud(std::uint64_t n, int sh_degree, std::uint64_t s
     cloud.set(i, s);
   }
   return cloud;
+}
+
+/// Checks that pieces of a file, by its path or bytes, are its scene. Returns the largest piece's number of Gaussians.
+template <class Source>
+std::uint64_t check_pieces(const Source& source) {
+  ReadOptions options;
+  options.keep_axes = true;
+  const auto whole = read_splats(source, options);
+  REQUIRE(whole);
+  SplatCloud pieces;
+  std::uint64_t largest = 0;
+  options.visit = [&](SplatFile& piece) {
+    CHECK(piece.axes == whole->axes);
+    CHECK(piece.origin == whole->origin);
+    largest = std::max(largest, piece.cloud.size());
+    append_splats(pieces, piece.cloud);
+    return Status();
+  };
+  const auto visited = read_splats(source, options);
+  REQUIRE(visited);
+  CHECK(visited->cloud.size() == 0);
+  CHECK(visited->bytes == whole->bytes);
+  CHECK(visited->aa_mode == whole->aa_mode);
+  CHECK(visited->unused == whole->unused);
+  CHECK(visited->n_levels == whole->n_levels);
+  CHECK(visited->finest == whole->finest);
+  CHECK(pieces.sh_degree == whole->cloud.sh_degree);
+  CHECK(pieces.mean == whole->cloud.mean);
+  CHECK(pieces.log_scale == whole->cloud.log_scale);
+  CHECK(pieces.rotation == whole->cloud.rotation);
+  CHECK(pieces.opacity_logit == whole->cloud.opacity_logit);
+  CHECK(pieces.sh == whole->cloud.sh);
+  return largest;
 }
 
 /// Largest differences between two Gaussians.
@@ -186,7 +220,7 @@ inline bool has_peer_files() {
   return found;
 }
 
-inline constexpr ReadOptions kKeepAxes{{}, SplatFormat::unknown, true};
+inline const ReadOptions kKeepAxes{{}, SplatFormat::unknown, true};
 
 inline Result<SplatFile> read_exact(std::span<const std::byte> bytes) {
   // A heap block of the exact size, so that AddressSanitizer detects any overread.

@@ -3,6 +3,7 @@
 #include <limits>
 
 #include "complexity.hpp"
+#include "golden_files.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/splat_edit.hpp"
@@ -46,6 +47,31 @@ TEST_CASE("written files are recognised by content, whatever their names") {
     CHECK(format_info(format).writable == (format == SplatFormat::rgs));
     CHECK(encode_splats(cloud.view(), format).error().code == Errc::bad_argument);
   }
+}
+
+TEST_CASE("a visitor gets the scene of any format piece by piece, of those that are read in parts in small ones") {
+  constexpr std::uint64_t kN = 70'000;
+  const SplatCloud cloud = ordinary_cloud(kN, 1, 3);
+  for (const SplatFormat format : kWritable) {
+    CAPTURE(format_name(format));
+    CHECK((check_pieces(encode_splats(cloud.view(), format).value()) < kN) == format_info(format).in_parts);
+  }
+  EncodeOptions options;
+  check_pieces(encode(cloud.view(), options).value());
+  options.profile = Profile::packed;
+  options.keep_permutation = true;
+  check_pieces(encode(cloud.view(), options).value());
+  check_pieces(golden_file("levels_packed"));
+
+  const Bytes splat = encode_splats(cloud.view(), SplatFormat::splat).value();
+  ReadOptions stops;
+  int n_pieces = 0;
+  stops.visit = [&](const SplatFile&) -> Status {
+    ++n_pieces;
+    return make_error(Errc::write_failed, Error::kNone, "no room");
+  };
+  CHECK(read_splats(splat, stops).error().code == Errc::write_failed);
+  CHECK(n_pieces == 1);
 }
 
 namespace {

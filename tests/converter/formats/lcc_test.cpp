@@ -106,12 +106,16 @@ Files edited(Files files, const char* name, const std::function<void(json&)>& ed
   return files;
 }
 
-Result<SplatFile> read_folder(const Files& files, const char* name, const ReadOptions& options = kKeepAxes) {
-  const TemporaryFolder folder;
+void write_files(const Files& files, const TemporaryFolder& folder) {
   for (const auto& [file, bytes] : files) {
     std::filesystem::create_directories(std::filesystem::path(folder.file(file)).parent_path());
     write_bytes(folder.file(file), bytes);
   }
+}
+
+Result<SplatFile> read_folder(const Files& files, const char* name, const ReadOptions& options = kKeepAxes) {
+  const TemporaryFolder folder;
+  write_files(files, folder);
   return read_splats(folder.file(name), options);
 }
 
@@ -167,6 +171,9 @@ TEST_CASE("LCC: the finest level of all cells, within half a step; what is not r
     CHECK(file->bytes == bytes);
     check_within_steps(compare(file->cloud, finest()));
     CHECK(file->unused == std::vector<std::string>{"2 coarser levels of detail"});
+    const TemporaryFolder folder;
+    write_files(files, folder);
+    check_pieces(folder.file("a.lcc"));
     for (const std::string name : {"index.bin", "data.bin", "shcoef.bin"}) {
       if (capitals) continue;
       files[static_cast<char>(name[0] - 32) + name.substr(1)] = files.at(name);
@@ -346,6 +353,9 @@ TEST_CASE("LCC2: chunks of the finest level in the order of their files, in LCC'
     }
     CHECK(compare(file->cloud, chunks).sum() == 0);
     CHECK(read_folder(files, "a.lcc2", {}).value().cloud.mean[1] == -chunks.mean[2]);
+    const TemporaryFolder folder;
+    write_files(files, folder);
+    CHECK(check_pieces(folder.file("a.lcc2")) < chunks.size());
   }
 }
 

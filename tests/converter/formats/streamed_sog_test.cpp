@@ -201,6 +201,7 @@ TEST_CASE("a region is read at its finest level, or at that asked for, or at the
   CHECK(finest->cloud.sh_degree == 1);
   CHECK(coarse->cloud.size() == 20);
   CHECK(coarse->cloud.sh_degree == 0);
+  CHECK(check_pieces(zipped(files)) == 50);  // one SOG after the other
   // The last region's Gaussians, of level 1, come last.
   CHECK(std::equal(finest->cloud.mean.end() - 18, finest->cloud.mean.end(), coarse->cloud.mean.end() - 18));
   // The same in a folder, and with a folder above it in an archive.
