@@ -31,7 +31,7 @@ WRITTEN += [(f"rgs archive{preset}, step {step}", f"step{step}.rgs", ["--profile
             for preset, step in STEPS]
 WRITTEN += [("compressed.ply", "scene.compressed.ply", [])]
 WRITTEN += [(f"spz {version}", f"scene{version}.spz", ["--spz-version", str(version)]) for version in (2, 3, 4)]
-WRITTEN += [("splat", "scene.splat", []), ("sog", "scene.sog", [])]
+WRITTEN += [("splat", "scene.splat", []), ("ksplat, level 1", "scene.ksplat", []), ("sog", "scene.sog", [])]
 TRANSFORM, SPLATS3D = "@playcanvas/splat-transform@3.7.0", "@mkkellogg/gaussian-splats-3d@0.4.7"
 LGSC, LGSC_COMMIT = "https://github.com/qualcomm/lite-3Dgsplat-codec.git", "a78ee6e"
 # format, writer, name of the file, command

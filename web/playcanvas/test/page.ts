@@ -15,6 +15,7 @@ import {
   PIXELFORMAT_RGBA8,
   RenderTarget,
   Texture,
+  TextureHandler,
 } from "playcanvas";
 
 let app: AppBase;
@@ -51,7 +52,7 @@ async function start(type: string, asDefined: boolean): Promise<string> {
   const options = new AppOptions();
   options.graphicsDevice = device;
   options.componentSystems = [CameraComponentSystem, GSplatComponentSystem];
-  options.resourceHandlers = [GSplatHandler];
+  options.resourceHandlers = [GSplatHandler, TextureHandler];
   app = new AppBase(canvas);
   app.init(options);
   app.loader.getHandler("gsplat")?.addParser(new RgsParser(app));
@@ -85,6 +86,11 @@ function load(url: string): Promise<number> {
     app.assets.add(asset);
     app.assets.load(asset);
   });
+}
+
+/** Parameters of the scene's gsplats. */
+function set(parameters: object): void {
+  Object.assign(app.scene.gsplat, parameters);
 }
 
 /** One at a time: software rendering falls behind frames that nobody waits for. */
@@ -143,4 +149,4 @@ async function decode(url: string): Promise<string> {
   return base64(pixels);
 }
 
-Object.assign(window, { engine: { start, load, picture, decode, restored: () => restored } });
+Object.assign(window, { engine: { start, load, set, picture, decode, restored: () => restored } });

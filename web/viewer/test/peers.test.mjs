@@ -8,7 +8,6 @@ import { dirname, join } from "node:path";
 import test, { after, before } from "node:test";
 import { fileURLToPath } from "node:url";
 import createSpz from "@adobe/spz";
-import { loadSpz } from "@spz-loader/core";
 import { program } from "../../playcanvas/test/pictures.mjs";
 
 let folder;
@@ -52,28 +51,16 @@ function assertSame(found, wanted, what, cosine = 0.999) {
   }
 }
 
-test("splat-transform and rgs-convert read each other's files", () => {
+test("other programs and rgs-convert read each other's files", (t) => {
   const cli = join(dirname(fileURLToPath(import.meta.resolve("@playcanvas/splat-transform"))), "../bin/cli.mjs");
   const script = fileURLToPath(new URL("../../../scripts/interop.py", import.meta.url));
   const env = { ...process.env, RGS_SPLAT_TRANSFORM: `${process.execPath} ${cli}` };
-  execFileSync("/usr/bin/python3", [script, "--bin", dirname(program("rgs-convert"))], { env });
+  const said = execFileSync("/usr/bin/python3", [script, "--bin", dirname(program("rgs-convert"))], { env, encoding: "utf8" });
+  assert.match(said, /Spark.* reads/);
+  t.diagnostic(said);
 });
 
-// Rotations of version 2 have 8 bits a component; w, which is not stored, takes all their errors.
-for (const [version, cosine] of [[2, 0.98], [3, 0.999], [4, 0.999]]) {
-  test(`the reference library reads an SPZ of version ${version} as the PLY that it was`, async () => {
-    convert("--spz-version", String(version), file("house.ply"), file("ours.spz"));
-    const bytes = new Uint8Array(readFileSync(file("ours.spz")));
-    assertSame(adobe.loadSpzFromBuffer(bytes, { to: adobe.CoordinateSystem.UNSPECIFIED }), scene, "@adobe/spz", cosine);
-    if (version === 4) return; // which @spz-loader/core 0.3.1 does not read
-    // Its bundle lacks what it takes from Node, unless it finds a browser.
-    process.type = "renderer";
-    assertSame(await loadSpz(bytes), scene, "@spz-loader/core", cosine);
-    delete process.type;
-  });
-}
-
-test("rgs-convert reads an SPZ of the reference library as the PLY that it was", () => {
+test("rgs-convert turns an SPZ that declares its axes as the reference library does", () => {
   const { UNSPECIFIED } = adobe.CoordinateSystem;
   convert("--spz-version", "4", file("house.ply"), file("ours.spz"));
   const cloud = adobe.loadSpzFromBuffer(new Uint8Array(readFileSync(file("ours.spz"))), { to: UNSPECIFIED });
