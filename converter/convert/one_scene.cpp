@@ -154,7 +154,7 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
   if (summary) {
     summary->seconds.insert(summary->seconds.begin(), seconds.begin(), seconds.end());
     summary->lost.insert(summary->lost.end(), loss.lost.begin(), loss.lost.end());
-    summary->notes = std::move(loss.notes);
+    summary->notes.insert(summary->notes.begin(), loss.notes.begin(), loss.notes.end());
   }
   return outcome(std::move(summary));
 }

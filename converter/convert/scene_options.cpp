@@ -295,9 +295,6 @@ Outcome<LoadedScene> load_scene(const SceneOptions& options, ConvertOptions& con
     loss.notes.push_back("positions refer to " + inputs.front().name() +
                          ", which does not hold positions in its own source (--keep-permutation)");
   }
-  if (to == SplatFormat::spz)
-    loss.notes.push_back("the output's axes are " + axes_text(encode.axes) +
-                         ", which the SPZ does not state (--spz-axes)");
   if (to == SplatFormat::rgs && !only.source_index.empty() && !encode.keep_permutation)
     loss.lost.emplace_back("positions in the source (--keep-permutation keeps them)");
   return scene;

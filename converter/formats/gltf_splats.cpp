@@ -325,7 +325,7 @@ class SceneWalk {
       ReadOptions options = options_;
       options.spz_axes = kAxesGltf;
       options.limits.max_decoded_bytes = gltf_.decodable_bytes();  // of all SPZ of the file together
-      auto unpacked = decode_spz(view->bytes, options);
+      auto unpacked = decode_spz(view->bytes, options, false);
       if (!unpacked) {
         Error error = unpacked.error();
         if (error.offset != Error::kNone) error.offset += view->offset;

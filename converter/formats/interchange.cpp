@@ -26,6 +26,7 @@
 #include "sog.hpp"
 #include "splat_records.hpp"
 #include "spz.hpp"
+#include "spz_georeference.hpp"
 #include "stated_scene.hpp"
 #include "streamed_sog.hpp"
 #include "torch_checkpoint.hpp"
@@ -262,8 +263,8 @@ constexpr Format kFormats[] = {
      detail::is_usdz, read_within<detail::decode_usdz>, detail::encode_usdz},
     {{SplatFormat::spz, "spz", "", "Niantic, versions 2 and 3 (gzip) and 4 (zstd)",
       "mean 24 bits; rotation 32 (version 2: 24); scale, opacity, colour 8; harmonics 5 and 4",
-      kAxes3dgs, 3, true, {.aa_mode = true}},
-     detail::is_spz, detail::decode_spz, detail::encode_spz},
+      kAxes3dgs, 3, true, {.origin = true, .aa_mode = true}},
+     detail::is_spz, detail::decode_placed_spz, detail::encode_spz},
     {{SplatFormat::npz, "npz", "", "NumPy archive of gsplat's arrays means, scales, quats, opacities, sh0, shN",
       "FP32; read from FP16, 32 or 64",
       kAxes3dgs, 3, true, {.origin = true}},
@@ -465,9 +466,21 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
   });
 }
 
-Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin) {
+FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options) {
+  FormatInfo::Keeps keeps = format_info(format).keeps;
+  keeps.axes = keeps.crs = keeps.declarations;
+  if (format == SplatFormat::spz) {
+    keeps.origin = detail::keeps_origin(options);
+    keeps.crs = detail::keeps_crs(options);
+    keeps.axes = options.axes[0] != Axis::undeclared && !detail::georeference_records(options).empty();
+  }
+  return keeps;
+}
+
+Result<double> position_rounding(const SplatView& splats, SplatFormat format, const WriteOptions& options) {
   return detail::guard_memory([&]() -> Result<double> {
-    if (format_info(format).keeps.origin || (origin == kNoOrigin && format != SplatFormat::spz)) return 0.0;
+    const Origin origin = keeps_of(format, options).origin ? kNoOrigin : options.origin;
+    if (origin == kNoOrigin && format != SplatFormat::spz) return 0.0;
     const std::vector<float> positions = positions_of(splats, origin);
     int bits = 0;
     if (format == SplatFormat::spz) {
@@ -503,11 +516,11 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
     if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
     std::vector<float> positions;  // FP32, where the format holds no origin
     SplatView placed = splats;
-    if (options.origin != kNoOrigin && !f.info.keeps.origin) {
+    if (options.origin != kNoOrigin && !keeps_of(format, options).origin) {
       if (options.strict) {
         return make_error(Errc::bad_value, Error::kNone,
                           "the format holds no origin: positions would be rounded to FP32; write "
-                          ".rgs, .ply, .glb, .usda or .npz, or drop --strict");
+                          ".rgs, .ply, .glb, .usda, .npz or .spz of version 4, or drop --strict");
       }
       positions = positions_of(splats, options.origin);
       placed.mean = positions;

@@ -71,9 +71,10 @@ struct FormatInfo {
   bool writable = false;  ///< by encode_splats(), .rgs by encode(), .ssog by write_streamed_sog()
   struct Keeps {
     bool levels = false;  ///< of detail
-    bool origin = false;  ///< formats without hold FP32 positions
+    bool origin = false;  ///< formats without hold FP32 positions; of spz only version 4: keeps_of()
     bool aa_mode = false;
-    bool declarations = false;  ///< low-pass, colour space and metres per unit; axes, where none are prescribed
+    bool declarations = false;       ///< low-pass, colour space and metres per unit; axes, where none are prescribed
+    bool axes = false, crs = false;  ///< keeps_of() sets these
   };
   Keeps keeps = {};
   bool in_parts = false;   ///< rgs-convert can read and write it in less memory than the file takes
@@ -160,9 +161,10 @@ struct WriteOptions {
   std::optional<float> low_pass_px2 = std::nullopt;      ///< stated in these four if it differs from the mode's default
   float metres_per_unit = 0;                             ///< stated in these four if it is not 0
   Axes axes = kAxes3dgs;                                 ///< of the Gaussians; stated in ply and compressed_ply
-  /// Of the Gaussians; ply, glb, usda and npz keep it, others hold FP32 positions: position_rounding().
+  /// Of the Gaussians; ply, glb, usda, npz and spz of version 4 keep it, others hold FP32 positions:
+  /// position_rounding().
   Origin origin = kNoOrigin;
-  Crs crs = {};             ///< of origin + mean; stated in ply, compressed_ply and glb
+  Crs crs = {};  ///< of origin + mean; stated in ply, compressed_ply, glb and, if it can be, spz of version 4
   bool keep_order = false;  ///< compressed.ply, sog: do not sort Gaussians, so that close ones are neighbours
   unsigned threads = 0;     ///< sog; 0: as many as the machine runs at once. The file does not depend on it
   int spz_version = 3;      ///< 2, 3 or 4; docs/user/INTERCHANGE.md says which viewer reads which
@@ -213,9 +215,12 @@ struct StreamedSogReport {
 Result<StreamedSogReport> write_streamed_sog(const PagedFile& file, const WriteOptions& options, int sh_degree,
                                              const PutFile& put);
 
+/// What a file of that format with these options keeps of the scene.
+FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options);
+
 /// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
 /// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat
 /// and sog, which are proportional to the size of chunks, buckets or the scene. Errors: those of encode_splats() for SPZ.
-Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin);
+Result<double> position_rounding(const SplatView& splats, SplatFormat format, const WriteOptions& options);
 
 }  // namespace rgs
