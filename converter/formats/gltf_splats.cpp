@@ -567,7 +567,10 @@ Result<SplatFile> decode_gltf_folder(std::span<const std::byte> bytes, const std
         return files.emplace_back(std::move(*file)).bytes();
       });
   if (!gltf) return tl::unexpected(gltf.error());
-  return read_scene(*gltf, options);
+  auto scene = read_scene(*gltf, options);
+  for (const MappedFile& file : files)
+    if (const Status s = file.check_unchanged(); !s) return tl::unexpected(s.error());
+  return scene;
 }
 
 Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const WriteOptions& options) {

@@ -451,18 +451,21 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     const bool is_gltf = maybe_gltf && detail::is_gltf_text(file->bytes());
     const bool is_streamed = detail::is_streamed_sog_meta(file->bytes());
     const bool is_lcc = detail::is_lcc(file->bytes()) || detail::is_lcc2(file->bytes());
-    if (is_lcc || (!is_gltf && !is_streamed && !detail::is_sog_meta(file->bytes()))) {
-      auto splats = is_lcc ? read_lcc(file->bytes(), folder, options) : read_splats(file->bytes(), options);
-      // A change of the file explains any other error.
-      if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
-      return splats;
-    }
-    if (is_streamed) {
-      return finish(detail::decode_streamed_sog_folder(file->bytes(), folder, options), SplatFormat::ssog, 0, options);
-    }
-    return is_gltf
-               ? finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options)
-               : finish(detail::decode_sog_folder(file->bytes(), folder, options.limits), SplatFormat::sog, 0, options);
+    const auto read = [&]() -> Result<SplatFile> {
+      if (is_lcc) return read_lcc(file->bytes(), folder, options);
+      if (is_streamed)
+        return finish(detail::decode_streamed_sog_folder(file->bytes(), folder, options), SplatFormat::ssog, 0,
+                      options);
+      if (is_gltf)
+        return finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options);
+      if (detail::is_sog_meta(file->bytes()))
+        return finish(detail::decode_sog_folder(file->bytes(), folder, options.limits), SplatFormat::sog, 0, options);
+      return read_splats(file->bytes(), options);
+    };
+    auto splats = read();
+    // A change of the file explains any other error.
+    if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
+    return splats;
   });
 }
 
