@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include "console.hpp"
 #include "info_report.hpp"
 
 namespace rgs::audit {
@@ -48,6 +49,8 @@ std::vector<DeclaredDifference> compare_declarations(const Source& source, const
     compare("metres_per_unit", "metres per unit", fmt::format("{}", a.metres_per_unit),
             fmt::format("{}", b.metres_per_unit), false);
   compare("origin", "origin", words(a.origin), words(b.origin), false);
+  if (a.crs != Crs() && b.crs != Crs())
+    compare("crs", "coordinate reference system", tool::printable(a.crs.text), tool::printable(b.crs.text), false);
   compare("sh_basis", "SH basis", tool::name_of(a.sh_basis).words, tool::name_of(b.sh_basis).words, true);
   compare("kernel", "kernel", tool::name_of(a.kernel).words, tool::name_of(b.kernel).words, true);
   compare("sort_metric", "depth order", tool::name_of(a.sort_metric).words, tool::name_of(b.sort_metric).words, true);

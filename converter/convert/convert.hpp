@@ -141,8 +141,9 @@ struct LoadedScene {
 /// positions are requested but the .rgs has lost them; it is then its own source.
 bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& file, std::span<const std::uint64_t> kept,
                  bool edited = false);
-/// Those declarations that a file of that format cannot state: "anti-aliasing (mip-splatting)", ...
-std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptions& declared);
+/// Those declarations that a file of that format, which keeps these, cannot state: "anti-aliasing (mip-splatting)", ...
+std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptions& declared,
+                                           const FormatInfo::Keeps& keeps);
 
 /// Writes a scene in memory as .rgs or any writable format. Its Gaussians must be in FormatInfo::axes, for .rgs in
 /// options.encode.axes. options.encode.on_bad applies to damaged ones, except that PLY keeps them.

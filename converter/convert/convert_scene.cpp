@@ -54,10 +54,11 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   write.strict = options.strict;
   write.origin = scene.origin;
   write.crs = options.encode.crs;
-  const auto rounding = position_rounding(scene.cloud.view(), format, scene.origin);
+  const auto rounding = position_rounding(scene.cloud.view(), format, write);
   if (!rounding) return tl::unexpected(rounding.error());
   summary.position_rounding = *rounding;
-  summary.origin = format_info(format).keeps.origin ? scene.origin : kNoOrigin;
+  const FormatInfo::Keeps keeps = keeps_of(format, write);
+  summary.origin = keeps.origin ? scene.origin : kNoOrigin;
   const auto bytes = encode_splats(scene.cloud.view(), format, write, &summary.clamped);
   if (!bytes) return tl::unexpected(bytes.error());
   clock.begin("commit", 0, "");
@@ -67,7 +68,12 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   clock.end();
   summary.sync_seconds = *synced;
   summary.output_format = format_name(format);
-  summary.lost = lost_declarations(format, options.encode);
+  summary.lost = lost_declarations(format, options.encode, keeps);
+  if (format == SplatFormat::spz && !keeps.axes)
+    summary.notes.push_back("the output's axes are " + axes_text(options.encode.axes) +
+                            ", which the SPZ does not state (--spz-axes)");
+  if (format == SplatFormat::spz && scene.origin != kNoOrigin && options.spz_version < 4)
+    summary.notes.emplace_back("version 4 of SPZ keeps the origin (--spz-version 4)");
   summary.declarations.aa_mode = options.encode.aa_mode;
   summary.declarations.low_pass_px2 = low_pass_of(options.encode);
   summary.declarations.colour_space = options.encode.colour_space;
@@ -112,11 +118,11 @@ bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& fil
   return !lost;
 }
 
-std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptions& declared) {
+std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptions& declared,
+                                           const FormatInfo::Keeps& keeps) {
   std::vector<std::string> lost;
   if (format == SplatFormat::rgs) return lost;
   const EncodeOptions usual;
-  const FormatInfo::Keeps& keeps = format_info(format).keeps;
   const bool has_flag = keeps.aa_mode && declared.aa_mode != AaMode::undeclared;
   if (!keeps.declarations) {
     const AaMode read_as = has_flag ? declared.aa_mode : AaMode::classic;
@@ -127,8 +133,8 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
       lost.push_back(declared.colour_space == ColourSpace::linear_display ? "colour space (linear)"
                                                                           : "colour space (undeclared)");
     if (declared.metres_per_unit != 0) lost.push_back(fmt::format("metres per unit ({})", declared.metres_per_unit));
-    if (declared.axes != format_info(format).axes) lost.push_back("axes other than the format's");
-    if (declared.crs != Crs())
+    if (declared.axes != format_info(format).axes && !keeps.axes) lost.push_back("axes other than the format's");
+    if (declared.crs != Crs() && !keeps.crs)
       lost.push_back(fmt::format("coordinate reference system ({})", tool::printable(declared.crs.text)));
   }
   if (declared.depth && declared.depth->source != DepthSource::scene_extent)

@@ -107,7 +107,8 @@ Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::str
   summary.n_source = summary.n_written = n;
   summary.source_sh_degree = summary.sh_degree = degree;
   summary.header = source.header();
-  summary.lost = lost_declarations(SplatFormat::ply, keep_declarations({}, summary.declarations));
+  summary.lost = lost_declarations(SplatFormat::ply, keep_declarations({}, summary.declarations),
+                                   format_info(SplatFormat::ply).keeps);
   summary.sections = source.sections();
   return summary;
 }

@@ -46,7 +46,7 @@ Result<ConvertSummary> convert_to_streamed_sog(const PagedFile& source, const st
   summary.declarations = source.head().declarations();
   EncodeOptions turned = encode;
   if (encode.axes[0] != Axis::undeclared) turned.axes = kAxes3dgs;
-  summary.lost = lost_declarations(SplatFormat::ssog, turned);
+  summary.lost = lost_declarations(SplatFormat::ssog, turned, format_info(SplatFormat::ssog).keeps);
   return summary;
 }
 

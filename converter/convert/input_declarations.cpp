@@ -156,6 +156,15 @@ InputDeclarations declared_by(const FileView& view, const std::string& name) {
   return {name, keep_declarations({}, view.declarations()), true};
 }
 
+void declare_prj(InputDeclarations& input, const std::string& prj, const AskedDeclarations& asked,
+                 std::vector<std::string>& notes) {
+  if (prj.empty() || asked.crs || input.stated.crs != Crs()) return;
+  input.stated.crs.text = prj;
+  notes.push_back(fmt::format(
+      "{} states no coordinate reference system: that of the .prj beside it is taken (--crs none ignores it)",
+      tool::printable(input.name)));
+}
+
 Status declare_scene(EncodeOptions& encode, std::span<const InputDeclarations> inputs, const AskedDeclarations& asked,
                      std::vector<std::string>& notes) {
   const auto differs = [](const auto& a, const auto& b) { return a != b; };

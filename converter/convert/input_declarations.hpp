@@ -37,6 +37,9 @@ struct InputDeclarations {
 InputDeclarations declared_by(const SplatFile& file, const std::string& name, const Similarity& placed);
 InputDeclarations declared_by(const PlyFile& ply, const std::string& name, const Similarity& placed = {});
 InputDeclarations declared_by(const FileView& view, const std::string& name);
+/// Takes the coordinate reference system of the .prj beside it, unless the input states one or one is asked for.
+void declare_prj(InputDeclarations& input, const std::string& prj, const AskedDeclarations& asked,
+                 std::vector<std::string>& notes);
 
 /// Losses and notes about declarations, for ConvertSummary.
 struct DeclaredLoss {

@@ -102,11 +102,12 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
   ConvertOptions& convert = arguments.output.convert;
   const SceneInput& first = inputs.front();
   const SplatFormat from = options.format_of(first);
-  const auto outcome = [&](Result<ConvertSummary> summary) -> Outcome<ConvertSummary> {
-    if (summary) return std::move(*summary);
-    return failed(concerned(arguments, first, summary.error()), summary.error());
-  };
   DeclaredLoss loss;
+  const auto outcome = [&](Result<ConvertSummary> summary) -> Outcome<ConvertSummary> {
+    if (!summary) return failed(concerned(arguments, first, summary.error()), summary.error());
+    summary->notes.insert(summary->notes.begin(), loss.notes.begin(), loss.notes.end());
+    return std::move(*summary);
+  };
   const auto declare = [&](const InputDeclarations& by_input) {
     return declare_scene(convert.encode, {&by_input, 1}, options.asked, loss.notes);
   };
@@ -116,6 +117,7 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
     if (!options.axes) convert.encode.axes = ply->declarations().axes;
     InputDeclarations declared = declared_by(*ply, first.name());
     declared.stated.axes = convert.encode.axes;
+    declare_prj(declared, first.prj(), options.asked, loss.notes);
     if (auto s = declare(declared); !s) return failed(first.path(), s.error());
     return outcome(convert_to_rgs(*ply, options.output(), convert, observer));
   }
@@ -155,7 +157,6 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
   if (summary) {
     summary->seconds.insert(summary->seconds.begin(), seconds.begin(), seconds.end());
     summary->lost.insert(summary->lost.end(), loss.lost.begin(), loss.lost.end());
-    summary->notes = std::move(loss.notes);
   }
   return outcome(std::move(summary));
 }

@@ -8,15 +8,37 @@
 #include <cerrno>
 #include <filesystem>
 #include <numeric>
+#include <string_view>
+#include <system_error>
 #include <utility>
 #include <vector>
 
+#include "input_files.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/splat_edit.hpp"
 
 namespace rgs {
+namespace {
+
+// The text of a .prj, as ESRI's programs and many others write; empty: there is none, or it is not WKT.
+std::string read_prj(const std::string& path) {
+  constexpr std::string_view kBlank = " \t\r\n", kBom = "\xEF\xBB\xBF";
+  std::error_code ignored;
+  if (!std::filesystem::is_regular_file(path, ignored)) return {};
+  const auto file = MappedFile::open(path);
+  if (!file || file->bytes().size() > 2 * std::size_t{kMaxCrsText}) return {};
+  std::string text(reinterpret_cast<const char*>(file->bytes().data()), file->bytes().size());
+  if (text.starts_with(kBom)) text.erase(0, kBom.size());
+  std::ranges::replace_if(
+      text, [&](char c) { return kBlank.find(c) != kBlank.npos; }, ' ');
+  text.erase(text.find_last_not_of(' ') + 1);
+  text.erase(0, text.find_first_not_of(' '));
+  return is_crs_text(text) && text.find('[') != text.npos && text.ends_with(']') ? text : std::string();
+}
+
+}  // namespace
 
 Status SceneInput::open(const std::string& path) {
   path_ = path;
@@ -25,6 +47,7 @@ Status SceneInput::open(const std::string& path) {
     if (!file) return tl::unexpected(file.error());
     file_ = std::move(*file);
     bytes_ = file_.bytes();
+    if (const std::string prj = tool::prj_of(path); !prj.empty()) prj_ = read_prj(prj);
     return {};
   }
   std::vector<std::byte> buffer(std::size_t{1} << 20);

@@ -27,6 +27,8 @@ class SceneInput {
   const MappedFile& file() const { return file_; }
   /// The file name without folders, for provenance.
   std::string name() const;
+  /// Of a PLY: WKT of the .prj beside it, in one line; else empty.
+  const std::string& prj() const { return prj_; }
   /// XXH3-64 of the bytes; drops their pages from memory as it reads.
   std::uint64_t hash() const;
   /// The whole scene, in the axes of the file.
@@ -40,7 +42,7 @@ class SceneInput {
   Result<Tile> tile(SplatFormat format, const ReadOptions& options) const;
 
  private:
-  std::string path_;
+  std::string path_, prj_;
   MappedFile file_;
   detail::SpoolFile spool_;
   std::span<const std::byte> bytes_;

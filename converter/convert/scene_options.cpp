@@ -128,7 +128,7 @@ Result<ReadOptions> read_options(const SceneOptions& options, const SceneInput& 
 // The axes of an SPZ, and why: the format leaves them open.
 void note_spz_axes(const SceneOptions& options, const SceneInput& input, const SplatFile& file,
                    std::vector<std::string>& notes) {
-  if (file.format != SplatFormat::spz || options.axes) return;
+  if (file.format != SplatFormat::spz || options.axes || file.axes[0] == Axis::undeclared) return;
   notes.push_back("the axes of " + tool::printable(input.name()) + " are " + axes_text(file.axes) +
                   (file.axes_assumed ? ", assumed because it declares none (--spz-axes)" : ", as it declares"));
 }
@@ -272,6 +272,7 @@ Outcome<LoadedScene> load_scene(const SceneOptions& options, ConvertOptions& con
     scene.unused.insert(scene.unused.end(), file->unused.begin(), file->unused.end());
     const Similarity placed = place(options, i, encode.axes, *file);
     declared.push_back(declared_by(*file, inputs[i].name(), placed));
+    declare_prj(declared.back(), inputs[i].prj(), options.asked, loss.notes);
     if (to != SplatFormat::rgs) restore_order(*file);
     parts.push_back({file->cloud.size(), file->origin, file->position_rounding * placed.scale});
     if (i == 0) {
@@ -295,9 +296,6 @@ Outcome<LoadedScene> load_scene(const SceneOptions& options, ConvertOptions& con
     loss.notes.push_back("positions refer to " + inputs.front().name() +
                          ", which does not hold positions in its own source (--keep-permutation)");
   }
-  if (to == SplatFormat::spz)
-    loss.notes.push_back("the output's axes are " + axes_text(encode.axes) +
-                         ", which the SPZ does not state (--spz-axes)");
   if (to == SplatFormat::rgs && !only.source_index.empty() && !encode.keep_permutation)
     loss.lost.emplace_back("positions in the source (--keep-permutation keeps them)");
   return scene;
@@ -325,6 +323,7 @@ Outcome<InputTile> open_tile(const SceneOptions& options, const SceneInput& inpu
     note_spz_axes(options, input, *file, notes);
     out.declared = declared_by(*file, input.name(), out.tile.placed);
   }
+  declare_prj(out.declared, input.prj(), options.asked, notes);
   if (options.axes) out.tile.axes = *options.axes;
   out.declared.stated.axes = out.tile.axes;
   return out;

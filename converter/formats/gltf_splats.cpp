@@ -325,7 +325,7 @@ class SceneWalk {
       ReadOptions options = options_;
       options.spz_axes = kAxesGltf;
       options.limits.max_decoded_bytes = gltf_.decodable_bytes();  // of all SPZ of the file together
-      auto unpacked = decode_spz(view->bytes, options);
+      auto unpacked = decode_spz(view->bytes, options, false);
       if (!unpacked) {
         Error error = unpacked.error();
         if (error.offset != Error::kNone) error.offset += view->offset;
@@ -567,7 +567,10 @@ Result<SplatFile> decode_gltf_folder(std::span<const std::byte> bytes, const std
         return files.emplace_back(std::move(*file)).bytes();
       });
   if (!gltf) return tl::unexpected(gltf.error());
-  return read_scene(*gltf, options);
+  auto scene = read_scene(*gltf, options);
+  for (const MappedFile& file : files)
+    if (const Status s = file.check_unchanged(); !s) return tl::unexpected(s.error());
+  return scene;
 }
 
 Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const WriteOptions& options) {

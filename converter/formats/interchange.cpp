@@ -27,6 +27,7 @@
 #include "sog.hpp"
 #include "splat_records.hpp"
 #include "spz.hpp"
+#include "spz_georeference.hpp"
 #include "stated_scene.hpp"
 #include "streamed_sog.hpp"
 #include "torch_checkpoint.hpp"
@@ -310,8 +311,8 @@ constexpr Format kFormats[] = {
      detail::is_usdz, read_within<detail::decode_usdz>, detail::encode_usdz},
     {{SplatFormat::spz, "spz", "", "Niantic, versions 2 and 3 (gzip) and 4 (zstd)",
       "mean 24 bits; rotation 32 (version 2: 24); scale, opacity, colour 8; harmonics 5 and 4",
-      kAxes3dgs, 3, true, {.aa_mode = true}},
-     detail::is_spz, detail::decode_spz, detail::encode_spz},
+      kAxes3dgs, 3, true, {.origin = true, .aa_mode = true}},
+     detail::is_spz, detail::decode_placed_spz, detail::encode_spz},
     {{SplatFormat::npz, "npz", "", "NumPy archive of gsplat's arrays means, scales, quats, opacities, sh0, shN",
       "FP32; read from FP16, 32 or 64",
       kAxes3dgs, 3, true, {.origin = true}},
@@ -498,23 +499,39 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     const bool is_gltf = maybe_gltf && detail::is_gltf_text(file->bytes());
     const bool is_streamed = detail::is_streamed_sog_meta(file->bytes());
     const bool is_lcc = detail::is_lcc(file->bytes()) || detail::is_lcc2(file->bytes());
-    if (is_lcc || (!is_gltf && !is_streamed && !detail::is_sog_meta(file->bytes()))) {
-      auto splats = is_lcc ? read_lcc(file->bytes(), folder, options) : read_splats(file->bytes(), options);
-      // A change of the file explains any other error.
-      if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
-      return splats;
-    }
-    if (is_streamed) {
-      return finish(detail::decode_streamed_sog_folder(file->bytes(), folder, options), SplatFormat::ssog, 0, options);
-    }
-    return is_gltf ? finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options)
-                   : finish(detail::decode_sog_folder(file->bytes(), folder, options), SplatFormat::sog, 0, options);
+    const auto read = [&]() -> Result<SplatFile> {
+      if (is_lcc) return read_lcc(file->bytes(), folder, options);
+      if (is_streamed)
+        return finish(detail::decode_streamed_sog_folder(file->bytes(), folder, options), SplatFormat::ssog, 0,
+                      options);
+      if (is_gltf)
+        return finish(detail::decode_gltf_folder(file->bytes(), folder, options), SplatFormat::glb, 0, options);
+      if (detail::is_sog_meta(file->bytes()))
+        return finish(detail::decode_sog_folder(file->bytes(), folder, options), SplatFormat::sog, 0, options);
+      return read_splats(file->bytes(), options);
+    };
+    auto splats = read();
+    // A change of the file explains any other error.
+    if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
+    return splats;
   });
 }
 
-Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin) {
+FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options) {
+  FormatInfo::Keeps keeps = format_info(format).keeps;
+  keeps.axes = keeps.crs = keeps.declarations;
+  if (format == SplatFormat::spz) {
+    keeps.origin = detail::keeps_origin(options);
+    keeps.crs = detail::keeps_crs(options);
+    keeps.axes = options.axes[0] != Axis::undeclared && !detail::georeference_records(options).empty();
+  }
+  return keeps;
+}
+
+Result<double> position_rounding(const SplatView& splats, SplatFormat format, const WriteOptions& options) {
   return detail::guard_memory([&]() -> Result<double> {
-    if (format_info(format).keeps.origin || (origin == kNoOrigin && format != SplatFormat::spz)) return 0.0;
+    const Origin origin = keeps_of(format, options).origin ? kNoOrigin : options.origin;
+    if (origin == kNoOrigin && format != SplatFormat::spz) return 0.0;
     const std::vector<float> positions = positions_of(splats, origin);
     int bits = 0;
     if (format == SplatFormat::spz) {
@@ -550,11 +567,11 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
     if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
     std::vector<float> positions;  // FP32, where the format holds no origin
     SplatView placed = splats;
-    if (options.origin != kNoOrigin && !f.info.keeps.origin) {
+    if (options.origin != kNoOrigin && !keeps_of(format, options).origin) {
       if (options.strict) {
         return make_error(Errc::bad_value, Error::kNone,
                           "the format holds no origin: positions would be rounded to FP32; write "
-                          ".rgs, .ply, .glb, .usda or .npz, or drop --strict");
+                          ".rgs, .ply, .glb, .usda, .npz or .spz of version 4, or drop --strict");
       }
       positions = positions_of(splats, options.origin);
       placed.mean = positions;

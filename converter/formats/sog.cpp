@@ -399,7 +399,9 @@ FetchFile fetch_from(const std::string& folder, std::uint64_t& total) {
     const auto file = MappedFile::open(folder + "/" + name);
     if (!file) return tl::unexpected(file.error());
     total += file->bytes().size();
-    return Bytes(file->bytes().begin(), file->bytes().end());
+    Bytes bytes(file->bytes().begin(), file->bytes().end());
+    if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
+    return bytes;
   };
 }
 

@@ -22,6 +22,7 @@
 #include "quantised.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/quantize.hpp"
+#include "spz_georeference.hpp"
 #include "spz_header.hpp"
 
 namespace rgs::detail {
@@ -34,6 +35,7 @@ struct SpzContent {
   SpzHeader header;
   std::vector<std::byte> body;  // the streams, one after the other
   SpzExtensions extensions;
+  std::vector<std::byte> records;  // of the extensions
 };
 
 std::string unused_text(const SpzExtensions::Record& record) {
@@ -142,17 +144,16 @@ Result<SpzContent> unpack_gzip(std::span<const std::byte> bytes, const ReadOptio
   if (const Status s = inflater->read(head); !s) return tl::unexpected(s.error());
   const auto header = parse_spz_header(head, options.limits, bytes.size(), true);
   if (!header) return tl::unexpected(header.error());
-  SpzContent content{*header, std::vector<std::byte>(header->decoded_bytes()), {}};
+  SpzContent content{*header, std::vector<std::byte>(header->decoded_bytes()), {}, {}};
   if (const Status s = inflater->read(content.body); !s) return tl::unexpected(s.error());
-  std::vector<std::byte> records;
   if (header->has_extensions()) {
     auto rest = inflater->rest();
     if (!rest) return tl::unexpected(rest.error());
-    records = std::move(*rest);
+    content.records = std::move(*rest);
   }
   if (const Status s = inflater->finish(); !s) return tl::unexpected(s.error());
   auto extensions =
-      parse_spz_extensions(records, kSpzHeaderBytes + content.body.size(), options.skip_unknown_extensions);
+      parse_spz_extensions(content.records, kSpzHeaderBytes + content.body.size(), options.skip_unknown_extensions);
   if (!extensions) return tl::unexpected(extensions.error());
   content.extensions = std::move(*extensions);
   return content;
@@ -163,8 +164,10 @@ Result<SpzContent> unpack_gzip(std::span<const std::byte> bytes, const ReadOptio
 Result<SpzContent> unpack_zstd(std::span<const std::byte> bytes, const ReadOptions& options) {
   auto layout = spz_layout(bytes, options.limits, bytes.size(), false, options.skip_unknown_extensions);
   if (!layout) return tl::unexpected(layout.error());
-  SpzContent content{layout->header, std::vector<std::byte>(layout->header.decoded_bytes()),
-                     std::move(layout->extensions)};
+  SpzContent content{
+      layout->header, std::vector<std::byte>(layout->header.decoded_bytes()), std::move(layout->extensions), {}};
+  const auto records = bytes.first(layout->streams.front().offset).subspan(kSpzHeaderBytesV4);
+  content.records.assign(records.begin(), records.end());
   std::uint64_t to = 0;
   for (const auto& [offset, stored, decoded] : layout->streams) {
     const std::size_t got =
@@ -428,13 +431,16 @@ void store_shared_header(std::span<std::byte> file, const SpzHeader& header) {
   store(file, 14, header.flags);
 }
 
-std::vector<std::byte> pack_zstd(const SpzHeader& header, const CodedStreams& streams) {
-  std::vector<std::byte> file(kSpzHeaderBytesV4 + 16 * header.n_streams());
+std::vector<std::byte> pack_zstd(const SpzHeader& header, std::span<const std::byte> records,
+                                 const CodedStreams& streams) {
+  const std::uint64_t table = kSpzHeaderBytesV4 + records.size();
+  std::vector<std::byte> file(table + 16 * header.n_streams());
+  std::ranges::copy(records, file.begin() + kSpzHeaderBytesV4);
   store_shared_header(file, header);
   store(std::span(file), 15, static_cast<std::uint8_t>(header.n_streams()));
-  store(std::span(file), 16, static_cast<std::uint32_t>(kSpzHeaderBytesV4));
+  store(std::span(file), 16, static_cast<std::uint32_t>(table));
   const CodedStreams compressed = compress_all(streams, compress_zstd);
-  std::uint64_t entry = kSpzHeaderBytesV4;
+  std::uint64_t entry = table;
   for (std::size_t i = 0; i < header.n_streams(); ++i, entry += 16) {
     store(std::span(file), entry, static_cast<std::uint64_t>(compressed[i].size()));
     store(std::span(file), entry + 8, static_cast<std::uint64_t>(streams[i].size()));
@@ -490,7 +496,7 @@ bool is_spz(std::span<const std::byte> bytes) {
   return inflater && inflater->read(magic) && load<std::uint32_t>(magic, 0) == kSpzMagic;
 }
 
-Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions& options) {
+Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions& options, bool placed) {
   const auto content = is_gzip(bytes) ? unpack_gzip(bytes, options) : unpack_zstd(bytes, options);
   if (!content) return tl::unexpected(content.error());
   const SpzExtensions& extensions = content->extensions;
@@ -506,8 +512,13 @@ Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions
   file.axes = extensions.axes.value_or(options.spz_axes);
   file.axes_assumed = !extensions.axes;
   file.aa_mode = header.is_antialiased() ? AaMode::mip_splatting : AaMode::classic;
-  for (const auto& record : extensions.unused) file.unused.push_back(unused_text(record));
   file.cloud = decode_streams(header, streams);
+  for (const auto& record : extensions.unused) {
+    const auto payload = std::span(content->records).subspan(record.at, record.bytes);
+    const bool applied = placed && record.type == kSpzGeoreference && apply_georeference(payload, file);
+    if (applied) placed = false;  // once
+    if (!applied) file.unused.push_back(unused_text(record));
+  }
   return file;
 }
 
@@ -522,9 +533,11 @@ Result<std::vector<std::byte>> encode_spz(const SplatView& splats, const WriteOp
   header.n = static_cast<std::uint32_t>(splats.n);
   header.sh_degree = static_cast<std::uint8_t>(splats.sh_degree);
   header.fractional_bits = static_cast<std::uint8_t>(*fractional_bits);
-  header.flags = options.aa_mode == AaMode::mip_splatting ? kSpzAntialiased : 0;
+  const std::vector<std::byte> records = georeference_records(options);
+  header.flags = static_cast<std::uint8_t>((options.aa_mode == AaMode::mip_splatting ? kSpzAntialiased : 0) |
+                                           (records.empty() ? 0 : kSpzHasExtensions));
   const CodedStreams streams = encode_streams(splats, header);
-  return version < 4 ? pack_gzip(header, streams) : pack_zstd(header, streams);
+  return version < 4 ? pack_gzip(header, streams) : pack_zstd(header, records, streams);
 }
 
 }  // namespace rgs::detail

@@ -24,12 +24,16 @@ bool is_spz(std::span<const std::byte> bytes);
 
 /// Versions 2 and 3 (one gzip stream) and 4 (a zstd stream per attribute). Gaussians stay in the axes that an extension
 /// declares, or else in options.spz_axes. unsupported_feature for extensions of unknown type, unless they are to be
-/// skipped.
-Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions& options);
+/// skipped. A georeference is applied, unless `placed` is false: see spz_georeference.hpp.
+Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions& options, bool placed);
+inline Result<SplatFile> decode_placed_spz(std::span<const std::byte> bytes, const ReadOptions& options) {
+  return decode_spz(bytes, options, true);
+}
 
 /// Version options.spz_version, else bad_argument, with 12 fractional bits, fewer if a mean needs it; SH of degree 1 in
 /// 5 bits, above in 4, as the reference encoder's default. Versions differ in compression, and 2 in rotations. One
-/// thread per attribute, same bytes for any number of threads; Gaussians keep their order.
+/// thread per attribute, same bytes for any number of threads; Gaussians keep their order. Version 4 has extensions for an
+/// origin and a CRS.
 Result<std::vector<std::byte>> encode_spz(const SplatView& splats, const WriteOptions& options);
 
 }  // namespace rgs::detail

@@ -19,7 +19,7 @@
 namespace rgs::detail {
 namespace {
 
-constexpr std::uint32_t kSafeOrbitCamera = 0xADBE0002, kCoordinateSystem = 0xADBE0003, kGeoreference = 0x4E530001;
+constexpr std::uint32_t kSafeOrbitCamera = 0xADBE0002;
 constexpr std::uint64_t kSafeOrbitBytes = 12;
 
 // By the value of Adobe's extension, from 1. 0 is "unspecified", which the reference library reads as no extension.
@@ -126,17 +126,18 @@ Result<SpzHeader> parse_spz_header(std::span<const std::byte> bytes, const Decod
 // So only known ones are skipped, unless the caller takes the risk.
 Result<SpzExtensions> parse_spz_extensions(std::span<const std::byte> records, std::uint64_t begin, bool skip_unknown) {
   SpzExtensions out;
+  bool is_georeferenced = false;
   for (std::uint64_t at = 0; at < records.size();) {
     const std::uint64_t offset = begin + at, rest = records.size() - at;
     if (rest < 8) return make_error(Errc::truncated, offset, "the extensions end inside a record", 8, rest);
     const auto type = load<std::uint32_t>(records, at);
     // The reference library's first builds wrote this record without its length.
     if (type == kSafeOrbitCamera && rest == 4 + kSafeOrbitBytes) {
-      out.unused.push_back({type, kSafeOrbitBytes, "safe orbit camera"});
+      out.unused.push_back({type, kSafeOrbitBytes, "safe orbit camera", at + 4});
       break;
     }
     const auto bytes = load<std::uint32_t>(records, at + 4);
-    const bool known = type == kSafeOrbitCamera || type == kCoordinateSystem || type == kGeoreference;
+    const bool known = type == kSafeOrbitCamera || type == kSpzCoordinateSystem || type == kSpzGeoreference;
     if (!known && !skip_unknown) {
       return make_error(Errc::unsupported_feature, offset,
                         "an SPZ extension of unknown type, which may change what the file means; rgs-convert "
@@ -147,7 +148,7 @@ Result<SpzExtensions> parse_spz_extensions(std::span<const std::byte> records, s
       return make_error(Errc::truncated, offset + 4, "an extension is longer than the bytes left for extensions",
                         rest - 8, bytes);
     }
-    if (type == kCoordinateSystem) {
+    if (type == kSpzCoordinateSystem) {
       if (bytes != 4) {
         return make_error(Errc::bad_header, offset + 4, "the coordinate system extension is not 4 bytes", 4, bytes);
       }
@@ -163,13 +164,23 @@ Result<SpzExtensions> parse_spz_extensions(std::span<const std::byte> records, s
                         bytes);
     } else {
       out.unused.push_back({type, bytes,
-                            type == kSafeOrbitCamera ? "safe orbit camera"
-                            : type == kGeoreference  ? "georeference"
-                                                     : "unknown"});
+                            type == kSafeOrbitCamera   ? "safe orbit camera"
+                            : type == kSpzGeoreference ? "georeference"
+                                                       : "unknown",
+                            at + 8});
+      // It starts from right, up, backward, the description's axes, so whoever writes it means those.
+      is_georeferenced = is_georeferenced ||
+                         (type == kSpzGeoreference && bytes >= kSpzGeoreferenceBytes && load_u8(records, at + 8) == 1);
     }
     at += 8 + std::uint64_t{bytes};
   }
+  if (!out.axes && is_georeferenced) out.axes = kAxesOpenGl;
   return out;
+}
+
+std::uint32_t spz_coordinate_system(const Axes& axes) {
+  const auto* const found = std::ranges::find(kCoordinateSystems, axes);
+  return found == std::end(kCoordinateSystems) ? 0 : static_cast<std::uint32_t>(found - kCoordinateSystems) + 1;
 }
 
 Result<SpzLayout> spz_layout(std::span<const std::byte> bytes, const DecodeLimits& limits, std::uint64_t file_bytes,

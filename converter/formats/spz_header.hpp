@@ -17,7 +17,9 @@ namespace rgs::detail {
 
 inline constexpr std::uint32_t kSpzMagic = 0x5053474E;
 inline constexpr std::uint64_t kSpzHeaderBytes = 16, kSpzHeaderBytesV4 = 32, kSpzStreams = 6;
-inline constexpr std::uint64_t kSpzMostExtensionBytes = std::uint64_t{16} << 20;  // of a gzip stream
+inline constexpr std::uint64_t kSpzMostExtensionBytes = std::uint64_t{16} << 20;                  // of a gzip stream
+inline constexpr std::uint32_t kSpzCoordinateSystem = 0xADBE0003, kSpzGeoreference = 0x4E530001;  // types of extensions
+inline constexpr std::uint64_t kSpzGeoreferenceBytes = 76;                                        // without its text
 inline constexpr std::uint8_t kSpzAntialiased = 1, kSpzHasExtensions = 2;
 
 struct SpzHeader {
@@ -35,8 +37,9 @@ struct SpzExtensions {
   struct Record {
     std::uint32_t type, bytes;
     const char* name;
+    std::uint64_t at;  ///< of the payload in the records
   };
-  std::optional<Axes> axes;
+  std::optional<Axes> axes;  ///< declared, or implied by a georeference
   std::vector<Record> unused;
 };
 
@@ -54,6 +57,9 @@ struct SpzLayout {
 /// limit_exceeded.
 Result<SpzHeader> parse_spz_header(std::span<const std::byte> bytes, const DecodeLimits& limits,
                                    std::uint64_t file_bytes, bool in_gzip);
+
+/// The value of the coordinate system's record for these axes; 0: there is none.
+std::uint32_t spz_coordinate_system(const Axes& axes);
 
 /// `begin`: offset of the records in the file, or in the content of its gzip stream. Errors: truncated, bad_header,
 /// bad_value; unsupported_feature for unknown types, unless they are to be skipped.

@@ -140,7 +140,7 @@ class Writer {
     if (!cloud) return tl::unexpected(cloud.error());
     strip_sh(*cloud, sh_degree_);
     convert_axes(*cloud, axes_, kAxes3dgs);
-    const auto rounding = position_rounding(cloud->view(), SplatFormat::sog, options_.origin);
+    const auto rounding = position_rounding(cloud->view(), SplatFormat::sog, options_);
     if (!rounding) return tl::unexpected(rounding.error());
     report_.position_rounding = std::max(report_.position_rounding, *rounding);
     WriteReport clamped;

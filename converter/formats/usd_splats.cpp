@@ -64,7 +64,8 @@ struct SplatPrim {
   int sh_degree = 3;  // the schema's default
   std::string_view colour_space;
   glm::dmat4 to_stage{1.0};
-  bool is_placed = false;  // its parents' transforms do not count
+  bool is_placed = false;    // its parents' transforms do not count
+  bool has_purpose = false;  // nor their purposes
 
   // The values that hold, [n, each]; empty: the default holds.
   const Values& of(Parameter p) const { return values[p][values[p][0].floats.empty() ? 1 : 0]; }
@@ -104,7 +105,7 @@ struct Prim {
   std::map<std::string_view, Op> ops;
   std::vector<std::string_view> order;
   std::uint64_t order_at = 0;
-  std::string_view colour_space;
+  std::string_view colour_space, purpose;
 
   bool is_splats() const { return type == kSplatType; }
 };
@@ -359,6 +360,9 @@ void StageReader::value(Prim& prim, std::string_view type, bool is_array, std::s
   } else if (name == "colorSpace:name") {
     prim.colour_space = text_.quoted();
     return;
+  } else if (name == "purpose") {
+    prim.purpose = text_.quoted();
+    return;
   } else if (name == "visibility") {
     prim.is_shown = text_.quoted() != "invisible";
     return;
@@ -485,6 +489,17 @@ void StageReader::leave(Prim& prim) {
     splats_.resize(prim.first);
     return;
   }
+  if (prim.type == "PointInstancer") {
+    note("Gaussians below a PointInstancer");
+    splats_.resize(prim.first);
+    return;
+  }
+  if (prim.purpose == "guide" || prim.purpose == "proxy") {
+    const auto below = splats_.begin() + static_cast<std::ptrdiff_t>(prim.first);
+    const auto gone = std::remove_if(below, splats_.end(), [](const SplatPrim& s) { return !s.has_purpose; });
+    if (gone != splats_.end()) note("Gaussians of purpose guide or proxy");
+    splats_.erase(gone, splats_.end());
+  }
   if (prim.comes_and_goes) note("visibility that varies in time");
   bool is_placed = false;
   const auto transform = transform_of(prim, is_placed);
@@ -492,6 +507,7 @@ void StageReader::leave(Prim& prim) {
   for (SplatPrim& splats : std::span(splats_).subspan(prim.first)) {
     if (!splats.is_placed) splats.to_stage = *transform * splats.to_stage;
     splats.is_placed = splats.is_placed || is_placed;
+    splats.has_purpose = splats.has_purpose || !prim.purpose.empty();
     if (splats.colour_space.empty()) splats.colour_space = prim.colour_space;
   }
 }

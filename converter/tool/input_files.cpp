@@ -43,6 +43,11 @@ std::vector<std::string> files_of(const fs::path& folder, const std::array<std::
 
 }  // namespace
 
+std::string prj_of(const std::string& path) {
+  const fs::path place(path);
+  return lower_case(place.extension().string()) == ".ply" ? fs::path(place).replace_extension(".prj").string() : "";
+}
+
 InputFiles::State InputFiles::look(const std::string& path, int standard_stream) {
   State state;
   struct stat info {};
@@ -83,6 +88,7 @@ void InputFiles::add_scene(const std::string& path) {
     for (const std::string& file : files_of(in, std::array<std::string_view, sizeof...(endings)>{endings...}))
       add(file);
   };
+  if (std::error_code ignored; fs::is_regular_file(prj_of(path), ignored)) add(prj_of(path));
   if (place.filename() == "meta.json") add_all(folder, ".webp");
   if (ending == ".lcc" || ending == ".gltf") add_all(folder, ".bin");
   if (ending == ".lcc2") add_all(folder / "data" / "3dgs", ".sog", ".spz");

@@ -22,6 +22,9 @@ struct FileIdentity {
   bool operator==(const FileIdentity&) const = default;
 };
 
+/// The name of the .prj of a PLY: the same but for the ending; empty for other files.
+std::string prj_of(const std::string& path);
+
 /// The error for a file that changed.
 inline constexpr Error kFileChanged{.code = Errc::read_failed,
                                     .what = "the file changed while it was read; run the program again"};
@@ -31,7 +34,7 @@ class InputFiles {
   /// Adds a file; ignores an empty path.
   void add(const std::string& path);
   /// Adds a scene, with the pictures beside a SOG's meta.json, the SOGs below a lod-meta.json, the .bin beside an .lcc
-  /// or .gltf, the chunks of an .lcc2.
+  /// or .gltf, the chunks of an .lcc2, the .prj of a PLY.
   void add_scene(const std::string& path);
   /// Adds a camera file, or the files of a COLMAP model's folder.
   void add_cameras(const std::string& path);

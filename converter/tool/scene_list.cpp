@@ -97,8 +97,13 @@ class Walk {
       }
     }
     above_.push_back(self);
-    // So are the chunks of an .lcc2.
-    const bool chunks = std::ranges::any_of(names, [](const std::string& name) { return name.ends_with(".lcc2"); });
+    // So are the chunks that an .lcc2 names.
+    const bool chunks = std::ranges::any_of(names, [&inside](const std::string& name) {
+      if (!name.ends_with(".lcc2")) return false;
+      const auto file = MappedFile::open(inside + name);
+      const std::string_view text = file ? text_of(file->bytes()) : std::string_view();
+      return text.find("\"data/") != text.npos || text.find("\"data\\/") != text.npos;
+    });
     for (const std::string& name : names)
       if (name != "." && name != ".." && !(chunks && name == "data"))
         entry(inside + name, prefix + name, name[0] == '.');

@@ -160,6 +160,11 @@ class Scene:
         return np.array(self._native.origin, dtype=np.float64)
 
     @property
+    def crs(self) -> str:
+        """The coordinate reference system of origin + mean, such as ``EPSG:4978`` or WKT; empty if none is stated."""
+        return self._native.crs
+
+    @property
     def anti_aliasing(self) -> str:
         """"classic" or "mip": what the scene declares."""
         return self._native.anti_aliasing

@@ -319,6 +319,11 @@ void bind_scene(py::module_& module) {
       .def_property_readonly("n", [](const PyScene& s) { return s.file.scene.size(); })
       .def_property_readonly("sh_degree", [](const PyScene& s) { return s.file.scene.sh_degree(); })
       .def_property_readonly("origin", [](const PyScene& s) { return s.file.scene.origin(); })
+      .def_property_readonly("crs",
+                             [](const PyScene& s) {
+                               const auto& declared = s.file.scene.declarations();
+                               return declared ? declared->crs.text : std::string();
+                             })
       .def_property_readonly("memory_bytes", [](const PyScene& s) { return s.file.scene.bytes(); })
       .def_property_readonly("n_levels",
                              [](const PyScene& s) -> std::uint32_t {

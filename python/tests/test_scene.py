@@ -160,6 +160,11 @@ def test_origin_is_kept(tmp_path):
                                atol=1e-5)
 
 
+def test_crs_is_read():
+    assert roofgs.load(GOLDEN / "crs.rgs").crs.startswith("GEODCRS[")
+    assert roofgs.load(GOLDEN / "origin.rgs").crs == ""
+
+
 # ---- files
 
 

@@ -74,7 +74,7 @@ struct Shown {
 };
 
 // What the page can read.
-#define RGS_PAGE_FORMATS ".rgs, .ply, .compressed.ply, .spz and .sog"
+#define RGS_PAGE_FORMATS ".rgs, .ply, .compressed.ply, .spz or .sog"
 
 bool is_shown(rgs::SplatFormat format, std::span<const std::byte> bytes) {
   switch (format) {
@@ -91,8 +91,11 @@ int add_scene(const std::string& path, Shown& shown) {
   const auto file = rgs::MappedFile::open(path);
   if (!file) return tool::report(path, file.error());
   const rgs::SplatFormat format = rgs::detect_format(file->bytes());
-  if (format == rgs::SplatFormat::unknown)
-    return tool::report(path, rgs::read_splats(file->bytes()).error());  // says what it is
+  if (format == rgs::SplatFormat::unknown) {
+    rgs::Error error = rgs::read_splats(file->bytes()).error();  // says what it is, if that is known
+    if (error.code == rgs::Errc::bad_magic) error.what = "is not a " RGS_PAGE_FORMATS " file";
+    return tool::report(path, error);
+  }
   if (!is_shown(format, file->bytes()))
     return tool::report(path, {rgs::Errc::unsupported_feature, rgs::Error::kNone,
                                "rgs-view shows only " RGS_PAGE_FORMATS "; rgs-convert makes .rgs of this"});

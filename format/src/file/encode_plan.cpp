@@ -183,6 +183,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   EncodePlan plan;
   const std::uint64_t n = scan.n_kept();
   plan.options = options;
+  if (options.crs.axes == options.axes) plan.options.crs.axes = {};
   plan.mends = scan.n_repaired() != 0;
   if (n == 0 && options.profile == Profile::archive) plan.options.profile = Profile::packed;
   const Profile profile = plan.options.profile;
@@ -198,7 +199,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   h.scale_exponent = n == 0 ? std::int16_t{0}
                             : static_cast<std::int16_t>(choose_scale_exponent(scale_from_log(scan.min_log_scale()),
                                                                               scale_from_log(scan.max_log_scale())));
-  plan.declarations = declare(scan, options);
+  plan.declarations = declare(scan, plan.options);
   plan.file_steps = scan.sh_magnitudes().steps();
   plan.largest_sh = scan.sh_magnitudes().max_abs();
 

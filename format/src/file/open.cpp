@@ -350,8 +350,8 @@ Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, std::uin
   return view;
 }
 
-// Parses what precedes the Gaussians in all files: head, declarations, provenance and CRS if there are any. The first part has
-// the file's first bytes.
+// Parses what precedes the Gaussians in all files: head, declarations, provenance and CRS if there are any. The first
+// part has the file's first bytes.
 Result<FileView> FileView::parse_front(std::span<const FilePart> parts, std::uint64_t size, const DecodeLimits& limits,
                                        bool levels) {
   auto parsed = parse_head(parts.front().bytes, size, limits, levels);

@@ -288,4 +288,13 @@ TEST_CASE("a linear asset of an sRGB source fails every gate that does not allow
     audited({rgs, asset, "--cameras", scene.cameras, "--no-attribution", "--fail-below", "psnr=20"}, 5);
   const json other = audited({scene.ply, scene.rgs, "--no-render", "--fail-below", "contradictions=0"});
   CHECK(other["declared_differences"].empty());
+  EncodeOptions here, there;
+  here.crs.text = "EPSG:4978", there.crs.text = "EPSG:9988";
+  const std::string a = write_rgs(scene.file("a.rgs"), scene.cloud, here),
+                    b = write_rgs(scene.file("b.rgs"), scene.cloud, there);
+  const json placed = audited({a, b, "--no-render", "--fail-below", "contradictions=0"});
+  REQUIRE(placed["declared_differences"].size() == 1);
+  CHECK(placed["declared_differences"][0]["key"] == "crs");
+  CHECK(placed["declared_differences"][0]["asset"] == "EPSG:9988");
+  CHECK(audited({a, scene.rgs, "--no-render"})["declared_differences"].empty());
 }

@@ -734,6 +734,9 @@ TEST_CASE("the chunks of an LCC2 are no scenes of their own") {
   CHECK(run.n_lines == 2);
   CHECK(run.lines.at("b/b.lcc2")["status"] == "converted");
   CHECK(fs::exists(f.out + "/b/b.rgs"));
+  // A folder of that name that it does not name.
+  write_text(f.in + "/b/b.lcc2", R"({"totalLevels": 1, "lodSplats": [1], "root": {"splatFiles": ["0.sog"]}})");
+  CHECK(convert_all(f.command()).n_lines == 3);
 }
 
 TEST_CASE("--overwrite-damaged replaces the outputs that are damaged, says so, and touches no other") {

@@ -160,7 +160,7 @@ TEST_CASE("formats without an origin: the summary states the rounding") {
         run_program({built("rgs-convert"), "--no-sync", "--overwrite", ply, folder.file("far." + format)});
     REQUIRE(text.exit_code == 0);
     CHECK(text.out.find("positions  rounded by up to 0.") != std::string::npos);
-    CHECK(text.out.find("origin") == std::string::npos);
+    CHECK(text.out.find("  origin  ") == std::string::npos);
     const ProgramResult strict =
         run_program({built("rgs-convert"), "--no-sync", "--overwrite", "--strict", ply, folder.file("far." + format)});
     CHECK(strict.exit_code == 4);
@@ -169,6 +169,29 @@ TEST_CASE("formats without an origin: the summary states the rounding") {
   const ProgramResult kept = run_program({built("rgs-convert"), "--no-sync", "--overwrite", ply, rgs});
   CHECK(kept.out.find("origin     4200000, 170000, 4800000") != std::string::npos);
   CHECK(kept.out.find("rounded by up to ") != std::string::npos);
+}
+
+TEST_CASE("an SPZ of version 4 keeps a far scene and its CRS within a millimetre, one of version 3 names both") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(300, 1, 6);
+  const std::string ply = folder.file("far.ply"), spz = folder.file("far.spz"), back = folder.file("back.ply");
+  const auto positions = write_far_scene(ply, cloud, {4194304.5, -555555.25, 4713930.125});
+  for (const std::string axes : {"ply", "opengl"}) {
+    CAPTURE(axes);
+    const auto json = converted({"--crs", "EPSG:4978", "--spz-axes", axes, "--spz-version", "4", ply, spz});
+    CHECK(json["lost"].empty());
+    CHECK(json["notes"].empty());
+    CHECK(json["position_rounding"] <= 1e-3);
+    const auto again = converted({spz, back});
+    CHECK(again["declared"]["crs"] == "EPSG:4978");
+    CHECK(again["source"]["unused"].empty());
+    CHECK(largest_error(positions_of(read(back)), positions) <= 1e-3);
+    CHECK(read(back).crs == Crs{"EPSG:4978", {}});
+  }
+  const auto old = converted({"--crs", "EPSG:4978", ply, spz});
+  CHECK(old["lost"] == nlohmann::json::array({"coordinate reference system (EPSG:4978)"}));
+  CHECK(old["notes"][1] == "version 4 of SPZ keeps the origin (--spz-version 4)");
+  CHECK(old["position_rounding"] > 0.1);
 }
 
 TEST_CASE("far scenes are moved, cropped, turned and merged in FP64") {

@@ -366,6 +366,41 @@ TEST_CASE("a coordinate reference system goes with the scene, and is lost or ref
   CHECK(holds(converted({"--to", "npz", a, folder.file("a.npz")})["lost"], "EPSG:4978"));
 }
 
+TEST_CASE("the .prj of a PLY states its coordinate reference system if the PLY states none") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(40, 0, 3);
+  const std::string ply = write_scene(folder.file("a.ply"), cloud), out = folder.file("a.rgs");
+  const std::string wkt = "PROJCS[\"a\",\n\tUNIT[\"metre\",1]]", line = "PROJCS[\"a\",  UNIT[\"metre\",1]]";
+  const auto crs_of = [&](std::vector<std::string> arguments) {
+    const auto json = converted(arguments);
+    CHECK((json["notes"].dump().find("the .prj beside it is taken") != std::string::npos) ==
+          (json["declared"]["crs"] == line));
+    return json["declared"]["crs"].get<std::string>();
+  };
+  write_text(folder.file("b.prj"), wkt);
+  CHECK(crs_of({ply, out}).empty());
+  for (const std::string& text : {"\xEF\xBB\xBF" + wkt + "\r\n", wkt}) {
+    write_text(folder.file("a.prj"), text);
+    for (const char* output : {"a.rgs", "a.glb", "b.ply"}) {
+      CHECK(crs_of({ply, folder.file(output)}) == line);
+      CHECK(read_splats(folder.file(output)).value().crs.text == line);
+    }
+  }
+  CHECK(crs_of({"--lod", ply, out}) == line);
+  CHECK(crs_of({"--crs", "none", ply, out}).empty());
+  CHECK(crs_of({"--crs", "EPSG:4978", ply, out}) == "EPSG:4978");
+  CHECK(crs_of({"--crs", "EPSG:4978", "--translate", "0,0,1", ply, out}) == "EPSG:4978");
+  CHECK(crs_of({out, folder.file("c.ply")}) == "EPSG:4978");
+  write_text(folder.file("c.prj"), wkt);
+  CHECK(crs_of({folder.file("c.ply"), out}) == "EPSG:4978");
+  CHECK(rgs_convert({"--to", "ply", ply, folder.file("a.prj")}).exit_code == 2);
+  for (const std::string& text :
+       {std::string("Projection UTM"), std::string(), wkt + "\x01]", wkt + std::string(32768, ' ')}) {
+    write_text(folder.file("a.prj"), text);
+    CHECK(crs_of({ply, out}).empty());
+  }
+}
+
 TEST_CASE("positions in the source refer to the original, through .rgs files and filters") {
   const TemporaryFolder folder;
   SplatCloud cloud = ordinary_cloud(400, 0, 7);

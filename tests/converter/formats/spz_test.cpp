@@ -4,6 +4,8 @@
 
 #include <array>
 #include <cstring>
+#include <glm/geometric.hpp>
+#include <glm/gtc/quaternion.hpp>
 
 #include "interchange_samples.hpp"
 #include "rgs/splat_edit.hpp"
@@ -319,9 +321,147 @@ TEST_CASE("SPZ extensions: axes are honoured, harmless ones named, the rest refu
   }
 }
 
+TEST_CASE("SPZ of version 4 holds an origin and a CRS, whose axes may be others, to a millimetre") {
+  const SplatCloud cloud = ordinary_cloud(200, 1, 12);
+  const Origin origin{4194304.5, -555555.25, 4713930.125};
+  const auto written = [&](const WriteOptions& options) {
+    return read_splats(encode_splats(cloud.view(), SplatFormat::spz, options).value(), kKeepAxes).value();
+  };
+  WriteOptions options = version(4);
+  options.origin = origin;
+  options.crs.text = "EPSG:4978";
+  for (const Axes& axes : {kAxes3dgs, kAxesOpenGl, kAxesGltf}) {
+    for (const Axes& of_crs : {Axes{}, kAxesLcc, Axes{Axis::forward, Axis::left, Axis::up}}) {
+      CAPTURE(axes_text(axes));
+      CAPTURE(axes_text(of_crs));
+      options.axes = axes;
+      options.crs.axes = of_crs;
+      const SplatFile file = written(options);
+      CHECK(file.axes == axes);
+      CHECK_FALSE(file.axes_assumed);
+      CHECK(file.origin == origin);
+      CHECK(file.crs == options.crs);
+      CHECK(file.unused.empty());
+      const SplatError e = compare(file.cloud, cloud);
+      for (const double error : e.mean) CHECK(error <= 0x1p-13);
+      CHECK(position_rounding(cloud.view(), SplatFormat::spz, options).value() <= 0x1p-13);
+    }
+  }
+  // As the description of the record computes a position.
+  options.axes = kAxes3dgs;
+  options.crs.axes = kAxesLcc;
+  const Bytes bytes = encode_splats(cloud.view(), SplatFormat::spz, options).value();
+  CHECK(get<std::uint32_t>(bytes, 32) == kAxesType);
+  CHECK(get<std::uint32_t>(bytes, 40) == 6);
+  CHECK(get<std::uint32_t>(bytes, 44) == kGeoreference);
+  CHECK(get<std::uint32_t>(bytes, 48) == 76 + 9);
+  CHECK(get<std::uint32_t>(bytes, 52) == (1 | 9 << 16));
+  CHECK(get<double>(bytes, 56) == origin[0]);
+  CHECK(get<double>(bytes, 64) == origin[2]);
+  CHECK(get<double>(bytes, 72) == -origin[1]);
+  const glm::dmat3 rotation = rotation_from_quaternion(
+      {get<double>(bytes, 104), get<double>(bytes, 80), get<double>(bytes, 88), get<double>(bytes, 96)});
+  const glm::dvec3 moved = rotation * glm::dvec3(1, 2, 3);  // right, up, backward
+  CHECK(glm::length(moved - glm::dvec3(1, -3, 2)) < 1e-12);
+  CHECK(get<double>(bytes, 112) == 1);
+  CHECK(std::isnan(get<double>(bytes, 120)));
+  CHECK(text_of(std::span(bytes).subspan(128, 9)) == "EPSG:4978");
+  // What other texts and axes keep.
+  const auto keeps = [](const WriteOptions& o) {
+    const auto k = keeps_of(SplatFormat::spz, o);
+    return std::array{k.origin, k.crs, k.axes};
+  };
+  CHECK(keeps(options) == std::array{true, true, true});
+  CHECK(keeps(version(4)) == std::array{true, false, false});
+  options.crs.axes = {Axis::forward, Axis::right, Axis::up};  // mirrored
+  CHECK(keeps(options) == std::array{false, false, false});
+  options.crs = {"{\"type\":\"GeodeticCRS\",\"name\":\"Moon\"}", {}};
+  CHECK(written(options).crs == options.crs);
+  for (const char* text : {"", "GEOCCS[\"WGS 84\"]", "EPSG:4978@2020", "EPSG:", ":1", "a:b:c"}) {
+    CAPTURE(text);
+    options.crs.text = text;
+    CHECK(keeps(options) == std::array{true, false, true});
+    const SplatFile file = written(options);
+    CHECK(file.origin == origin);
+    CHECK(file.crs == Crs());
+  }
+  // Undeclared axes: coordinates are those of the CRS as they are.
+  options.axes = {};
+  options.crs.text = "EPSG:4978";
+  CHECK(keeps(options) == std::array{true, true, false});
+  const SplatFile undeclared = written(options);
+  CHECK(undeclared.origin == origin);
+  CHECK(undeclared.crs == options.crs);
+  CHECK(compare(undeclared.cloud, cloud).mean[2] <= 0x1p-13);
+  // Without either there are no records; older versions have none.
+  options = version(4);
+  CHECK(get<std::uint32_t>(encode_splats(cloud.view(), SplatFormat::spz, options).value(), 16) == 32);
+  options.spz_version = 3;
+  const Bytes old = encode_splats(cloud.view(), SplatFormat::spz, options).value();
+  options.crs.text = "EPSG:4978";
+  CHECK(keeps(options) == std::array{false, false, false});
+  CHECK(encode_splats(cloud.view(), SplatFormat::spz, options).value() == old);
+}
+
+TEST_CASE("an SPZ's georeference that turns or scales transforms the Gaussians; an invalid one is named") {
+  const SplatCloud cloud = ordinary_cloud(50, 1, 13);
+  const Bytes plain = encode_splats(cloud.view(), SplatFormat::spz, version(4)).value();
+  const SplatCloud coded = read_splats(plain, kKeepAxes).value().cloud;
+  const glm::dquat turn = glm::normalize(glm::dquat(0.5, 0.1, -0.7, 0.3));
+  const auto record = [&](std::uint8_t flags, const std::string& text, double scale, const glm::dquat& q,
+                          double x = 4194304.5) {
+    Bytes payload = list_of({1, flags, static_cast<int>(text.size()), 0});
+    payload.resize(76);
+    const double values[] = {x, -555555.25, 4713930.125, q.x, q.y, q.z, q.w, scale, 2026.75};
+    std::memcpy(&payload[4], values, sizeof values);
+    return extension(kGeoreference, joined(payload, bytes_of(text)));
+  };
+  const auto read = [&](const Bytes& records) { return read_splats(with_extensions(plain, records)).value(); };
+  const Bytes axes = extension(kAxesType, list_of({6, 0, 0, 0}));
+
+  const SplatFile file = read(joined(record(1, "EPSG:4978", 0.5, turn), axes));
+  CHECK(file.axes == Axes{});
+  CHECK(file.crs == Crs{"EPSG:4978", {}});
+  CHECK(file.origin == Origin{4194304.5, -555555.25, 4713930.125});
+  REQUIRE(file.unused.size() == 2);
+  CHECK(file.unused[1] == "epoch of the coordinate reference system (2026.75)");
+  SplatCloud expected = coded;
+  convert_axes(expected, kAxes3dgs, kAxesOpenGl);
+  transform_splats(expected, {rotation_from_quaternion(turn), 0.5, {0, 0, 0}});
+  CHECK(compare(file.cloud, expected).sum() == 0);
+
+  // Without axes it starts from those of the description. A quarter turn, roughly, about the first axis.
+  ReadOptions keep = kKeepAxes;
+  const double half = std::sqrt(0.5);
+  const Bytes quarter = record(0, "EPSG:4978", 1, {half, half + 1e-9, 0, 0});
+  const auto turned = read_splats(with_extensions(plain, quarter), keep).value();
+  CHECK(turned.axes == kAxesOpenGl);
+  CHECK_FALSE(turned.axes_assumed);
+  CHECK(turned.crs.axes == kAxesLcc);
+  CHECK(turned.origin == Origin{4194304.5, 4713930.125, 555555.25});
+  CHECK(compare(turned.cloud, coded).sum() == 0);
+  CHECK(read(record(2, "{\n}", 1, {1, 0, 0, 0})).crs.text == "{ }");
+
+  for (const Bytes& bad :
+       {record(0, "", 1, turn), record(0, "EPSG", 1, turn), record(2, "EPSG:4978", 1, turn), record(4, "A:1", 1, turn),
+        record(2, "{\x80}", 1, turn), record(0, "A:1", 0, turn), record(0, "A:1", -1, turn),
+        record(0, "A:1", std::nan(""), turn), record(0, "A:1", HUGE_VAL, turn), record(0, "A:1", 1, {1, 0, 0, 1}),
+        record(0, "A:1", 1, turn, std::nan("")), record(0, "A:1", 1, turn, 1e13)}) {
+    const SplatFile kept = read(joined(bad, axes));
+    CHECK(compare(kept.cloud, coded).sum() == 0);
+    CHECK(kept.origin == kNoOrigin);
+    CHECK(kept.crs == Crs());
+    REQUIRE(kept.unused.size() == 1);
+    CHECK(kept.unused[0].starts_with("SPZ extension 0x4E530001 (georeference, "));
+  }
+}
+
 TEST_CASE("damaged SPZ extensions are refused or read, but never crash") {
   const SplatCloud cloud = ordinary_cloud(3, 0, 5);
-  const Bytes records = joined(extension(kOrbit, Bytes(12)), extension(kAxesType, list_of({6, 0, 0, 0})));
+  WriteOptions placed = version(4);
+  placed.crs.text = "EPSG:4978";
+  const Bytes georeferenced = encode_splats(cloud.view(), SplatFormat::spz, placed).value();
+  const Bytes records = joined(extension(kOrbit, Bytes(12)), Bytes(&georeferenced[32], &georeferenced[32] + 12 + 93));
   for (const int number : {2, 3, 4}) {
     const Bytes plain = encode_splats(cloud.view(), SplatFormat::spz, version(number)).value();
     check_hostile(with_extensions(plain, records), 3, 100);

@@ -283,6 +283,19 @@ TEST_CASE("usda: what is not shown or not followed is named") {
             .unused == std::vector<std::string>{"visibility that varies in time"});
   CHECK(
       read_text(stage("", "", "def \"X\" { token visibility.timeSamples = { 0: \"invisible\" } }\n%")).unused.empty());
+  const auto around = [](const std::string& head) { return stage("", "", head + "\n%}\n" + stage("").substr(10)); };
+  const SplatFile instanced = read_text(around("def PointInstancer \"X\" {"));
+  CHECK(instanced.cloud.size() == 1);
+  CHECK(instanced.unused == std::vector<std::string>{"Gaussians below a PointInstancer"});
+  for (const std::string purpose : {"guide", "proxy"}) {
+    const SplatFile left = read_text(around("def \"X\" { uniform token purpose = \"" + purpose + "\""));
+    CHECK(left.cloud.size() == 1);
+    CHECK(left.unused == std::vector<std::string>{"Gaussians of purpose guide or proxy"});
+    CHECK(read_text(stage("uniform token purpose = \"render\"", "",
+                          "def \"X\" { uniform token purpose = \"" + purpose + "\"\n%}\n"))
+              .unused.empty());
+  }
+  CHECK(read_text(around("def \"X\" { uniform token purpose = \"render\"")).cloud.size() == 2);
   for (const char* without : {"def \"X\" ( active = false ) {%}\n", "class \"X\" {%}\n", "over \"X\" {%}\n"}) {
     CAPTURE(without);
     CHECK(read_text(stage("", "", without + stage("").substr(10))).cloud.size() == 1);

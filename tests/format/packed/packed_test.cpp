@@ -319,3 +319,11 @@ TEST_CASE("every instruction set writes the same bits") {
     }
   }
 }
+
+TEST_CASE("axes of a coordinate reference system that are those of the scene are not stored") {
+  EncodeOptions options = golden_options();
+  options.crs = {"EPSG:4978", options.axes};
+  const auto bytes = encode(golden_cloud(6, 0, 1).view(), options);
+  REQUIRE(bytes);
+  CHECK(FileView::open(*bytes)->declarations().crs == Crs{"EPSG:4978", {}});
+}

@@ -216,7 +216,7 @@ export function parseHead(values: Float64Array, text: Uint8Array): Head {
     origin: in_.vector(),
     crs: null,
   };
-  const utf8 = new TextDecoder();
+  const utf8 = new TextDecoder(undefined, { ignoreBOM: true });
   const crsBytes = in_.next();
   const crsAxes: Crs["axes"] = [in_.of(kAxes), in_.of(kAxes), in_.of(kAxes)];
   if (crsBytes > 0) declarations = { ...declarations, crs: { text: utf8.decode(text.subarray(0, crsBytes)), axes: crsAxes } };

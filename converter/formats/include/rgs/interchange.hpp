@@ -71,9 +71,10 @@ struct FormatInfo {
   bool writable = false;  ///< by encode_splats(), .rgs by encode(), .ssog by write_streamed_sog()
   struct Keeps {
     bool levels = false;  ///< of detail
-    bool origin = false;  ///< formats without hold FP32 positions
+    bool origin = false;  ///< formats without hold FP32 positions; of spz only version 4: keeps_of()
     bool aa_mode = false;
-    bool declarations = false;  ///< low-pass, colour space and metres per unit; axes, where none are prescribed
+    bool declarations = false;       ///< low-pass, colour space and metres per unit; axes, where none are prescribed
+    bool axes = false, crs = false;  ///< keeps_of() sets these
   };
   Keeps keeps = {};
   bool in_parts = false;   ///< read in less memory than its Gaussians take: ReadOptions::visit
@@ -132,8 +133,8 @@ struct ReadOptions {
   bool skip_unknown_extensions = false;
   Axes spz_axes = kAxes3dgs;  ///< of an SPZ that declares none by a coordinate record
   /// For an .rgs or .ssog with levels: read this level (0: finest), or of an .rgs the finest cut of at most max_count
-  /// Gaussians (lod::finest_cut()). Neither: level 0. A level of a file without levels is bad_argument; files without levels are
-  /// read whole whatever max_count is.
+  /// Gaussians (lod::finest_cut()). Neither: level 0. A level of a file without levels is bad_argument; files without
+  /// levels are read whole whatever max_count is.
   std::optional<std::uint32_t> level_of_detail = std::nullopt;
   std::optional<std::uint64_t> max_count = std::nullopt;
   /// [pages] how many Gaussians of each page count towards max_count, for callers that keep only some; empty: all.
@@ -164,9 +165,10 @@ struct WriteOptions {
   std::optional<float> low_pass_px2 = std::nullopt;      ///< stated in these four if it differs from the mode's default
   float metres_per_unit = 0;                             ///< stated in these four if it is not 0
   Axes axes = kAxes3dgs;                                 ///< of the Gaussians; stated in ply and compressed_ply
-  /// Of the Gaussians; ply, glb, usda and npz keep it, others hold FP32 positions: position_rounding().
+  /// Of the Gaussians; ply, glb, usda, npz and spz of version 4 keep it, others hold FP32 positions:
+  /// position_rounding().
   Origin origin = kNoOrigin;
-  Crs crs = {};             ///< of origin + mean; stated in ply, compressed_ply and glb
+  Crs crs = {};  ///< of origin + mean; stated in ply, compressed_ply, glb and, if it can be, spz of version 4
   bool keep_order = false;  ///< compressed.ply, sog: do not sort Gaussians, so that close ones are neighbours
   unsigned threads = 0;     ///< sog; 0: as many as the machine runs at once. The file does not depend on it
   int spz_version = 3;      ///< 2, 3 or 4; docs/user/INTERCHANGE.md says which viewer reads which
@@ -193,12 +195,12 @@ struct WriteReport {
 };
 
 /// Encodes a file of that format. `splats` must be in FormatInfo::axes or of undeclared axes, for ply and
-/// compressed_ply in options.axes, for spz in those that its readers assume. Values beyond the format's range are
-/// clamped and counted in `report`. Deterministic.
+/// compressed_ply in options.axes, for spz in options.axes, which should be those that its readers assume. Values beyond
+/// the format's range are clamped and counted in `report`. Deterministic.
 /// Errors: bad_argument (rgs or not writable, inconsistent view, no such version of SPZ); limit_exceeded (more
 /// Gaussians than the format counts); bad_value with a Gaussian's index as offset (damaged, see find_defects(), in
-/// formats other than ply; or a mean beyond SPZ's range); bad_value without an offset (no Gaussians, of which a sog has at
-/// least one, or WriteOptions::strict refuses what `report` counts).
+/// formats other than ply; or a mean beyond SPZ's range); bad_value without an offset (no Gaussians, of which a sog has
+/// at least one, or WriteOptions::strict refuses what `report` counts).
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
                                              const WriteOptions& options = {}, WriteReport* report = nullptr);
 
@@ -212,14 +214,17 @@ struct StreamedSogReport {
 };
 /// Writes an .rgs with levels as streamed SOG: SOG after SOG, of at most 512 Ki Gaussians, lod-meta.json last. Regions
 /// are pages of the coarsest level at which they hold so many with all their levels, or of a finer one if most are
-/// wider than 16 units; coarser levels are left out. options.axes and options.origin are those of the file. Deterministic.
-/// Memory: that of one SOG. Errors: pages_missing, those of read_pages(), encode_splats() and `put`.
+/// wider than 16 units; coarser levels are left out. options.axes and options.origin are those of the file.
+/// Deterministic. Memory: that of one SOG. Errors: pages_missing, those of read_pages(), encode_splats() and `put`.
 Result<StreamedSogReport> write_streamed_sog(const PagedFile& file, const WriteOptions& options, int sh_degree,
                                              const PutFile& put);
 
+/// What a file of that format with these options keeps of the scene.
+FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options);
+
 /// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
-/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat
-/// and sog, which are proportional to the size of chunks, buckets or the scene. Errors: those of encode_splats() for SPZ.
-Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin);
+/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat and
+/// sog, which are proportional to the size of chunks, buckets or the scene. Errors: those of encode_splats() for SPZ.
+Result<double> position_rounding(const SplatView& splats, SplatFormat format, const WriteOptions& options);
 
 }  // namespace rgs
