@@ -100,6 +100,10 @@ struct StreamFacts {
   std::function<std::uint64_t()> hash;  ///< XXH3-64 of the bytes
   /// Byte at which Gaussian i starts; Error::kNone if unknown.
   std::function<std::uint64_t(std::uint64_t i)> row_offset = [](std::uint64_t) { return Error::kNone; };
+  /// Absent: order_leaves() and build_upper().
+  std::function<Status(const SceneScan& scan, const EncodeOptions& encode, const lod::StreamOptions& options,
+                       lod::StreamedLevels& out)>
+      arrange = {};
 };
 /// Converts a stream to .rgs with levels, in about options.memory_bytes whatever its size, plus 200 bytes a page and 4
 /// bytes a Gaussian with keep_permutation; Profile::archive takes at least 80 bytes a Gaussian. The leaves are those of

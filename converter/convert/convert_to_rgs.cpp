@@ -199,9 +199,11 @@ std::uint64_t hash_once(std::span<const std::byte> bytes, const ReadOnce& memory
 }
 
 StreamFacts facts_of(const SplatSource& source, const ReadOnce& memory) {
-  return {source.bytes(), source.origin(),
+  return {source.bytes(),
+          source.origin(),
           [&source, memory] { return source.source().empty() ? source.hash() : hash_once(source.source(), memory); },
-          [&source](std::uint64_t i) { return source.row_offset(i); }};
+          [&source](std::uint64_t i) { return source.row_offset(i); },
+          {}};
 }
 
 }  // namespace
@@ -412,8 +414,12 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
     encode.provenance->source_xxh3 = facts.hash();
   }
   lod::StreamedLevels levels;
-  if (const Status s = lod::order_leaves(stream, scan, encode, stages, levels); !s) return tl::unexpected(s.error());
-  if (const Status s = lod::build_upper(encode, stages, levels); !s) return tl::unexpected(s.error());
+  if (facts.arrange) {
+    if (const Status s = facts.arrange(scan, encode, stages, levels); !s) return tl::unexpected(s.error());
+  } else {
+    if (const Status s = lod::order_leaves(stream, scan, encode, stages, levels); !s) return tl::unexpected(s.error());
+    if (const Status s = lod::build_upper(encode, stages, levels); !s) return tl::unexpected(s.error());
+  }
   auto written = lod::write_tree(levels, scan, encode, stages, *file);
   if (!written) return tl::unexpected(of_source(written.error(), levels.positions));
   const auto synced = commit_scene(*file, *written, options, clock);

@@ -107,6 +107,7 @@ int ManyScenes::convert(ConvertArguments& arguments) {
   auto planned = plan(arguments, list);
   if (!planned) return planned.error();
   if (const auto message = arguments.settle()) return tool::report_usage(*message);
+  if (output.limits_memory && !output.levels) return tool::report_usage("--memory and --scratch require --lod");
   for (const BatchScene& scene : planned->scenes) {
     if (const auto message = output.check_format(scenes, output.format_of(scene.output_path)))
       return tool::report_usage(output.to != SplatFormat::unknown ? *message : scene.output + ": " + *message);

@@ -12,6 +12,7 @@
 #include "convert_summary.hpp"
 #include "fit_device.hpp"
 #include "input_files.hpp"
+#include "keep_levels.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/ply.hpp"
@@ -96,12 +97,56 @@ Outcome<ConvertSummary> convert_tiles(ConvertArguments& arguments, const std::de
   return std::move(*summary);
 }
 
+// Whether levels that the file may have of its own become levels of the .rgs: without --lod, which builds new ones, and
+// without what changes or reorders Gaussians.
+bool may_keep_levels(const ConvertArguments& arguments, SplatFormat from, SplatFormat to) {
+  return to == SplatFormat::rgs && from != SplatFormat::rgs && format_info(from).keeps.levels &&
+         !arguments.output.levels && !arguments.scene.edits() && arguments.output.convert.encode.order == Order::morton;
+}
+
+// As convert_tiles(); `tree` has levels.
+Outcome<ConvertSummary> convert_levels(ConvertArguments& arguments, const SceneInput& input, LevelTree tree,
+                                       DeclaredLoss& loss, const StageObserver& observer) {
+  const SceneOptions& options = arguments.scene;
+  ConvertOptions& convert = arguments.output.convert;
+  EncodeOptions& encode = convert.encode;
+  const Axes axes = options.axes.value_or(tree.file.axes);
+  const SplatFormat from = tree.file.format;
+  encode.axes = options.target_axes(axes, from, SplatFormat::rgs);
+  observer.begin("read", 0, "");
+  const auto kept = KeptLevels::open(std::move(tree), axes, encode);
+  observer.finish();
+  if (!kept) return failed(input.path(), kept.error());
+  SplatFile declared = kept->file();
+  declared.axes = encode.axes;
+  const InputDeclarations by_input = declared_by(declared, input.name(), {});
+  if (auto s = declare_scene(encode, {&by_input, 1}, options.asked, loss.notes); !s)
+    return failed(input.path(), s.error());
+  const lod::SplatStream leaves = kept->leaves();
+  encode.n_source = leaves.n;
+  encode.n_repaired = 0;
+  StreamFacts facts;
+  facts.bytes = declared.bytes;
+  facts.hash = [&input] { return input.hash(); };
+  facts.arrange = [&kept](auto&... of) { return kept->arrange(of...); };
+  auto summary = convert_to_levels(leaves, facts, options.output(), convert, observer);
+  if (!summary) return failed(concerned(arguments, input, summary.error()), summary.error());
+  summary->source_format = format_name(from);
+  summary->unused = declared.unused;
+  summary->notes = std::move(loss.notes);
+  return std::move(*summary);
+}
+
 Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::deque<SceneInput>& inputs,
                                        SplatFormat to, const StageObserver& observer) {
   const SceneOptions& options = arguments.scene;
   ConvertOptions& convert = arguments.output.convert;
   const SceneInput& first = inputs.front();
   const SplatFormat from = options.format_of(first);
+  const bool may_keep = may_keep_levels(arguments, from, to);
+  if (arguments.output.limits_memory && !arguments.output.levels && !may_keep)
+    return failed(first.path(), {Errc::bad_argument, Error::kNone,
+                                 "--memory and --scratch require --lod, or a file whose own levels are kept"});
   DeclaredLoss loss;
   const auto outcome = [&](Result<ConvertSummary> summary) -> Outcome<ConvertSummary> {
     if (!summary) return failed(concerned(arguments, first, summary.error()), summary.error());
@@ -145,6 +190,13 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
       return outcome(convert_rgs_to_ply(*view, options.output(), convert.output, observer,
                                         stated_by(encode, view->declarations())));
     }
+  }
+  if (may_keep) {
+    auto tree = first.levels(options.read_options());
+    if (!tree) return failed(first.path(), tree.error());
+    const auto above = [](const LevelTree::Node& node) { return node.level > 0; };
+    if (std::ranges::any_of(tree->nodes, above))
+      return convert_levels(arguments, first, std::move(*tree), loss, observer);
   }
   if (streams_tiles(arguments, inputs, to)) return convert_tiles(arguments, inputs, loss, observer);
   std::vector<std::pair<const char*, double>> seconds;
@@ -246,7 +298,7 @@ void OutputOptions::add_to(CLI::App& app) {
 
   app.option_defaults()->group(kLevelsGroup);
   tool::add_bytes(app, "--memory", memory_bytes,
-                  "Memory that --lod may take for inputs in PLY, at least 128MiB [2GiB]");
+                  "Memory that --lod may take for inputs in PLY, and levels that are kept, at least 128MiB [2GiB]");
   app.add_option("--scratch", convert.scratch,
                  "Folder for temporary files of --lod, about 1.2 times the size of a PLY [the output's]");
 
@@ -264,8 +316,6 @@ std::optional<std::string> OutputOptions::check() const {
   if (target.bytes == 0) return "--target-size must be more than 0";
   if (lod_quality && !levels) return "--lod-quality requires --lod";
   if (on_cuda && lod_quality != lod::Quality::best) return "--backend cuda requires --lod-quality best";
-  if (!levels && memory != lod::kDefaultMemory) return "--memory requires --lod";
-  if (!levels && !convert.scratch.empty()) return "--scratch requires --lod";
   if (memory < lod::kLeastMemory) return "--memory must be at least 128MiB";
   return std::nullopt;
 }
@@ -293,6 +343,7 @@ void OutputOptions::settle(const SceneOptions& scene, int threads) {
   if (convert.strict) e.on_bad = BadPolicy::refuse;
   if (spz_version) convert.spz_version = *spz_version;
   if (memory_bytes) convert.memory_bytes = *memory_bytes;
+  limits_memory = memory_bytes || !convert.scratch.empty();
   if (levels) convert.levels = lod_quality.value_or(lod::Quality::fast);
 }
 

@@ -100,6 +100,7 @@ struct OutputOptions {
   std::optional<lod::Quality> lod_quality;
   bool on_cuda = false;
   std::optional<std::uint64_t> memory_bytes;
+  bool limits_memory = false;  ///< --memory or --scratch are given
   std::string cameras;
   ConvertOptions convert;
   ArchiveTarget target;

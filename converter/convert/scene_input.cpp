@@ -89,6 +89,11 @@ Result<SplatFile> SceneInput::read(ReadOptions options) const {
   return folder ? read_splats(path_, options) : read_splats(bytes_, options);
 }
 
+Result<LevelTree> SceneInput::levels(const ReadOptions& options) const {
+  const std::string folder = std::filesystem::path(path_).parent_path().string();
+  return open_levels(bytes_, folder.empty() ? "." : folder, options);
+}
+
 Result<std::vector<std::uint32_t>> SceneInput::count_in_pages(const DecodeLimits& limits,
                                                               const Passing& passing) const {
   constexpr std::uint32_t kAtOnce = 64;  // pages

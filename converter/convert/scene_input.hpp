@@ -11,6 +11,7 @@
 
 #include "rgs/file.hpp"
 #include "rgs/interchange.hpp"
+#include "rgs/level_tree.hpp"
 #include "rgs/result.hpp"
 #include "rgs/spool_file.hpp"
 #include "tile_stream.hpp"
@@ -33,6 +34,8 @@ class SceneInput {
   std::uint64_t hash() const;
   /// The whole scene, in the axes of the file.
   Result<SplatFile> read(ReadOptions options) const;
+  /// The levels that the file has of its own: open_levels().
+  Result<LevelTree> levels(const ReadOptions& options) const;
   /// For an .rgs with levels: how many Gaussians of each page `passing` keeps; of pages missing at the end, all. Empty
   /// for other files. `passing` gets some pages at a time, in the axes of the file and with only its origin, and
   /// returns the positions that it keeps, ascending. Errors: PagedFile's, read_pages()'s.

@@ -9,6 +9,7 @@
 #include <cstring>
 #include <filesystem>
 #include <limits>
+#include <memory>
 #include <string_view>
 #include <utility>
 
@@ -329,9 +330,9 @@ constexpr Format kFormats[] = {
       "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
       kAxes3dgs, 3, true, {.aa_mode = true}, true, true},
      detail::is_sog, detail::decode_sog, detail::encode_sog},
-    {{SplatFormat::lcc, "lcc", "", "XGRIDS, beside its index.bin, data.bin and shcoef.bin; the finest level",
+    {{SplatFormat::lcc, "lcc", "", "XGRIDS, beside its index.bin, data.bin and shcoef.bin",
       "mean FP32; scale 16 bits; rotation 32; opacity, colour 8; harmonics 11, 10, 11",
-      kAxesLcc, 3, false, {}, true, true},
+      kAxesLcc, 3, false, {.levels = true}, true, true},
      detail::is_lcc, read_within<detail::decode_lone_lcc>},
     {{SplatFormat::lcc2, "lcc2", "", "XGRIDS, beside its .sog or .spz; the finest level",
       "that of .sog or .spz",
@@ -526,6 +527,37 @@ FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options) {
     keeps.axes = options.axes[0] != Axis::undeclared && !detail::georeference_records(options).empty();
   }
   return keeps;
+}
+
+Result<LevelTree> open_levels(std::span<const std::byte> bytes, const std::string& folder, const ReadOptions& options) {
+  return detail::guard_memory([&]() -> Result<LevelTree> {
+    if (!detail::is_lcc(bytes)) {
+      if (!detail::is_streamed_sog(bytes)) return no_levels();
+      return detail::open_streamed_sog_levels(bytes, folder, options);
+    }
+    const auto files = std::make_shared<std::vector<MappedFile>>();
+    std::uint64_t total = bytes.size();
+    auto tree = detail::open_lcc_levels(
+        bytes,
+        [&](const std::string& name) -> Result<Bytes> {
+          auto file = MappedFile::open(folder + "/" + name);
+          if (!file) return tl::unexpected(file.error());
+          total += file->bytes().size();
+          files->push_back(std::move(*file));
+          return files->back().bytes();
+        },
+        options.limits);
+    if (!tree) return tree;
+    tree->file.bytes = total;
+    tree->read = [files, read = std::move(tree->read)](const LevelTree::Visit& visit) -> Status {
+      const Status status = read(visit);
+      for (const MappedFile& file : *files) {
+        if (const Status s = file.check_unchanged(); !s) return s;
+      }
+      return status;
+    };
+    return tree;
+  });
 }
 
 Result<double> position_rounding(const SplatView& splats, SplatFormat format, const WriteOptions& options) {

@@ -110,7 +110,8 @@ std::optional<Bounds> bounds_of(const json& root, const char* name) {
 }
 
 struct Meta {
-  std::uint64_t n = 0, n_levels = 0;
+  std::uint64_t n_levels = 0;
+  std::vector<std::uint64_t> n;  // of each level
   Bounds scale;
   std::optional<Bounds> sh;
 };
@@ -118,10 +119,13 @@ struct Meta {
 Result<Meta> parse_meta(const json& root) {
   Meta meta;
   const json* splats = json_member(root, "splats");
-  const auto n = whole(splats != nullptr && splats->is_array() && !splats->empty() ? &(*splats)[0] : nullptr);
+  for (std::size_t i = 0; splats != nullptr && splats->is_array() && i < splats->size(); ++i) {
+    const auto n = whole(&(*splats)[i]);
+    if (!n) break;
+    meta.n.push_back(*n);
+  }
   const auto n_levels = whole(json_member(root, "totalLevel"));
-  if (!n || !n_levels || *n_levels == 0) return bad_json("the .lcc lacks totalLevel or splats");
-  meta.n = *n;
+  if (meta.n.empty() || !n_levels || *n_levels == 0) return bad_json("the .lcc lacks totalLevel or splats");
   meta.n_levels = *n_levels;
   if (const json* encoding = json_member(root, "encoding"); encoding != nullptr && *encoding != "COMPRESS")
     return make_error(Errc::unsupported_feature, 0, "the .lcc has another encoding than COMPRESS");
@@ -141,14 +145,22 @@ Result<Meta> parse_meta(const json& root) {
   return meta;
 }
 
-// Gaussians of a cell's finest level.
-struct Run {
-  std::uint64_t n = 0, offset = 0;
+struct Lcc {
+  Meta meta;
+  Bytes index, data, harmonics;
+  SplatFile file;  // without Gaussians
 };
 
-Result<std::vector<Run>> find_runs(const Meta& meta, Bytes index, Bytes data, Bytes harmonics) {
-  if (meta.n > data.size() / kRecordBytes) {
-    return make_error(Errc::truncated, data.size(), "data.bin is shorter than the finest level", kRecordBytes * meta.n,
+// Gaussians of a cell's level.
+struct Run {
+  std::uint64_t cell = 0, n = 0, offset = 0, level = 0;
+};
+
+Result<std::vector<Run>> find_runs(const Lcc& lcc, std::uint64_t level) {
+  const auto& [meta, index, data, harmonics, file] = lcc;
+  const std::uint64_t wanted = level < meta.n.size() ? meta.n[level] : 0;
+  if (wanted > data.size() / kRecordBytes) {
+    return make_error(Errc::truncated, data.size(), "data.bin is shorter than one level", kRecordBytes * wanted,
                       data.size());
   }
   if (meta.n_levels > index.size() / kLevelBytes && !index.empty()) {
@@ -162,8 +174,9 @@ Result<std::vector<Run>> find_runs(const Meta& meta, Bytes index, Bytes data, By
   }
   std::vector<Run> runs;
   std::uint64_t n = 0;
-  for (std::uint64_t at = kCellBytes; at < index.size(); at += cell_bytes) {
-    const Run run{load<std::uint32_t>(index, at), load<std::uint64_t>(index, at + 4)};
+  for (std::uint64_t cell = 0; cell < index.size() / cell_bytes; ++cell) {
+    const std::uint64_t at = cell * cell_bytes + kCellBytes + kLevelBytes * level;
+    const Run run{cell, load<std::uint32_t>(index, at), load<std::uint64_t>(index, at + 4), level};
     if (run.n == 0) continue;
     const std::uint64_t bytes = load<std::uint32_t>(index, at + 12);
     if (bytes < kRecordBytes * run.n) {
@@ -181,14 +194,19 @@ Result<std::vector<Run>> find_runs(const Meta& meta, Bytes index, Bytes data, By
     n += run.n;  // 32 bits each
     runs.push_back(run);
   }
-  if (n != meta.n) {
+  if (n != wanted) {
     return make_error(Errc::size_mismatch, index.size(),
-                      "index.bin has another number of Gaussians of the finest level than the .lcc", meta.n, n);
+                      "index.bin has another number of Gaussians of a level than the .lcc", wanted, n);
   }
   return runs;
 }
 
-Splat read_record(Bytes record, Bytes harmonics, const Meta& meta) {
+// Gaussian i of a run.
+Splat read_record(const Lcc& lcc, const Run& run, std::uint64_t i) {
+  const Meta& meta = lcc.meta;
+  const Bytes record = lcc.data.subspan(run.offset + kRecordBytes * i, kRecordBytes);
+  const Bytes harmonics =
+      meta.sh ? lcc.harmonics.subspan(2 * run.offset + kHarmonicsBytes * i, kHarmonicsBytes) : Bytes();
   Splat s;
   for (std::size_t k = 0; k < 3; ++k) {
     s.mean[k] = load<float>(record, 4 * k);
@@ -204,13 +222,48 @@ Splat read_record(Bytes record, Bytes harmonics, const Meta& meta) {
   float q[4];  // x, y, z, w
   from_smallest_three(rotation, q);
   for (std::size_t k = 0; k < 4; ++k) s.rotation[k] = q[(k + 3) % 4];
-  for (std::size_t i = 0; i < 15 && meta.sh; ++i) {
-    const auto packed = load<std::uint32_t>(harmonics, 4 * i);
-    s.sh[3 * i + 3] = static_cast<float>(meta.sh->value(0, packed & 2047, 2047));
-    s.sh[3 * i + 4] = static_cast<float>(meta.sh->value(1, packed >> 11 & 1023, 1023));
-    s.sh[3 * i + 5] = static_cast<float>(meta.sh->value(2, packed >> 21, 2047));
+  for (std::size_t k = 0; k < 15 && meta.sh; ++k) {
+    const auto packed = load<std::uint32_t>(harmonics, 4 * k);
+    s.sh[3 * k + 3] = static_cast<float>(meta.sh->value(0, packed & 2047, 2047));
+    s.sh[3 * k + 4] = static_cast<float>(meta.sh->value(1, packed >> 11 & 1023, 1023));
+    s.sh[3 * k + 5] = static_cast<float>(meta.sh->value(2, packed >> 21, 2047));
   }
   return s;
+}
+
+Result<Lcc> open_lcc(Bytes bytes, const FetchBeside& fetch, const DecodeLimits& limits) {
+  const auto root = parse_json(bytes);
+  if (!root) return tl::unexpected(root.error());
+  auto meta = parse_meta(*root);
+  if (!meta) return tl::unexpected(meta.error());
+  if (meta->n.front() > limits.max_gaussians) {
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians,
+                      meta->n.front());
+  }
+  // Linux tells Index.bin, as the white paper writes, from index.bin, as the files are called.
+  const auto open = [&](std::string name, const char* missing) -> Result<Bytes> {
+    auto file = fetch(name);
+    name[0] = static_cast<char>(name[0] - 'a' + 'A');
+    if (!file) file = fetch(name);
+    if (!file) {
+      Error error = file.error();
+      error.what = missing;
+      return tl::unexpected(error);
+    }
+    return file;
+  };
+  const auto index = open("index.bin", "cannot open index.bin beside the .lcc");
+  if (!index) return tl::unexpected(index.error());
+  const auto data = open("data.bin", "cannot open data.bin beside the .lcc");
+  if (!data) return tl::unexpected(data.error());
+  const auto harmonics =
+      meta->sh ? open("shcoef.bin", "cannot open shcoef.bin beside the .lcc") : Result<Bytes>(Bytes());
+  if (!harmonics) return tl::unexpected(harmonics.error());
+  Lcc lcc{std::move(*meta), *index, *data, *harmonics, file_of(SplatFormat::lcc)};
+  if (open("environment.bin", "")) lcc.file.unused.emplace_back("environment");
+  if (open("collision.lci", "")) lcc.file.unused.emplace_back("collision mesh");
+  note_georeference(*root, lcc.file.unused);
+  return lcc;
 }
 
 // ---- LCC2 -----------------------------------------------------------------------------------------------------------
@@ -316,48 +369,63 @@ Result<SplatFile> decode_lone_lcc(std::span<const std::byte>, const DecodeLimits
 }
 
 Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options) {
-  const DecodeLimits& limits = options.limits;
-  const auto root = parse_json(bytes);
-  if (!root) return tl::unexpected(root.error());
-  const auto meta = parse_meta(*root);
-  if (!meta) return tl::unexpected(meta.error());
-  if (meta->n > limits.max_gaussians) {
-    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, meta->n);
-  }
-  // Linux tells Index.bin, as the white paper writes, from index.bin, as the files are called.
-  const auto open = [&](std::string name, const char* missing) -> Result<Bytes> {
-    auto file = fetch(name);
-    name[0] = static_cast<char>(name[0] - 'a' + 'A');
-    if (!file) file = fetch(name);
-    if (!file) {
-      Error error = file.error();
-      error.what = missing;
-      return tl::unexpected(error);
-    }
-    return file;
-  };
-  const auto index = open("index.bin", "cannot open index.bin beside the .lcc");
-  if (!index) return tl::unexpected(index.error());
-  const auto data = open("data.bin", "cannot open data.bin beside the .lcc");
-  if (!data) return tl::unexpected(data.error());
-  auto harmonics = meta->sh ? open("shcoef.bin", "cannot open shcoef.bin beside the .lcc") : Result<Bytes>(Bytes());
-  if (!harmonics) return tl::unexpected(harmonics.error());
-  const auto runs = find_runs(*meta, *index, *data, *harmonics);
+  auto lcc = open_lcc(bytes, fetch, options.limits);
+  if (!lcc) return tl::unexpected(lcc.error());
+  const auto runs = find_runs(*lcc, 0);
   if (!runs) return tl::unexpected(runs.error());
-  SplatFile file = file_of(SplatFormat::lcc);
-  PieceFiller filler(file, meta->n, meta->sh ? 3 : 0, options);
+  SplatFile file = std::move(lcc->file);
+  PieceFiller filler(file, lcc->meta.n.front(), lcc->meta.sh ? 3 : 0, options);
   for (const Run& run : *runs) {
     for (std::uint64_t i = 0; i < run.n; ++i) {
-      const Bytes sh = meta->sh ? harmonics->subspan(2 * run.offset + kHarmonicsBytes * i, kHarmonicsBytes) : Bytes();
-      const Bytes record = data->subspan(run.offset + kRecordBytes * i, kRecordBytes);
-      if (const Status s = filler.add(read_record(record, sh, *meta)); !s) return tl::unexpected(s.error());
+      if (const Status s = filler.add(read_record(*lcc, run, i)); !s) return tl::unexpected(s.error());
     }
   }
-  note_levels(meta->n_levels, file.unused);
-  if (open("environment.bin", "")) file.unused.emplace_back("environment");
-  if (open("collision.lci", "")) file.unused.emplace_back("collision mesh");
-  note_georeference(*root, file.unused);
+  note_levels(lcc->meta.n_levels, file.unused);
+  std::ranges::rotate(file.unused, file.unused.end() - (lcc->meta.n_levels > 1 ? 1 : 0));
   return file;
+}
+
+Result<LevelTree> open_lcc_levels(std::span<const std::byte> bytes, const FetchBeside& fetch,
+                                  const DecodeLimits& limits) {
+  const auto lcc = open_lcc(bytes, fetch, limits);
+  if (!lcc) return tl::unexpected(lcc.error());
+  LevelTree tree;
+  tree.file = lcc->file;
+  tree.file.n_levels = static_cast<std::uint32_t>(lcc->meta.n_levels);
+  std::vector<std::vector<Run>> of_cell;  // by level
+  std::uint64_t n = 0;
+  for (std::uint64_t level = 0; level < lcc->meta.n_levels && (level == 0 || n != 0); ++level) {
+    const auto runs = find_runs(*lcc, level);
+    if (!runs) return tl::unexpected(runs.error());
+    for (const Run& run : *runs) {
+      if (level == 0) of_cell.resize(run.cell + 1);
+      // A cell without the finest level has no place in the scene.
+      if (run.cell < of_cell.size() && (level == 0 || !of_cell[run.cell].empty())) {
+        of_cell[run.cell].push_back(run);
+        n += run.n;
+      }
+    }
+  }
+  if (n > limits.max_gaussians)
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
+  std::vector<Run> all;
+  for (const std::vector<Run>& cell : of_cell) {
+    for (auto run = cell.rbegin(); run != cell.rend(); ++run) {
+      const auto parent = run == cell.rbegin() ? LevelTree::kNoParent : static_cast<std::uint32_t>(all.size() - 1);
+      tree.nodes.push_back({static_cast<std::uint32_t>(run->level), parent, run->n});
+      all.push_back(*run);
+    }
+  }
+  tree.read = [lcc = *lcc, all](const LevelTree::Visit& visit) -> Status {
+    for (std::uint32_t node = 0; node < all.size(); ++node) {
+      SplatFile piece;
+      piece.cloud.resize(all[node].n, lcc.meta.sh ? 3 : 0);
+      for (std::uint64_t i = 0; i < all[node].n; ++i) piece.cloud.set(i, read_record(lcc, all[node], i));
+      if (Status s = visit(node, std::move(piece)); !s) return s;
+    }
+    return {};
+  };
+  return tree;
 }
 
 Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options) {

@@ -1,4 +1,4 @@
-// lcc.hpp - LCC and LCC2 of XGRIDS: levels of detail in a folder, of which the finest is read.
+// lcc.hpp - LCC and LCC2 of XGRIDS: levels of detail in a folder.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,6 +8,7 @@
 #include <string>
 
 #include "rgs/interchange.hpp"
+#include "rgs/level_tree.hpp"
 
 namespace rgs::detail {
 
@@ -24,6 +25,9 @@ Result<SplatFile> decode_lone_lcc(std::span<const std::byte> bytes, const Decode
 /// The JSON (`bytes`) with the files that `fetch` returns. SplatFile::unused names coarser levels, the environment, the
 /// collision mesh and a georeference. Error offsets are in the file that the text names.
 Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options);
+/// Cells with a finest level as chains of the levels that they have. What `fetch` returns must outlive the result.
+Result<LevelTree> open_lcc_levels(std::span<const std::byte> bytes, const FetchBeside& fetch,
+                                  const DecodeLimits& limits);
 /// Chunks are .sog or .spz.
 Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options);
 

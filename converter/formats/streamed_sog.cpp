@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <charconv>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <numeric>
 #include <optional>
@@ -38,13 +39,15 @@ constexpr std::uint64_t kBytesInImages = 20;                     // of a Gaussia
 struct Run {
   std::uint64_t file = 0, offset = 0, count = 0, level = 0;
   bool wanted = false;
+  std::uint32_t node = 0;
 };
 
 struct Meta {
   std::uint64_t n_levels = 0;
   std::vector<std::string> filenames;
   std::string environment;
-  std::vector<Run> runs;
+  std::vector<Run> runs;  // by file and offset
+  std::vector<LevelTree::Node> nodes;
 };
 
 tl::unexpected<Error> bad_meta(const char* what) {
@@ -110,7 +113,12 @@ Status read_region(const json& lods, std::uint64_t wanted, Meta& meta) {
   auto chosen = runs.upper_bound(wanted);
   if (chosen != runs.begin()) --chosen;
   chosen->second.wanted = true;
-  for (const auto& [level, run] : runs) meta.runs.push_back(run);
+  std::uint32_t parent = LevelTree::kNoParent;
+  for (auto run = runs.rbegin(); run != runs.rend(); ++run) {
+    meta.nodes.push_back({static_cast<std::uint32_t>(run->first), parent, run->second.count});
+    run->second.node = parent = static_cast<std::uint32_t>(meta.nodes.size() - 1);
+    meta.runs.push_back(run->second);
+  }
   return {};
 }
 
@@ -156,6 +164,7 @@ Result<Meta> parse_meta(std::span<const std::byte> bytes, const ReadOptions& opt
                           stated.value_or(Error::kNone), of_level[level]);
     }
   }
+  std::ranges::stable_sort(meta.runs, {}, [](const Run& run) { return std::pair(run.file, run.offset); });
   return meta;
 }
 
@@ -175,54 +184,137 @@ Status check_runs(std::span<const Run> runs, std::uint64_t n) {
   return {};
 }
 
-// `fetch` returns a file by its path beside lod-meta.json. `stored`: bytes of the whole scene, 0 if unknown.
-Result<SplatFile> decode_scene(std::span<const std::byte> bytes, const FetchFile& fetch, std::uint64_t stored,
-                               const ReadOptions& options) {
-  auto meta = parse_meta(bytes, options);
-  if (!meta) return tl::unexpected(meta.error());
-  std::vector<Run>& runs = meta->runs;
-  std::ranges::stable_sort(runs, {}, [](const Run& run) { return std::pair(run.file, run.offset); });
+// Whether so many Gaussians are allowed. `stored`: bytes of the whole scene, 0 if unknown.
+Status check_size(const Meta& meta, bool wanted_only, std::uint64_t stored, const DecodeLimits& limits) {
   std::uint64_t n = 0;
-  for (const Run& run : runs) n += run.wanted ? run.count : 0;
-  if (n > options.limits.max_gaussians)
-    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", options.limits.max_gaussians,
-                      n);
-  if (stored != 0) {
-    if (const Status s = check_expansion(kBytesInImages * n, stored, 0, options.limits); !s)
-      return tl::unexpected(s.error());
-  }
-  SplatFile file;
-  file.n_levels = static_cast<std::uint32_t>(std::min<std::uint64_t>(meta->n_levels, ~std::uint32_t{0}));
-  file.finest = options.level_of_detail.value_or(0) == 0;
-  bool is_first = true;
-  for (auto first = runs.begin(); first != runs.end();) {
-    const auto last = std::find_if(first, runs.end(), [&](const Run& run) { return run.file != first->file; });
+  for (const Run& run : meta.runs) n += run.wanted || !wanted_only ? run.count : 0;
+  if (n > limits.max_gaussians)
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
+  return stored == 0 ? Status() : check_expansion(kBytesInImages * n, stored, 0, limits);
+}
+
+// Decodes the SOGs with runs that are wanted, or all, one at a time. `fetch` returns a file by its path beside
+// lod-meta.json.
+using VisitSog = std::function<Status(std::span<const Run> runs, SplatFile& sog)>;
+Status each_sog(const Meta& meta, bool wanted_only, const FetchFile& fetch, const DecodeLimits& limits,
+                const VisitSog& visit) {
+  for (auto first = meta.runs.begin(); first != meta.runs.end();) {
+    const auto last = std::find_if(first, meta.runs.end(), [&](const Run& run) { return run.file != first->file; });
     const std::span<const Run> of_file(first, last);
     first = last;
-    if (std::ranges::none_of(of_file, &Run::wanted)) continue;
-    const std::string& name = meta->filenames[of_file.front().file];
-    const auto sog_meta = fetch(name);
+    if (wanted_only && std::ranges::none_of(of_file, &Run::wanted)) continue;
+    const std::string& name = meta.filenames[of_file.front().file];
+    std::uint64_t bytes = 0;
+    const auto fetch_counted = [&](const std::string& path) {
+      auto file = fetch(path);
+      if (file) bytes += file->size();
+      return file;
+    };
+    const auto sog_meta = fetch_counted(name);
     if (!sog_meta) return tl::unexpected(sog_meta.error());
-    auto sog = decode_sog_files(*sog_meta, [&](const std::string& image) { return fetch(folder_of(name) + image); },
-                                {.limits = options.limits});
+    auto sog = decode_sog_files(
+        *sog_meta, [&](const std::string& image) { return fetch_counted(folder_of(name) + image); }, {.limits = limits});
     if (!sog) return tl::unexpected(sog.error());
-    if (const Status s = check_runs(of_file, sog->cloud.size()); !s) return tl::unexpected(s.error());
-    if (!std::ranges::all_of(of_file, &Run::wanted)) {
-      std::vector<std::uint64_t> kept;
-      for (const Run& run : of_file) {
-        const std::size_t before = kept.size();
-        kept.resize(before + (run.wanted ? run.count : 0));
-        std::iota(kept.begin() + static_cast<std::ptrdiff_t>(before), kept.end(), run.offset);
-      }
-      keep_splats(sog->cloud, kept);
-    }
-    if (std::exchange(is_first, false)) file.aa_mode = sog->aa_mode;
-    append_splats(file.cloud, sog->cloud);
-    if (const Status s = hand_over(file, options); !s) return tl::unexpected(s.error());
+    sog->bytes = bytes;
+    if (Status s = check_runs(of_file, sog->cloud.size()); !s) return s;
+    if (Status s = visit(of_file, *sog); !s) return s;
   }
-  if (meta->n_levels > 1 && !options.level_of_detail) file.unused.emplace_back("levels of detail but the finest");
-  if (!meta->environment.empty()) file.unused.emplace_back("the environment, a SOG of its own");
+  return {};
+}
+
+SplatFile file_of(const Meta& meta, const ReadOptions& options) {
+  SplatFile file;
+  file.format = SplatFormat::ssog;
+  file.n_levels = static_cast<std::uint32_t>(std::min<std::uint64_t>(meta.n_levels, ~std::uint32_t{0}));
+  file.finest = options.level_of_detail.value_or(0) == 0;
   return file;
+}
+
+void note_environment(const Meta& meta, SplatFile& file) {
+  if (!meta.environment.empty()) file.unused.emplace_back("the environment, a SOG of its own");
+}
+
+Result<SplatFile> decode_scene(std::span<const std::byte> bytes, const FetchFile& fetch, std::uint64_t stored,
+                               const ReadOptions& options) {
+  const auto meta = parse_meta(bytes, options);
+  if (!meta) return tl::unexpected(meta.error());
+  if (const Status s = check_size(*meta, true, stored, options.limits); !s) return tl::unexpected(s.error());
+  SplatFile file = file_of(*meta, options);
+  bool is_first = true;
+  const Status status =
+      each_sog(*meta, true, fetch, options.limits, [&](std::span<const Run> of_file, SplatFile& sog) -> Status {
+        if (!std::ranges::all_of(of_file, &Run::wanted)) {
+          std::vector<std::uint64_t> kept;
+          for (const Run& run : of_file) {
+            const std::size_t before = kept.size();
+            kept.resize(before + (run.wanted ? run.count : 0));
+            std::iota(kept.begin() + static_cast<std::ptrdiff_t>(before), kept.end(), run.offset);
+          }
+          keep_splats(sog.cloud, kept);
+        }
+        if (std::exchange(is_first, false)) file.aa_mode = sog.aa_mode;
+        file.bytes += stored != 0 ? 0 : sog.bytes;
+        append_splats(file.cloud, sog.cloud);
+        return hand_over(file, options);
+      });
+  if (!status) return tl::unexpected(status.error());
+  if (meta->n_levels > 1 && !options.level_of_detail) file.unused.emplace_back("levels of detail but the finest");
+  note_environment(*meta, file);
+  return file;
+}
+
+Result<LevelTree> levels_of(std::span<const std::byte> bytes, const FetchFile& fetch, std::uint64_t stored,
+                            const ReadOptions& options) {
+  auto parsed = parse_meta(bytes, options);
+  if (!parsed) return tl::unexpected(parsed.error());
+  if (const Status s = check_size(*parsed, false, stored, options.limits); !s) return tl::unexpected(s.error());
+  LevelTree tree;
+  tree.nodes = std::move(parsed->nodes);
+  tree.file = file_of(*parsed, options);
+  note_environment(*parsed, tree.file);
+  const auto meta = std::make_shared<const Meta>(std::move(*parsed));
+  tree.file.bytes = stored != 0 ? stored : bytes.size();
+  tree.read = [meta, fetch, stored, limits = options.limits](const LevelTree::Visit& visit) {
+    return each_sog(*meta, false, fetch, limits, [&](std::span<const Run> runs, SplatFile& sog) -> Status {
+      for (const Run& run : runs) {
+        SplatFile piece;
+        piece.bytes = stored != 0 || &run != &runs.front() ? 0 : sog.bytes;
+        piece.aa_mode = sog.aa_mode;
+        piece.cloud.resize(run.count, sog.cloud.sh_degree);
+        for (std::uint64_t i = 0; i < run.count; ++i) piece.cloud.set(i, sog.cloud.view().splat(run.offset + i));
+        if (Status s = visit(run.node, std::move(piece)); !s) return s;
+      }
+      return {};
+    });
+  };
+  return tree;
+}
+
+FetchFile fetch_beside(const std::string& folder) {
+  return [folder](const std::string& name) {
+    std::uint64_t total = 0;
+    return fetch_from(folder, total)(name);
+  };
+}
+
+// lod-meta.json in a zip archive, and how to fetch what lies beside it. `bytes` must outlive the result.
+struct Zipped {
+  Bytes meta;
+  FetchFile fetch;
+};
+Result<Zipped> open_zipped(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  auto opened = ZipArchive::open(bytes);
+  if (!opened) return tl::unexpected(opened.error());
+  const auto archive = std::make_shared<const ZipArchive>(std::move(*opened));
+  const std::string name = archive->holds(std::string(kMetaName)) ? std::string(kMetaName)
+                                                                  : archive->name_ending("/" + std::string(kMetaName));
+  const FetchFile fetch = [archive, limits, folder = folder_of(name)](const std::string& path) {
+    return archive->read(folder + path, limits,
+                         "the streamed SOG lacks lod-meta.json or a file that it or a meta.json names");
+  };
+  auto meta = fetch(name.substr(folder_of(name).size()));
+  if (!meta) return tl::unexpected(meta.error());
+  return Zipped{std::move(*meta), fetch};
 }
 
 }  // namespace
@@ -239,27 +331,26 @@ bool is_streamed_sog(std::span<const std::byte> bytes) {
 }
 
 Result<SplatFile> decode_streamed_sog(std::span<const std::byte> bytes, const ReadOptions& options) {
-  const auto archive = ZipArchive::open(bytes);
-  if (!archive) return tl::unexpected(archive.error());
-  const std::string name = archive->holds(std::string(kMetaName)) ? std::string(kMetaName)
-                                                                  : archive->name_ending("/" + std::string(kMetaName));
-  const FetchFile fetch = [&](const std::string& path) {
-    return archive->read(path, options.limits,
-                         "the streamed SOG lacks lod-meta.json or a file that it or a meta.json names");
-  };
-  const auto meta = fetch(name);
-  if (!meta) return tl::unexpected(meta.error());
-  const std::string folder = folder_of(name);
-  return decode_scene(
-      *meta, [&](const std::string& path) { return fetch(folder + path); }, bytes.size(), options);
+  const auto zipped = open_zipped(bytes, options.limits);
+  if (!zipped) return tl::unexpected(zipped.error());
+  return decode_scene(zipped->meta, zipped->fetch, bytes.size(), options);
 }
 
 Result<SplatFile> decode_streamed_sog_folder(std::span<const std::byte> bytes, const std::string& folder,
                                              const ReadOptions& options) {
-  std::uint64_t total = bytes.size();
-  auto file = decode_scene(bytes, fetch_from(folder, total), 0, options);
-  if (file) file->bytes = total;
+  auto file = decode_scene(bytes, fetch_beside(folder), 0, options);
+  if (file) file->bytes += bytes.size();
   return file;
+}
+
+Result<LevelTree> open_streamed_sog_levels(std::span<const std::byte> bytes, const std::string& folder,
+                                           const ReadOptions& options) {
+  if (!is_streamed_sog_meta(bytes)) {
+    const auto zipped = open_zipped(bytes, options.limits);
+    if (!zipped) return tl::unexpected(zipped.error());
+    return levels_of(zipped->meta, zipped->fetch, bytes.size(), options);
+  }
+  return levels_of(bytes, fetch_beside(folder), 0, options);
 }
 
 }  // namespace rgs::detail

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "rgs/interchange.hpp"
+#include "rgs/level_tree.hpp"
 
 namespace rgs::detail {
 
@@ -21,5 +22,8 @@ Result<SplatFile> decode_streamed_sog(std::span<const std::byte> bytes, const Re
 /// lod-meta.json (`bytes`) with its SOGs below `folder`.
 Result<SplatFile> decode_streamed_sog_folder(std::span<const std::byte> bytes, const std::string& folder,
                                              const ReadOptions& options);
+/// open_levels() of either: chains of the levels that each region has.
+Result<LevelTree> open_streamed_sog_levels(std::span<const std::byte> bytes, const std::string& folder,
+                                           const ReadOptions& options);
 
 }  // namespace rgs::detail

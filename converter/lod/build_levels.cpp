@@ -26,8 +26,6 @@ namespace {
 // Stored scales and rotations are rounded to FP16 afterwards; bounds must hold the rounded ones.
 constexpr float kRoundingMargin = 1.004F;
 constexpr float kBoundSigmas = 3;
-constexpr float kErrorGrowth = 1.01F;  // least ratio of a page's error to its children's largest
-constexpr float kMostError = 1e30F;
 constexpr double kLeastKept = 0.02, kMostKept = 0.75;  // of a group
 // A run of boxes has a gap where the box around it is longer than kGap times the sum of their lengths.
 constexpr float kGap = 2;

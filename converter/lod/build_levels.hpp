@@ -65,6 +65,8 @@ struct Group {
 std::vector<Group> group_pages(std::span<const Page> pages, std::span<const MergeCosts> costs,
                                const BuildOptions& options);
 inline constexpr double kKept = 0.22;
+inline constexpr float kErrorGrowth = 1.01F;  ///< least ratio of a page's error to its children's largest
+inline constexpr float kMostError = 1e30F;
 
 /// Stretches: runs of leaves with levels of their own, so that processes can build them in parallel. They are cut by
 /// count alone, and no page up to level BuildOptions::stretch_levels spans two.

@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include "interchange_samples.hpp"
+#include "rgs/level_tree.hpp"
 #include "rgs/splat_edit.hpp"
 #include "temporary_folder.hpp"
 
@@ -191,6 +192,43 @@ TEST_CASE("LCC: the finest level of all cells, within half a step; what is not r
         std::vector<std::string>{"2 coarser levels of detail", "environment", "collision mesh",
                                  "offset 689605.500000, 0.000000, -3.000000",
                                  "coordinate reference system EPSG:32632"});
+}
+
+TEST_CASE("LCC: cells are chains of the levels that they have, the coarsest first") {
+  const Files files = lcc(kCells);
+  const TemporaryFolder folder;
+  const auto open = [&](const Files& some) {
+    for (const auto& [name, bytes] : some) write_bytes(folder.file(name), bytes);
+    return open_levels(some.at("a.lcc"), folder.path().string(), {});
+  };
+  const auto tree = open(files);
+  REQUIRE(tree);
+  CHECK(tree->file.axes == kAxesLcc);
+  CHECK(tree->file.unused.empty());
+  std::vector<SplatCloud> pieces;
+  REQUIRE(tree->read([&](std::uint32_t node, SplatFile piece) -> Status {
+    CHECK(node == pieces.size());
+    pieces.push_back(std::move(piece.cloud));
+    return {};
+  }));
+  REQUIRE(pieces.size() == tree->nodes.size());
+  SplatCloud leaves;
+  for (std::size_t i = 0; i < pieces.size(); ++i) {
+    const LevelTree::Node& node = tree->nodes[i];
+    CHECK(pieces[i].size() == node.n);
+    if (node.level == 0) append_splats(leaves, pieces[i]);
+    if (node.level > 0) CHECK(pieces[i].mean[0] > 50);
+    if (node.parent != LevelTree::kNoParent) {
+      CHECK(node.parent + 1 == i);
+      CHECK(tree->nodes[node.parent].level > node.level);
+    }
+  }
+  check_within_steps(compare(leaves, finest()));
+  // Counts and places are held to the .lcc and the files on all levels.
+  Files cut = files;
+  put(cut.at("index.bin"), 4 + 16, 200U);
+  CHECK(exit_code(open(cut).error().code) == 4);
+  CHECK(read_folder(cut, "a.lcc"));  // the finest is read all the same
 }
 
 TEST_CASE("LCC is right, forward, up, and comes in 3DGS's frame") {

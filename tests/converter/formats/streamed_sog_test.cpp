@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "interchange_samples.hpp"
+#include "rgs/level_tree.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/splat_edit.hpp"
@@ -229,6 +230,43 @@ TEST_CASE("a region is read at its finest level, or at that asked for, or at the
   meta["environment"] = "env/meta.json";
   with_sky["lod-meta.json"] = bytes_of(meta.dump());
   CHECK(read_splats(zipped(with_sky))->unused.back() == "the environment, a SOG of its own");
+}
+
+TEST_CASE("regions are chains of nodes, the coarsest first, read one SOG at a time") {
+  const Bytes zip = zipped(three_regions());
+  const auto tree = open_levels(zip, ".", {});
+  REQUIRE(tree);
+  std::vector<std::uint32_t> levels, parents;
+  std::vector<std::uint64_t> counts;
+  for (const LevelTree::Node& node : tree->nodes) {
+    levels.push_back(node.level), parents.push_back(node.parent), counts.push_back(node.n);
+    CHECK(node.error == 0);
+  }
+  constexpr std::uint32_t kNone = LevelTree::kNoParent;
+  CHECK(levels == std::vector<std::uint32_t>{1, 0, 1, 0, 1});
+  CHECK(parents == std::vector<std::uint32_t>{kNone, 0, kNone, 2, kNone});
+  CHECK(counts == std::vector<std::uint64_t>{5, 20, 9, 30, 6});
+  CHECK(tree->file.unused.empty());
+  CHECK(tree->file.bytes == zip.size());
+  // Nodes without children are what is read without levels, in its order.
+  SplatCloud leaves;
+  std::vector<std::uint32_t> visited;
+  for (int pass = 0; pass < 2; ++pass) {
+    leaves = {}, visited = {};
+    const Status read = tree->read([&](std::uint32_t node, const SplatFile& piece) -> Status {
+      visited.push_back(node);
+      CHECK(piece.cloud.size() == counts[node]);
+      if (node == 1 || node == 3 || node == 4) append_splats(leaves, piece.cloud);
+      return {};
+    });
+    CHECK(read);
+  }
+  CHECK(visited == std::vector<std::uint32_t>{3, 1, 0, 2, 4});
+  CHECK(leaves.mean == read_splats(zip)->cloud.mean);
+  ReadOptions few;
+  few.limits.max_gaussians = 69;
+  CHECK(open_levels(zip, ".", few).error().code == Errc::limit_exceeded);
+  CHECK(open_levels(bytes_of("ply"), ".", {}).error().code == Errc::bad_argument);
 }
 
 TEST_CASE("streamed SOGs that contradict themselves, or point elsewhere, are refused") {

@@ -1,0 +1,281 @@
+// keep_levels_test.cpp - a file's own levels of detail become levels of an .rgs: round trips, lacking levels, trees.
+// SPDX-License-Identifier: Apache-2.0
+#include "keep_levels.hpp"
+
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <set>
+
+#include "check_error.hpp"
+#include "convert.hpp"
+#include "convert_scenes.hpp"
+#include "interchange_samples.hpp"
+#include "rgs/levels_writer.hpp"
+#include "rgs/paged_file.hpp"
+#include "run_program.hpp"
+#include "temporary_folder.hpp"
+#include "trivial_levels.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+using nlohmann::json;
+
+ProgramResult rgs_convert(std::vector<std::string> arguments) {
+  arguments.insert(arguments.begin(), {built("rgs-convert"), "--no-sync", "--overwrite"});
+  return run_program(arguments);
+}
+
+// Gaussians of a level as sorted numbers: means above the leaves are rounded to their error, all else to FP16.
+struct Sorted {
+  std::vector<float> x, opacity;
+};
+Sorted sorted(const SplatCloud& cloud) {
+  Sorted out;
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) {
+    out.x.push_back(cloud.mean[3 * i]);
+    out.opacity.push_back(opacity_from_logit(cloud.opacity_logit[i]));
+  }
+  std::ranges::sort(out.x);
+  std::ranges::sort(out.opacity);
+  return out;
+}
+void check_same(const SplatCloud& a, const SplatCloud& b, double rounding) {
+  REQUIRE(a.size() == b.size());
+  const Sorted left = sorted(a), right = sorted(b);
+  double x = 0, opacity = 0;
+  for (std::size_t i = 0; i < left.x.size(); ++i) {
+    x = std::max(x, std::abs(static_cast<double>(left.x[i]) - static_cast<double>(right.x[i])));
+    opacity = std::max(opacity, std::abs(static_cast<double>(left.opacity[i]) - static_cast<double>(right.opacity[i])));
+  }
+  CHECK(x <= rounding);
+  CHECK(opacity <= 1e-3);
+}
+
+SplatCloud level_of(const std::string& path, std::uint32_t level) {
+  ReadOptions options;
+  options.level_of_detail = level;
+  const auto file = read_splats(path, options);
+  REQUIRE(file);
+  return file->cloud;
+}
+
+// Pages against their children, as rgs-info --verify --levels does.
+std::size_t count_refuted(const PagedFile& file) {
+  std::size_t refuted = 0;
+  for (std::uint32_t i = 0; i < file.n_pages(); ++i) {
+    const lod::Page& page = file.pages()[i];
+    std::vector<std::uint32_t> children;
+    for (std::uint32_t k = 0; k < page.n_children; ++k) children.push_back(page.first_child + k);
+    if (children.empty()) continue;
+    const SplatCloud finer = read_pages(file, children).value(), coarser = read_pages(file, std::array{i}).value();
+    refuted += lod::error_against(finer.view(), coarser.view(), page.error) > lod::kErrorTolerance * page.error;
+  }
+  return refuted;
+}
+
+// A streamed SOG's files: level 0 of `fine` Gaussians and level 1 of `coarse`, in regions of these runs: level, offset,
+// count.
+struct Run {
+  int level, offset, count;
+};
+std::string streamed_sog(const TemporaryFolder& folder, const SplatCloud& fine, const SplatCloud& coarse,
+                         const std::vector<std::vector<Run>>& regions) {
+  json meta{{"version", 1}, {"lodLevels", 3}, {"filenames", {"0_0/meta.json", "1_0/meta.json"}}};
+  for (const auto& runs : regions) {
+    json lods = json::object();
+    for (const Run& run : runs)
+      lods[std::to_string(run.level)] = {
+          {"file", run.level == 0 ? 0 : 1}, {"offset", run.offset}, {"count", run.count}};
+    meta["tree"]["children"].push_back({{"lods", lods}});
+  }
+  for (const auto& [name, cloud] : {std::pair("0_0", &fine), std::pair("1_0", &coarse)}) {
+    Bytes rgs;
+    EncodeOptions options;
+    options.profile = Profile::direct;
+    options.chunk_size = 64;
+    REQUIRE(write_levels(trivial_levels(*cloud, {.chunk_size = 64, .page_chunks = 200}), options, rgs));
+    const auto file = PagedFile::open(rgs);
+    REQUIRE(file);
+    const std::string to = name;
+    REQUIRE(write_streamed_sog(*file, {}, 3, [&](const std::string& path, std::span<const std::byte> bytes) {
+      if (!path.starts_with("0_0/")) return Status();
+      std::filesystem::create_directories(folder.path() / to);
+      write_bytes(folder.file(to + path.substr(3)), bytes);
+      return Status();
+    }));
+  }
+  const std::string path = folder.file("lod-meta.json");
+  write_bytes(path, bytes_of(meta.dump()));
+  return path;
+}
+
+}  // namespace
+
+TEST_CASE("levels of an .rgs survive a streamed SOG") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(30000, 1, 3);
+  for (float& x : cloud.mean) x *= 8;              // several regions, which are at most 16 units wide ...
+  for (float& x : cloud.log_scale) x = x / 4 - 2;  // ... if they hold more than a few Gaussians
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), own = folder.file("own.rgs"),
+                    ssog = folder.file("scene.ssog"), kept = folder.file("kept.rgs"), again = folder.file("again.rgs");
+  REQUIRE(rgs_convert({"--lod", ply, own}).exit_code == 0);
+  REQUIRE(rgs_convert({own, ssog}).exit_code == 0);
+  const ProgramResult run = rgs_convert({"--keep-permutation", ssog, kept});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("not kept") == std::string::npos);
+  const Bytes bytes = read_bytes(kept);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(validate(*file));
+  const std::uint32_t n_levels = read_splats(ssog)->n_levels;
+  CHECK(n_levels > 1);
+  CHECK(file->n_levels() >= n_levels);
+  for (std::uint32_t level = 0; level < n_levels; ++level) {
+    CAPTURE(level);
+    float error = 0;
+    for (const lod::Page& page : file->pages()) error = std::max(error, page.level == level ? page.error : 0);
+    check_same(level_of(kept, level), level_of(ssog, level), static_cast<double>(error));
+  }
+  CHECK(count_refuted(*file) == 0);
+  // Positions are those in what is read of the streamed SOG without levels.
+  const auto leaves = read_splats(bytes, kKeepAxes), source = read_splats(ssog);
+  REQUIRE(leaves);
+  REQUIRE(leaves->source_index.size() == 30000);
+  std::size_t moved = 0;
+  for (std::size_t i = 0; i < 30000; ++i)
+    moved += leaves->cloud.mean[3 * i] != source->cloud.mean[3 * leaves->source_index[i]];
+  CHECK(moved == 0);
+  // Neither threads nor memory change it.
+  for (const std::vector<std::string>& options :
+       {std::vector<std::string>{"--threads", "1"}, {"--memory", "128MiB", "--scratch", folder.path().string()}}) {
+    std::vector<std::string> arguments{"--keep-permutation", ssog, again};
+    arguments.insert(arguments.begin(), options.begin(), options.end());
+    REQUIRE(rgs_convert(arguments).exit_code == 0);
+    CHECK(read_bytes(again) == bytes);
+  }
+  CHECK(rgs_convert({"--profile", "archive:high", ssog, again}).exit_code == 0);
+  CHECK(has_levels(read_bytes(again)));
+  // What changes or chooses Gaussians takes the finest level, and says so; --lod builds levels of it.
+  for (const std::vector<std::string>& options :
+       {std::vector<std::string>{"--min-opacity", "0.1"}, {"--translate", "1,0,0"}, {"--keep-order"}}) {
+    std::vector<std::string> arguments{ssog, again};
+    arguments.insert(arguments.begin(), options.begin(), options.end());
+    const ProgramResult finest = rgs_convert(arguments);
+    CHECK(finest.out.find("not kept   levels of detail but the finest") != std::string::npos);
+    CHECK_FALSE(has_levels(read_bytes(again)));
+  }
+  REQUIRE(rgs_convert({"--level-of-detail", "1", ssog, again}).exit_code == 0);
+  CHECK_FALSE(has_levels(read_bytes(again)));
+  REQUIRE(rgs_convert({"--lod", ssog, again}).exit_code == 0);
+  CHECK(read_bytes(again) != bytes);
+  CHECK(rgs_convert({"--memory", "1GiB", ssog, folder.file("no.ply")}).exit_code == 2);
+}
+
+TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
+  const TemporaryFolder folder;
+  // Three regions side by side, the second without level 0, and two of fewer than a chunk's Gaussians.
+  SplatCloud fine = ordinary_cloud(9030, 0, 5), coarse = ordinary_cloud(3000, 0, 6);
+  for (SplatCloud* cloud : {&fine, &coarse}) {
+    for (float& x : cloud->log_scale) x = x / 4 - 2;
+  }
+  const std::string path = streamed_sog(folder, fine, coarse,
+                                        {{{0, 0, 5000}, {1, 0, 1000}, {2, 2900, 60}},
+                                         {{0, 9000, 10}},
+                                         {{1, 1000, 1000}},
+                                         {{0, 9010, 20}, {1, 2960, 40}},
+                                         {{0, 5000, 4000}, {2, 2000, 900}}});
+  const std::string rgs = folder.file("kept.rgs");
+  const ProgramResult run = rgs_convert({"--chunk-size", "64", path, rgs});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  const Bytes bytes = read_bytes(rgs);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(validate(*file));
+  const auto read = read_splats(path);
+  REQUIRE(read);
+  REQUIRE(read->cloud.size() == 10030);
+  check_same(level_of(rgs, 0), read->cloud, 0);
+  // Lacking levels are the next finer ones.
+  std::uint64_t n[3] = {};
+  std::map<std::vector<float>, std::set<float>> errors;  // of regions, by their cores
+  for (const lod::Page& page : file->pages()) {
+    if (page.level < 3) n[page.level] += page.count;
+    if (page.level == 0 || page.level > 2) continue;
+    std::vector<float> core{static_cast<float>(page.level)};
+    core.insert(core.end(), page.core.min.begin(), page.core.min.end());
+    core.insert(core.end(), page.core.max.begin(), page.core.max.end());
+    errors[core].insert(page.error);
+  }
+  CHECK(n[0] == 10030);
+  CHECK(n[1] == 1000 + 10 + 1000 + 40 + 4000);
+  CHECK(n[2] == 60 + 10 + 1000 + 40 + 900);
+  CHECK(errors.size() == 2 * 4);  // the second is joined to the first
+  for (const auto& [core, of_region] : errors) CHECK(of_region.size() == 1);
+  // All of a region with less than a chunk of leaves, and nothing else.
+  const std::string one = streamed_sog(folder, fine, coarse, {{{0, 0, 9030}}, {{1, 0, 3000}}});
+  CHECK(rgs_convert({one, rgs}).exit_code == 0);
+  json meta = json::parse(text_of(read_bytes(one)));
+  meta["tree"] = {{"children", {{{"lods", json::object()}}}}};
+  write_bytes(one, bytes_of(meta.dump()));
+  CHECK(rgs_convert({one, rgs}).exit_code == 0);  // no Gaussians, no levels
+  CHECK_FALSE(has_levels(read_bytes(rgs)));
+}
+
+TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaussians") {
+  SplatCloud cloud = ordinary_cloud(2000, 0, 9);
+  LevelTree tree;
+  tree.nodes = {{1, LevelTree::kNoParent, 300, 0.5F},
+                {0, 0, 1000},
+                {0, 0, 900},
+                {0, LevelTree::kNoParent, 100},
+                {0, LevelTree::kNoParent, 1}};
+  tree.file.format = SplatFormat::ssog;
+  tree.read = [&](const LevelTree::Visit& visit) -> Status {
+    for (std::uint32_t node = 0; node < tree.nodes.size(); ++node) {
+      SplatFile piece;
+      piece.cloud.resize(tree.nodes[node].n, 0);
+      for (std::uint64_t i = 0; i < tree.nodes[node].n; ++i)
+        piece.cloud.set(i, cloud.view().splat((i + 400 * node) % cloud.size()));
+      if (node == 4) piece.cloud.mean[0] = std::numeric_limits<float>::quiet_NaN();
+      if (Status s = visit(node, std::move(piece)); !s) return s;
+    }
+    return {};
+  };
+  const TemporaryFolder folder;
+  ConvertOptions options;
+  options.encode.chunk_size = 64;
+  options.encode.axes = kAxes3dgs;
+  options.output.sync = false;
+  const auto kept = KeptLevels::open(tree, kAxes3dgs, options.encode);
+  REQUIRE(kept);
+  const lod::SplatStream leaves = kept->leaves();
+  CHECK(leaves.n == 2001);
+  StreamFacts facts;
+  facts.hash = [] { return 0; };
+  facts.arrange = [&](auto&... of) { return kept->arrange(of...); };
+  const auto summary = convert_to_levels(leaves, facts, folder.file("tree.rgs"), options);
+  REQUIRE(summary);
+  CHECK(summary->n_written == 2000);
+  const Bytes bytes = read_bytes(folder.file("tree.rgs"));
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(validate(*file));
+  std::uint64_t n = 0;
+  for (const lod::Page& page : file->pages()) {
+    if (page.level != 1) continue;
+    n += page.count;
+    CHECK((page.error == 0.5F || page.count == 100));
+  }
+  CHECK(n == 300 + 100);
+  tree.nodes[0].level = 40;
+  CHECK(KeptLevels::open(tree, kAxes3dgs, options.encode).error().code == Errc::unsupported_feature);
+}
