@@ -223,8 +223,7 @@ std::string summary_json(const ConvertSummary& s) {
   json["lost"] = s.lost;
   json["notes"] = s.notes;
   if (s.n_regions != 0) json["levels"] = {{"levels", s.n_levels}, {"regions", s.n_regions}, {"gaussians", s.n_stored}};
-  if (s.output_format == "rad" && s.n_levels != 0)
-    json["levels"] = {{"levels", s.n_levels}, {"gaussians", s.n_stored}};
+  if (s.output_format == "rad" && s.n_levels != 0) json["levels"] = {{"levels", s.n_levels}, {"gaussians", s.n_stored}};
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
     ordered_json sections = ordered_json::array();

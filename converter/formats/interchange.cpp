@@ -281,7 +281,7 @@ constexpr Format kFormats[] = {
       "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
       kAxes3dgs, 3, true, {.aa_mode = true}, false, true},
      detail::is_sog, read_within<detail::decode_sog>, detail::encode_sog},
-    {{SplatFormat::rad, "rad", "", "Spark 2 (three.js), also with .radc beside it; levels written of an .rgs with levels",
+    {{SplatFormat::rad, "rad", "", "Spark 2 (three.js), also with .radc beside it; its tree of an .rgs with levels",
       "mean FP32; rotation 24 bits; scale, opacity, colour, harmonics 8; read from FP16 or 32 too",
       kAxes3dgs, 3, true, {.levels = true}, false, true},
      detail::is_rad, detail::decode_rad, detail::encode_rad},

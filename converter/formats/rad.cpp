@@ -48,7 +48,20 @@ constexpr std::uint64_t padded(std::uint64_t bytes) {
 // ---- properties -----------------------------------------------------------------------------------------------------
 
 enum Encoding : std::uint8_t {
-  f32, f16, f32_lebytes, f16_lebytes, r8, r8_delta, s8, s8_delta, ln_0r8, ln_f16, oct88r8, u16, u32, kEncodings
+  f32,
+  f16,
+  f32_lebytes,
+  f16_lebytes,
+  r8,
+  r8_delta,
+  s8,
+  s8_delta,
+  ln_0r8,
+  ln_f16,
+  oct88r8,
+  u16,
+  u32,
+  kEncodings
 };
 struct EncodingKind {
   std::string_view name;
@@ -59,8 +72,21 @@ constexpr EncodingKind kEncodingKinds[kEncodings] = {
     {"s8_delta", 1}, {"ln_0r8", 1}, {"ln_f16", 2},      {"oct88r8", 1},     {"u16", 2}, {"u32", 4}};
 
 enum Property : std::uint8_t {
-  center, alpha, rgb, scales, orientation, sh1, sh2, sh3, sh1_code, sh2_code, sh3_code, sh_label, child_count,
-  child_start, kProperties
+  center,
+  alpha,
+  rgb,
+  scales,
+  orientation,
+  sh1,
+  sh2,
+  sh3,
+  sh1_code,
+  sh2_code,
+  sh3_code,
+  sh_label,
+  child_count,
+  child_start,
+  kProperties
 };
 constexpr unsigned one_of(auto... encodings) {
   return ((1U << encodings) | ...);
@@ -149,8 +175,7 @@ class Values {
   }
   std::array<float, 4> rotation(std::uint64_t row) const {
     if (stored_.encoding == oct88r8)
-      return decode_octahedral(
-          {load_u8(bytes_, 3 * row), load_u8(bytes_, 3 * row + 1), load_u8(bytes_, 3 * row + 2)});
+      return decode_octahedral({load_u8(bytes_, 3 * row), load_u8(bytes_, 3 * row + 1), load_u8(bytes_, 3 * row + 2)});
     const float x = number(row, 0), y = number(row, 1), z = number(row, 2);
     return {x, y, z, std::sqrt(std::max(0.F, 1 - x * x - y * y - z * z))};
   }
@@ -539,9 +564,9 @@ class Reader {
         return {};
       };
     };
-    Status s = each(properties[center], three(cloud_.mean, [](const Values& v, std::uint64_t row, std::uint64_t k) {
-                      return v.number(row, k);
-                    }));
+    Status s =
+        each(properties[center],
+             three(cloud_.mean, [](const Values& v, std::uint64_t row, std::uint64_t k) { return v.number(row, k); }));
     if (s)
       s = each(properties[scales], three(cloud_.log_scale, [](const Values& v, std::uint64_t row, std::uint64_t k) {
                  return v.log_scale(row, k);

@@ -108,8 +108,7 @@ std::array<std::uint8_t, 3> encode_octahedral(const float* wxyz) {
   std::array<double, 3> code{127.5, 127.5, 510 / std::numbers::pi * std::acos(std::min(q[0], 1.0))};
   if (sum > 0) {
     double x = q[1] / sum, y = q[2] / sum;
-    if (q[3] < 0)
-      x = std::copysign(1 - std::abs(y), x), y = std::copysign(1 - std::abs(q[1] / sum), y);
+    if (q[3] < 0) x = std::copysign(1 - std::abs(y), x), y = std::copysign(1 - std::abs(q[1] / sum), y);
     code[0] = (x + 1) * 127.5, code[1] = (y + 1) * 127.5;
   }
   std::array<std::uint8_t, 3> nearest{};
@@ -217,11 +216,8 @@ class ChunkWriter {
   }
 
   Bytes whole() const {
-    Json meta{{"version", 1},
-              {"base", first_},
-              {"count", n_},
-              {"payloadBytes", payload_.size()},
-              {"maxSh", s_.sh_degree}};
+    Json meta{
+        {"version", 1}, {"base", first_}, {"count", n_}, {"payloadBytes", payload_.size()}, {"maxSh", s_.sh_degree}};
     if (tree_ != nullptr) meta["lodTree"] = true;
     meta["splatEncoding"] = splat_encoding(r_, tree_ != nullptr);
     meta["properties"] = properties_;
@@ -309,9 +305,9 @@ Splat merged(const SplatView& splats, std::span<const std::uint32_t> rows) {
     size = scale[0] * scale[1] + scale[1] * scale[2] + scale[2] * scale[0];
     const auto opacity = static_cast<double>(opacity_from_logit(s.opacity_logit));
     const double weight = opacity * size + 1e-30;
-    const double w = static_cast<double>(s.rotation[0]), v[3] = {static_cast<double>(s.rotation[1]),
-                                                                 static_cast<double>(s.rotation[2]),
-                                                                 static_cast<double>(s.rotation[3])};
+    const double w = static_cast<double>(s.rotation[0]),
+                 v[3] = {static_cast<double>(s.rotation[1]), static_cast<double>(s.rotation[2]),
+                         static_cast<double>(s.rotation[3])};
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t a = (k + 1) % 3, b = (k + 2) % 3;
       // Row k of the rotation's matrix.

@@ -85,6 +85,7 @@ void InputFiles::add_scene(const std::string& path) {
   };
   if (place.filename() == "meta.json") add_all(folder, ".webp");
   if (ending == ".lcc" || ending == ".gltf") add_all(folder, ".bin");
+  if (ending == ".rad") add_all(folder, ".radc");
   if (ending == ".lcc2") add_all(folder / "data" / "3dgs", ".sog", ".spz");
   if (place.filename() != "lod-meta.json") return;
   std::vector<fs::path> sogs;
