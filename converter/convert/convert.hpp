@@ -62,7 +62,7 @@ struct ConvertSummary {
   std::vector<std::string> lost;   ///< declarations of the source that the output cannot state
   std::vector<std::string> notes;  ///< disagreements of inputs, and the like
   Header header;
-  std::uint32_t n_levels = 0, n_pages = 0;  ///< of an .rgs with levels of detail; n_levels also of a streamed SOG and a .rad
+  std::uint32_t n_levels = 0, n_pages = 0;  ///< of an .rgs with levels of detail; n_levels also of .ssog and .rad
   std::uint32_t n_regions = 0;              ///< of a streamed SOG
   std::uint64_t n_stored = 0;               ///< Gaussians of all levels of these
   std::vector<SectionEntry> sections;
@@ -121,8 +121,8 @@ Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::str
 Result<ConvertSummary> convert_to_streamed_sog(const PagedFile& source, const std::string& output_path,
                                                const ConvertOptions& options, const StageObserver& observer = {});
 
-/// Writes an .rgs with levels as a .rad with a tree: encode_rad_with_levels(). options.encode.axes are those of the file.
-/// Errors: its, AtomicFile's.
+/// Writes an .rgs with levels as a .rad with a tree: encode_rad_with_levels(). options.encode.axes are those of the
+/// file. Errors: its, AtomicFile's.
 Result<ConvertSummary> convert_to_rad(const PagedFile& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer = {});
 

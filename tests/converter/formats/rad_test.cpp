@@ -75,7 +75,7 @@ SplatCloud ordered_like(const SplatCloud& like, SplatCloud cloud) {
   return out;
 }
 
-// ---- files built from the format's description, without compression ---------------------------------------------------
+// ---- files built from the format's description, without compression -------------------------------------------------
 
 struct Property {
   std::string name, encoding;

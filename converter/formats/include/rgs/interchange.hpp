@@ -222,9 +222,9 @@ struct RadReport {
   WriteReport clamped;
 };
 /// Encodes an .rgs with levels as a .rad with a tree: each level, and one Gaussian above the coarsest. Each Gaussian is
-/// below one of its page's parent; of the coarser ones those without any below are left out. options.axes and
-/// options.origin are those of the file. Deterministic. Memory: all levels, decoded, twice. Errors: pages_missing, those
-/// of read_pages() and encode_splats(), limit_exceeded (more than 65,535 Gaussians below one).
+/// below one of its page's parent; coarser ones without any below are left out. options.axes and options.origin are
+/// those of the file. Deterministic. Memory: all levels, decoded, twice. Errors: pages_missing, those of read_pages()
+/// and encode_splats(), limit_exceeded (more than 65,535 Gaussians below one).
 Result<std::vector<std::byte>> encode_rad_with_levels(const PagedFile& file, const WriteOptions& options, int sh_degree,
                                                       RadReport* report = nullptr);
 
