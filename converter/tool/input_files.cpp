@@ -85,7 +85,12 @@ void InputFiles::add_scene(const std::string& path) {
   };
   if (place.filename() == "meta.json") add_all(folder, ".webp");
   if (ending == ".lcc" || ending == ".gltf") add_all(folder, ".bin");
-  if (ending == ".rad") add_all(folder, ".radc");
+  if (ending == ".rad") {  // a.rad of Spark's tool has chunks a-0.radc, a-1.radc, ...
+    constexpr std::array<std::string_view, 1> kChunks{".radc"};
+    const std::string stem = place.stem().string() + "-";
+    for (const std::string& file : files_of(folder, kChunks))
+      if (fs::path(file).filename().string().starts_with(stem)) add(file);
+  }
   if (ending == ".lcc2") add_all(folder / "data" / "3dgs", ".sog", ".spz");
   if (place.filename() != "lod-meta.json") return;
   std::vector<fs::path> sogs;
