@@ -139,6 +139,8 @@ std::string summary_text(const ConvertSummary& s) {
     line("  levels     {}, with {} Gaussians in {} regions in all", s.n_levels, format_count(s.n_stored),
          format_count(s.n_regions));
   }
+  if (s.output_format == "rad" && s.n_levels != 0)
+    line("  levels     {}, with {} Gaussians in all", s.n_levels, format_count(s.n_stored));
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
     if (s.n_pages != 0) {
@@ -221,6 +223,7 @@ std::string summary_json(const ConvertSummary& s) {
   json["lost"] = s.lost;
   json["notes"] = s.notes;
   if (s.n_regions != 0) json["levels"] = {{"levels", s.n_levels}, {"regions", s.n_regions}, {"gaussians", s.n_stored}};
+  if (s.output_format == "rad" && s.n_levels != 0) json["levels"] = {{"levels", s.n_levels}, {"gaussians", s.n_stored}};
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
     ordered_json sections = ordered_json::array();

@@ -166,8 +166,9 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
     if (auto s = declare(declared); !s) return failed(first.path(), s.error());
     return outcome(convert_to_rgs(*ply, options.output(), convert, observer));
   }
-  if (to == SplatFormat::ssog) {
-    if (!has_levels(first.bytes()) || options.edits())
+  const bool with_levels = inputs.size() == 1 && has_levels(first.bytes()) && !options.edits();
+  if (to == SplatFormat::ssog || (to == SplatFormat::rad && with_levels)) {
+    if (!with_levels)
       return failed(first.path(),
                     {Errc::unsupported_feature, 0,
                      "a streamed SOG is written from one .rgs with levels of detail, as it is: write that "
@@ -176,7 +177,8 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
     if (!paged) return failed(first.path(), paged.error());
     convert.encode.axes = options.axes.value_or(paged->head().declarations().axes);
     if (auto s = declare(declared_by(paged->head(), first.name())); !s) return failed(first.path(), s.error());
-    return outcome(convert_to_streamed_sog(*paged, options.output(), convert, observer));
+    return outcome((to == SplatFormat::rad ? convert_to_rad : convert_to_streamed_sog)(*paged, options.output(),
+                                                                                       convert, observer));
   }
   if (from == SplatFormat::rgs && to == SplatFormat::ply && !options.edits() && !has_levels(first.bytes())) {
     const auto view = FileView::open(first.bytes(), options.limits);

@@ -19,6 +19,7 @@
 #include "lcc.hpp"
 #include "npz.hpp"
 #include "pieces.hpp"
+#include "rad.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/paged_file.hpp"
@@ -330,6 +331,10 @@ constexpr Format kFormats[] = {
       "mean 16 bits; rotation 26; scale, opacity, colour 8; harmonics a palette",
       kAxes3dgs, 3, true, {.aa_mode = true}, true, true},
      detail::is_sog, detail::decode_sog, detail::encode_sog},
+    {{SplatFormat::rad, "rad", "", "Spark 2 (three.js), also with .radc beside it; its tree of an .rgs with levels",
+      "mean FP32; rotation 24 bits; scale, opacity, colour, harmonics 8; read from FP16 or 32 too",
+      kAxes3dgs, 3, true, {.levels = true}, false, true},
+     detail::is_rad, detail::decode_rad, detail::encode_rad},
     {{SplatFormat::lcc, "lcc", "", "XGRIDS, beside its index.bin, data.bin and shcoef.bin",
       "mean FP32; scale 16 bits; rotation 32; opacity, colour 8; harmonics 11, 10, 11",
       kAxesLcc, 3, false, {.levels = true}, true, true},
@@ -362,10 +367,9 @@ struct Foreign {
   std::string_view sign;
   const char* advice;
 };
-constexpr const char* kSpark = "a .rad of Spark is not read: convert the scene that it was made from";
 constexpr Foreign kForeign[] = {
-    {detail::begins_with, "RAD0", kSpark},
-    {detail::begins_with, "RADC", kSpark},
+    {detail::begins_with, detail::kRadChunkMagic,
+     "a .radc of Spark, one chunk of a scene, is not read: name the .rad beside it"},
     {detail::begins_with, "PXR-USDC", detail::kUsdCrate},
     {detail::is_json_with, "\"geometricError\"",
      "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
@@ -410,7 +414,8 @@ Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOpt
 }
 
 Result<SplatFile> decode_format(Bytes bytes, const Format& format, const ReadOptions& options) {
-  if (options.level_of_detail && !has_levels(bytes) && format.info.format != SplatFormat::ssog) return no_levels();
+  const bool may_have_levels = format.info.format == SplatFormat::ssog || format.info.format == SplatFormat::rad;
+  if (options.level_of_detail && !has_levels(bytes) && !may_have_levels) return no_levels();
   if (format.read != nullptr) return format.read(bytes, options);
   if (const char* advice = advice_for(bytes)) return make_error(Errc::unsupported_feature, 0, advice);
   static const std::string none = "is not a " + format_list() + " file";
@@ -502,6 +507,8 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     const bool is_lcc = detail::is_lcc(file->bytes()) || detail::is_lcc2(file->bytes());
     const auto read = [&]() -> Result<SplatFile> {
       if (is_lcc) return read_lcc(file->bytes(), folder, options);
+      if (detail::is_rad(file->bytes()))
+        return finish(detail::decode_rad_folder(file->bytes(), folder, options), SplatFormat::rad, 0, options);
       if (is_streamed)
         return finish(detail::decode_streamed_sog_folder(file->bytes(), folder, options), SplatFormat::ssog, 0,
                       options);

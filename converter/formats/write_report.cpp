@@ -12,6 +12,7 @@
 #include "compressed_ply.hpp"
 #include "ksplat.hpp"
 #include "quantised.hpp"
+#include "rad.hpp"
 #include "rgs/quantize.hpp"
 #include "sog.hpp"
 #include "spz.hpp"
@@ -59,6 +60,11 @@ Ranges ranges_of(SplatFormat format) {
   } else if (format == SplatFormat::sog) {
     r.sh_dc = {-static_cast<double>(kMaxSogHarmonic), static_cast<double>(kMaxSogHarmonic)};
     std::ranges::fill(r.sh, r.sh_dc);
+  } else if (format == SplatFormat::rad) {
+    const auto dc = [](float colour) { return static_cast<double>(dc_from_colour(static_cast<double>(colour))); };
+    r.log_scale = {static_cast<double>(kMinRadLogScale), static_cast<double>(kMaxRadLogScale), 1e-6, 0};
+    r.sh_dc = {dc(kMinRadColour), dc(kMaxRadColour), 1e-6};
+    std::ranges::fill(r.sh, Range{-static_cast<double>(kMaxRadSh), static_cast<double>(kMaxRadSh), 1e-6});
   } else if (format == SplatFormat::glb || format == SplatFormat::usda || format == SplatFormat::usdz) {
     r.opacity_logit = {-103.97, 17.328679, 0, 0};  // beyond these it is 0 or 1 as a 32-bit float; infinite, exactly
   }

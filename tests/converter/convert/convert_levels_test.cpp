@@ -484,6 +484,34 @@ TEST_CASE("levels become a streamed SOG, a folder or an archive of the same file
   CHECK(files_below(out) == files);
 }
 
+TEST_CASE("levels become the tree of a .rad, and edited ones or none a .rad without") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(5000, 1, 9)),
+                    levels = folder.file("levels.rgs"), rad = folder.file("scene.rad"), back = folder.file("back.ply");
+  REQUIRE(rgs_convert({"--lod", "--chunk-size", "32", ply, levels}).exit_code == 0);
+  const ProgramResult run = rgs_convert({levels, rad});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("Gaussians in all") != std::string::npos);
+  const auto tree = read_splats(rad);
+  REQUIRE(tree);
+  CHECK(tree->cloud.size() == 5000);
+  CHECK(tree->n_levels > 2);
+  REQUIRE(rgs_convert({"--level-of-detail", "1", rad, back}).exit_code == 0);
+  CHECK(size_of(back) < 2000);
+  for (const std::vector<std::string>& arguments :
+       {std::vector<std::string>{"--overwrite", ply, rad}, {"--overwrite", "--crop=-9,-9,-9,9,9,9", levels, rad}}) {
+    REQUIRE(rgs_convert(arguments).exit_code == 0);
+    const auto flat = read_splats(rad);
+    REQUIRE(flat);
+    CHECK(flat->cloud.size() == 5000);
+    CHECK(flat->n_levels == 0);
+  }
+  // An output may be none of the files that may be read.
+  std::ofstream(folder.file("scene-0.radc")) << "x";
+  CHECK(rgs_convert({"--overwrite", rad, folder.file("scene-0.radc"), "--to", "ply"}).exit_code == 2);
+}
+
 TEST_CASE("a streamed SOG is refused for scenes without levels and for edits, and leaves nothing") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(600, 0, 9)),

@@ -14,10 +14,17 @@ using namespace rgs::test;
 
 namespace {
 
-constexpr SplatFormat kWritable[] = {
-    SplatFormat::compressed_ply, SplatFormat::ply,  SplatFormat::glb, SplatFormat::usda,
-    SplatFormat::usdz,           SplatFormat::spz,  SplatFormat::npz, SplatFormat::sog,
-    SplatFormat::ksplat,         SplatFormat::splat};
+constexpr SplatFormat kWritable[] = {SplatFormat::compressed_ply,
+                                     SplatFormat::ply,
+                                     SplatFormat::glb,
+                                     SplatFormat::usda,
+                                     SplatFormat::usdz,
+                                     SplatFormat::spz,
+                                     SplatFormat::npz,
+                                     SplatFormat::sog,
+                                     SplatFormat::rad,
+                                     SplatFormat::ksplat,
+                                     SplatFormat::splat};
 
 }  // namespace
 
@@ -231,8 +238,7 @@ TEST_CASE("growth: all formats are read and written in linear time, coincident G
 
 TEST_CASE("formats that are not read are named, with what to do, and so is an empty file") {
   const std::pair<std::string, const char*> files[] = {
-      {"RAD0....{\"version\":1}", ".rad of Spark"},
-      {"RADC....{\"version\":1}", ".rad of Spark"},
+      {"RADC....{\"version\":1}", ".radc of Spark"},
       {std::string("PXR-USDC") + std::string(80, '\0'), "OpenUSD"},
       {R"({"asset":{"version":"1.1"},"geometricError":8,"root":{}})", "3D Tiles"},
       {std::string("\x93NUMPY\1\0v", 9) + std::string(90, ' '), ".npy"}};
@@ -256,8 +262,8 @@ TEST_CASE("formats that are not read are named, with what to do, and so is an em
   REQUIRE_FALSE(text);
   CHECK(text.error().code == Errc::bad_magic);
   CHECK(std::string(text.error().what) ==
-        "is not a .rgs, .compressed.ply, .ply, .glb, .usda, .usdz, .spz, .npz, .pt, .ssog, .sog, .lcc, .lcc2, .ksplat "
-        "or .splat file");
+        "is not a .rgs, .compressed.ply, .ply, .glb, .usda, .usdz, .spz, .npz, .pt, .ssog, .sog, .rad, .lcc, .lcc2, "
+        ".ksplat or .splat file");
 }
 
 TEST_CASE("every format has one entry, by which it is found") {

@@ -161,10 +161,10 @@ TEST_CASE("every --help lists the exit codes and the inputs") {
     if (name == "rgs-convert" || name == "rgs-audit" || name == "rgs-prune" || name == "rgs-render" ||
         name == "rgs-view") {
       for (const std::string format : {".rgs", " .ply", ".compressed.ply", ".sog", ".spz", ".splat", ".ksplat", ".glb",
-                                       ".usda", ".usdz", ".npz", ".pt"}) {
+                                       ".usda", ".usdz", ".npz", ".pt", ".rad"}) {
         CAPTURE(format);
         const bool is_shown = format != ".splat" && format != ".ksplat" && format != ".glb" &&
-                              !format.starts_with(".usd") && format != ".npz" && format != ".pt";
+                              !format.starts_with(".usd") && format != ".npz" && format != ".pt" && format != ".rad";
         CHECK((help.out.find(format) != help.out.npos) ==
               (is_shown || name != "rgs-view"));  // only those that its page shows
       }

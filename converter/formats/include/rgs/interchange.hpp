@@ -38,6 +38,7 @@ enum class SplatFormat : std::uint8_t {
   usda,            ///< OpenUSD text with ParticleField3DGaussianSplat
   usdz,            ///< OpenUSD package of a .usda
   npz,             ///< NumPy archive of gsplat's parameters
+  rad,             ///< Spark 2, also with .radc beside it
   pt,              ///< gsplat's checkpoint of PyTorch; read only
   lcc,             ///< XGRIDS, the finest level; read only
   lcc2,            ///< the same
@@ -105,7 +106,7 @@ struct SplatFile {
   std::optional<Declarations> declarations = std::nullopt;
   std::optional<Provenance> provenance = std::nullopt;
   std::vector<std::uint32_t> source_index = {};
-  /// From an .rgs or .ssog with levels of detail: the number of levels, and whether `cloud` is level 0.
+  /// From an .rgs, .ssog or .rad with levels of detail: the number of levels, and whether `cloud` is level 0.
   std::uint32_t n_levels = 0;
   bool finest = true;
   /// What the file also holds and SplatCloud has no field for, one phrase each: extensions of SPZ that do not change
@@ -132,7 +133,8 @@ struct ReadOptions {
   /// mean; SplatFile::unused names them.
   bool skip_unknown_extensions = false;
   Axes spz_axes = kAxes3dgs;  ///< of an SPZ that declares none by a coordinate record
-  /// For an .rgs or .ssog with levels: read this level (0: finest), or of an .rgs the finest cut of at most max_count
+  /// For an .rgs, .ssog or .rad with levels: read this level (0: finest; of a .rad the Gaussians that have at most so
+  /// many generations below them, and whose parents have more), or of an .rgs the finest cut of at most max_count
   /// Gaussians (lod::finest_cut()). Neither: level 0. A level of a file without levels is bad_argument; files without
   /// levels are read whole whatever max_count is.
   std::optional<std::uint32_t> level_of_detail = std::nullopt;
@@ -221,6 +223,18 @@ Result<StreamedSogReport> write_streamed_sog(const PagedFile& file, const WriteO
 
 /// What a file of that format with these options keeps of the scene.
 FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options);
+struct RadReport {
+  std::uint32_t n_levels = 0;
+  std::uint64_t n_stored = 0;  ///< Gaussians of all levels
+  double position_rounding = 0;
+  WriteReport clamped;
+};
+/// Encodes an .rgs with levels as a .rad with a tree: each level, and one Gaussian above the coarsest. Each Gaussian is
+/// below one of its page's parent; coarser ones without any below are left out. options.axes and options.origin are
+/// those of the file. Deterministic. Memory: all levels, decoded, twice. Errors: pages_missing, those of read_pages()
+/// and encode_splats(), limit_exceeded (more than 65,535 Gaussians below one).
+Result<std::vector<std::byte>> encode_rad_with_levels(const PagedFile& file, const WriteOptions& options, int sh_degree,
+                                                      RadReport* report = nullptr);
 
 /// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
 /// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat and
