@@ -204,6 +204,17 @@ TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   REQUIRE(read);
   REQUIRE(read->cloud.size() == 10030);
   check_same(level_of(rgs, 0), read->cloud, 0);
+  // The first two, 5010 Gaussians, end inside a chunk, which those of the third fill that show least.
+  const SplatCloud leaves = level_of(rgs, 0);
+  const auto shows = [&](std::uint64_t i) {
+    float side[3];
+    for (std::size_t k = 0; k < 3; ++k) side[k] = std::exp(leaves.log_scale[3 * i + k]);
+    return (side[0] * side[1] + side[1] * side[2] + side[2] * side[0]) * opacity_from_logit(leaves.opacity_logit[i]);
+  };
+  float most = 0, least = shows(5056);
+  for (std::uint64_t i = 5010; i < 5056; ++i) most = std::max(most, shows(i));
+  for (std::uint64_t i = 5056; i < 6010; ++i) least = std::min(least, shows(i));
+  CHECK(most <= 1.01F * least);
   // Lacking levels are the next finer ones.
   std::uint64_t n[3] = {};
   std::map<std::vector<float>, std::set<float>> errors;  // of regions, by their cores
