@@ -14,6 +14,7 @@
 #include "convert.hpp"
 #include "convert_scenes.hpp"
 #include "interchange_samples.hpp"
+#include "lcc_samples.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
 #include "run_program.hpp"
@@ -123,6 +124,7 @@ TEST_CASE("levels of an .rgs survive a streamed SOG") {
   SplatCloud cloud = ordinary_cloud(30000, 1, 3);
   for (float& x : cloud.mean) x *= 8;              // several regions, which are at most 16 units wide ...
   for (float& x : cloud.log_scale) x = x / 4 - 2;  // ... if they hold more than a few Gaussians
+  for (std::size_t i = 0; i < 900; ++i) cloud.mean[i] *= 40, cloud.log_scale[i] += 4;  // floaters
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), own = folder.file("own.rgs"),
                     ssog = folder.file("scene.ssog"), kept = folder.file("kept.rgs"), again = folder.file("again.rgs");
   REQUIRE(rgs_convert({"--lod", ply, own}).exit_code == 0);
@@ -239,6 +241,35 @@ TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   write_bytes(one, bytes_of(meta.dump()));
   CHECK(rgs_convert({one, rgs}).exit_code == 0);  // no Gaussians, no levels
   CHECK_FALSE(has_levels(read_bytes(rgs)));
+}
+
+TEST_CASE("levels of an LCC become levels of an .rgs") {
+  const TemporaryFolder folder;
+  std::vector<SplatCloud> cells{ordinary_cloud(4000, 3, 1), ordinary_cloud(3, 3, 2), ordinary_cloud(2000, 3, 3)};
+  for (SplatCloud& cell : cells) {
+    for (float& x : cell.log_scale) x = x / 4 - 1;
+  }
+  auto files = lcc(cells);
+  json meta = json::parse(text_of(files.at("a.lcc")));
+  meta["splats"] = {6003, 1500, 1500};
+  files["a.lcc"] = bytes_of(meta.dump());
+  for (const auto& [name, bytes] : files) write_bytes(folder.file(name), bytes);
+  const std::string rgs = folder.file("a.rgs");
+  const ProgramResult run = rgs_convert({folder.file("a.lcc"), rgs});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("not kept") == std::string::npos);
+  const Bytes bytes = read_bytes(rgs);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(validate(*file));
+  std::uint64_t n[3] = {};
+  for (const lod::Page& page : file->pages())
+    n[std::min<std::uint32_t>(page.level, 2)] += page.level < 3 ? page.count : 0;
+  CHECK(n[0] == 6003);
+  CHECK(n[1] == 1500 + 3);  // the second cell has no other level
+  CHECK(n[2] == 1500 + 3);
+  check_same(level_of(rgs, 0), read_splats(folder.file("a.lcc"))->cloud, 0);
 }
 
 TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaussians") {
