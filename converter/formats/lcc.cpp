@@ -378,8 +378,9 @@ Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside
   for (const Run& run : *runs) {
     for (std::uint64_t i = 0; i < run.n; ++i) file.cloud.set(written++, read_record(*lcc, run, i));
   }
-  note_levels(lcc->meta.n_levels, file.unused);
-  std::ranges::rotate(file.unused, file.unused.end() - (lcc->meta.n_levels > 1 ? 1 : 0));
+  std::vector<std::string> levels;
+  note_levels(lcc->meta.n_levels, levels);
+  file.unused.insert(file.unused.begin(), levels.begin(), levels.end());
   return file;
 }
 
