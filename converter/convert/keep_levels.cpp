@@ -8,7 +8,6 @@
 #include <cstddef>
 #include <limits>
 #include <numeric>
-#include <optional>
 #include <span>
 #include <utility>
 
@@ -168,6 +167,7 @@ void enlarge(Box& box, const Box& by) {
   }
 }
 
+// Cuts regions into pages.
 class Cutter {
  public:
   Cutter(const MortonKey& key, const lod::BuildOptions& build, std::uint64_t most_rows, lod::StreamedLevels& out)

@@ -380,8 +380,9 @@ Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside
       if (const Status s = filler.add(read_record(*lcc, run, i)); !s) return tl::unexpected(s.error());
     }
   }
-  note_levels(lcc->meta.n_levels, file.unused);
-  std::ranges::rotate(file.unused, file.unused.end() - (lcc->meta.n_levels > 1 ? 1 : 0));
+  std::vector<std::string> levels;
+  note_levels(lcc->meta.n_levels, levels);
+  file.unused.insert(file.unused.begin(), levels.begin(), levels.end());
   return file;
 }
 

@@ -14,6 +14,7 @@
 #include "convert.hpp"
 #include "convert_scenes.hpp"
 #include "interchange_samples.hpp"
+#include "lcc_samples.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
 #include "run_program.hpp"
@@ -123,6 +124,7 @@ TEST_CASE("levels of an .rgs survive a streamed SOG") {
   SplatCloud cloud = ordinary_cloud(30000, 1, 3);
   for (float& x : cloud.mean) x *= 8;              // several regions, which are at most 16 units wide ...
   for (float& x : cloud.log_scale) x = x / 4 - 2;  // ... if they hold more than a few Gaussians
+  for (std::size_t i = 0; i < 900; ++i) cloud.mean[i] *= 40, cloud.log_scale[i] += 4;  // floaters
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), own = folder.file("own.rgs"),
                     ssog = folder.file("scene.ssog"), kept = folder.file("kept.rgs"), again = folder.file("again.rgs");
   REQUIRE(rgs_convert({"--lod", ply, own}).exit_code == 0);
@@ -204,6 +206,17 @@ TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   REQUIRE(read);
   REQUIRE(read->cloud.size() == 10030);
   check_same(level_of(rgs, 0), read->cloud, 0);
+  // The first two, 5010 Gaussians, end inside a chunk, which those of the third fill that show least.
+  const SplatCloud leaves = level_of(rgs, 0);
+  const auto shows = [&](std::uint64_t i) {
+    float side[3];
+    for (std::size_t k = 0; k < 3; ++k) side[k] = std::exp(leaves.log_scale[3 * i + k]);
+    return (side[0] * side[1] + side[1] * side[2] + side[2] * side[0]) * opacity_from_logit(leaves.opacity_logit[i]);
+  };
+  float most = 0, least = shows(5056);
+  for (std::uint64_t i = 5010; i < 5056; ++i) most = std::max(most, shows(i));
+  for (std::uint64_t i = 5056; i < 6010; ++i) least = std::min(least, shows(i));
+  CHECK(most <= 1.01F * least);
   // Lacking levels are the next finer ones.
   std::uint64_t n[3] = {};
   std::map<std::vector<float>, std::set<float>> errors;  // of regions, by their cores
@@ -220,14 +233,54 @@ TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   CHECK(n[2] == 60 + 10 + 1000 + 40 + 900);
   CHECK(errors.size() == 2 * 4);  // the second is joined to the first
   for (const auto& [core, of_region] : errors) CHECK(of_region.size() == 1);
-  // All of a region with less than a chunk of leaves, and nothing else.
-  const std::string one = streamed_sog(folder, fine, coarse, {{{0, 0, 9030}}, {{1, 0, 3000}}});
-  CHECK(rgs_convert({one, rgs}).exit_code == 0);
+  // A page of large floaters, which are lost above, has an error of its own, so that a check does not refute it.
+  for (std::uint64_t i = 0; i < 9030; ++i) {
+    const bool floats = i % 60 == 0;
+    for (std::size_t k = 0; k < 3 && floats; ++k) fine.mean[3 * i + k] += 300, fine.log_scale[3 * i + k] += 4;
+    if (i % 3 != 0 || i / 3 >= 3000) continue;
+    Splat s = fine.view().splat(i);
+    for (float& x : s.log_scale) x += floats ? -4 : 0.5F;
+    coarse.set(i / 3, s);
+  }
+  const std::string one = streamed_sog(folder, fine, coarse, {{{0, 0, 9030}, {1, 0, 3000}}});
+  REQUIRE(rgs_convert({"--chunk-size", "64", one, rgs}).exit_code == 0);
+  const Bytes floaters = read_bytes(rgs);
+  CHECK(count_refuted(PagedFile::open(floaters).value()) == 0);
+  // Nothing else than a region without Gaussians.
   json meta = json::parse(text_of(read_bytes(one)));
   meta["tree"] = {{"children", {{{"lods", json::object()}}}}};
   write_bytes(one, bytes_of(meta.dump()));
   CHECK(rgs_convert({one, rgs}).exit_code == 0);  // no Gaussians, no levels
   CHECK_FALSE(has_levels(read_bytes(rgs)));
+}
+
+TEST_CASE("levels of an LCC become levels of an .rgs") {
+  const TemporaryFolder folder;
+  std::vector<SplatCloud> cells{ordinary_cloud(4000, 3, 1), ordinary_cloud(3, 3, 2), ordinary_cloud(2000, 3, 3)};
+  for (SplatCloud& cell : cells) {
+    for (float& x : cell.log_scale) x = x / 4 - 1;
+  }
+  auto files = lcc(cells);
+  json meta = json::parse(text_of(files.at("a.lcc")));
+  meta["splats"] = {6003, 1500, 1500};
+  files["a.lcc"] = bytes_of(meta.dump());
+  for (const auto& [name, bytes] : files) write_bytes(folder.file(name), bytes);
+  const std::string rgs = folder.file("a.rgs");
+  const ProgramResult run = rgs_convert({folder.file("a.lcc"), rgs});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("not kept") == std::string::npos);
+  const Bytes bytes = read_bytes(rgs);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(validate(*file));
+  std::uint64_t n[3] = {};
+  for (const lod::Page& page : file->pages())
+    n[std::min<std::uint32_t>(page.level, 2)] += page.level < 3 ? page.count : 0;
+  CHECK(n[0] == 6003);
+  CHECK(n[1] == 1500 + 3);  // the second cell has no other level
+  CHECK(n[2] == 1500 + 3);
+  check_same(level_of(rgs, 0), read_splats(folder.file("a.lcc"))->cloud, 0);
 }
 
 TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaussians") {

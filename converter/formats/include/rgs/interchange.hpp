@@ -71,7 +71,7 @@ struct FormatInfo {
   int sh_degree = 3;      ///< the highest that is written; of ksplat 3 is read
   bool writable = false;  ///< by encode_splats(), .rgs by encode(), .ssog by write_streamed_sog()
   struct Keeps {
-    bool levels = false;  ///< of detail
+    bool levels = false;  ///< of detail, as those of an .rgs; read by open_levels()
     bool origin = false;  ///< formats without hold FP32 positions; of spz only version 4: keeps_of()
     bool aa_mode = false;
     bool declarations = false;       ///< low-pass, colour space and metres per unit; axes, where none are prescribed
