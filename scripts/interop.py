@@ -179,7 +179,8 @@ def steps_of(kind, path, cloud):
         n = int(header.split(b"element chunk ")[1].split()[0])
         bounds = np.frombuffer(data, "<f4", 18 * n, len(header)).reshape(n, 6, 3).astype(np.float64)
         low, high = bounds[:, ::2], bounds[:, 1::2]
-        mean, scale, colour = np.repeat((high - low) / np.array([[2047, 1023, 2047]] * 2 + [[255] * 3]), 256, 0)[:len(cloud["mean"])].transpose(1, 0, 2)
+        by_chunk = (high - low) / np.array([[2047, 1023, 2047], [2047, 1023, 2047], [255, 255, 255]])
+        mean, scale, colour = np.repeat(by_chunk, 256, 0)[:len(cloud["mean"])].transpose(1, 0, 2)
         return by_name(mean, scale, eight_bits, three, colour / 0.282, 1 / 32)
     if kind in ("sog", "lod-meta.json"):
         return by_name(width / 65535 * (1 + np.abs(cloud["mean"])), np.inf, eight_bits, 2 ** 0.5 / 255, np.inf)
@@ -322,8 +323,8 @@ def main():
 
         def by_others(jobs):
             """Errors, or None, of jobs [peer, "read" or "write" or "validate", from, to, option] of web/viewer/test/peers.mjs."""
-            path("jobs.json").write_text(json.dumps([dict(zip(("peer", "does", "from", "to", "option"), map(str, job[:4]))) | {"option": job[4]}
-                                                     for job in jobs]))
+            words = [dict(zip(("peer", "does", "from", "to"), map(str, job))) | {"option": job[4]} for job in jobs]
+            path("jobs.json").write_text(json.dumps(words))
             command = ["node", ROOT / "web/viewer/test/peers.mjs", path("jobs.json")]
             return json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()[-1])
 
@@ -359,8 +360,8 @@ def main():
             check(f"{what} as it is read here", there, as_held(reader, here[kind]), slack, None, not theirs_too)
             if reader == "Spark":  # what it cuts off depends on what was rounded
                 slack |= dict.fromkeys(("sh1", "sh2", "sh3"), np.inf)
-            check(f"{what} as the scene", there, as_held(reader, as_held(kind, scene)), slack, steps_of(kind, path(FORMATS[kind][0]), there),
-                  kind not in REORDERED and not theirs_too)
+            check(f"{what} as the scene", there, as_held(reader, as_held(kind, scene)), slack,
+                  steps_of(kind, path(FORMATS[kind][0]), there), kind not in REORDERED and not theirs_too)
         for writer, kind, name, option in WRITERS:
             if writer == "splat-transform":
                 theirs(*option, scene_path, path(name))
@@ -371,8 +372,9 @@ def main():
             cloud = load(ours, path(name), "here.ply")
             what = f"{writer} {version(PACKAGES[writer])} writes {kind}"
             slack = {name: value + rounding_of(writer, kind)[name] for name, value in rounding(scene, kind).items()}
-            check(what + (", rounded down," if writer == "splat-transform" and kind in ("sog", "lod-meta.json") else "") + " as the scene", cloud,
-                  as_held(kind, scene), slack, steps_of(kind, path(name), cloud), kind in ("ply", "glb") or kind.startswith("spz"))
+            down = ", rounded down," if writer == "splat-transform" and kind in ("sog", "lod-meta.json") else ""
+            check(f"{what}{down} as the scene", cloud, as_held(kind, scene), slack, steps_of(kind, path(name), cloud),
+                  kind in ("ply", "glb") or kind.startswith("spz"))
             if writer == "splat-transform" and kind != "glb":  # which it does not read
                 theirs(*(["-L", "0"] if kind == "lod-meta.json" else []), path(name), path("there.ply"))
                 check(f"{what} as it reads it", cloud, read_ply(path("there.ply")), rounding(scene, kind))

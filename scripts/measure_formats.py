@@ -20,6 +20,7 @@ import subprocess
 import sys
 
 import plot_formats
+from interop import version
 from shrink_record import text
 
 # name, options of rgs-make-scene
@@ -32,13 +33,13 @@ WRITTEN += [(f"rgs archive{preset}, step {step}", f"step{step}.rgs", ["--profile
 WRITTEN += [("compressed.ply", "scene.compressed.ply", [])]
 WRITTEN += [(f"spz {version}", f"scene{version}.spz", ["--spz-version", str(version)]) for version in (2, 3, 4)]
 WRITTEN += [("splat", "scene.splat", []), ("ksplat, level 1", "scene.ksplat", []), ("sog", "scene.sog", [])]
-TRANSFORM, SPLATS3D = "@playcanvas/splat-transform@3.7.0", "@mkkellogg/gaussian-splats-3d@0.4.7"
+TRANSFORM, SPLATS3D = "@playcanvas/splat-transform", "@mkkellogg/gaussian-splats-3d"
 LGSC, LGSC_COMMIT = "https://github.com/qualcomm/lite-3Dgsplat-codec.git", "a78ee6e"
 # format, writer, name of the file, command
-PEERS = [(kind, "splat-transform 3.7.0", f"peer.{kind}",
-          ["npx", "--yes", TRANSFORM, "-q", "-w", "-g", "cpu", "{input}", "{output}"])
+PEERS = [(kind, f"splat-transform {version(TRANSFORM)}", f"peer.{kind}",
+          ["npx", "--yes", f"{TRANSFORM}@{version(TRANSFORM)}", "-q", "-w", "-g", "cpu", "{input}", "{output}"])
          for kind in ("compressed.ply", "spz")]
-PEERS += [(f"ksplat, level {level}", "GaussianSplats3D 0.4.7", f"peer{level}.ksplat",
+PEERS += [(f"ksplat, level {level}", f"GaussianSplats3D {version(SPLATS3D)}", f"peer{level}.ksplat",
            ["node", "{work}/write_ksplat.mjs", "{input}", "{output}", str(level)]) for level in range(3)]
 PEERS += [(f"L-GSC, level {level}", "L-GSC 1.0", f"peer{level}.lgsc",
            ["{work}/lgsc/build/source/lgsc-api-example1", "-c", "{output}.cfg"]) for level in range(3)]
@@ -110,7 +111,7 @@ def write_as_peers(ply, work):
                         f"mode=1\nreconstructedDataPath={drawn}\ncompressedStreamPath={path}\noutputBinaryPly=1\n"]
         if not drawn.exists():
             if command[0] == "node" and not (tools / "node_modules/@mkkellogg").exists():
-                run("npm", "install", "--silent", "--prefix", tools, SPLATS3D)
+                run("npm", "install", "--silent", "--prefix", tools, f"{SPLATS3D}@{version(SPLATS3D)}")
             for words in settings:
                 if words:
                     pathlib.Path(f"{path}.cfg").write_text(words)

@@ -14,7 +14,7 @@ import numpy as np
 from interop import differences, nearest, read_ply, shaped
 from measure_formats import WRITTEN, cpu_name, run
 
-FORMATS = [("ply", "scene.back.ply", []), ("glb", "scene.glb", []), ("usda", "scene.usda", []), ("usdz", "scene.usdz", []), ("npz", "scene.npz", []),
+FORMATS = [("ply", "scene.back.ply", []), *((kind, f"scene.{kind}", []) for kind in ("glb", "usda", "usdz", "npz")),
            *((kind, name, options) for kind, name, options in WRITTEN if "step" not in kind),
            *((f"rgs archive{preset}", f"archive{preset[1:]}.rgs", ["--profile", f"archive{preset}"]) for preset in (":high", ":small", ":tiny")),
            ("lod-meta.json", "streamed/lod-meta.json", [])]
@@ -61,8 +61,8 @@ def main():
         backs.append(back)
         # What a file states.
         file = work / "declared.rgs"
-        written = json.loads(convert("--json", *(["--lod"] if is_rgs else []), *options, work / ("declared.levels.rgs" if streamed else "declared.ply"),
-                                     file if is_rgs else path))
+        source = work / ("declared.levels.rgs" if streamed else "declared.ply")
+        written = json.loads(convert("--json", *(["--lod"] if is_rgs else []), *options, source, file if is_rgs else path))
         if not is_rgs:
             convert("--allow-rounding", path, file)
         stated = info(file)
@@ -79,8 +79,8 @@ def main():
         rest = [apart[f"sh{degree}"] for degree in (1, 2, 3) if f"sh{degree}" in apart]
         if rest:
             apart["rest"] = np.concatenate(rest, 1)
-        cells = [f"{number(apart[name].mean())}, {number(apart[name].max())}" if name in apart else "" for name in ("mean", "scale", "rotation", "shape", "opacity", "sh0", "rest")]
-        rows.append([kind, ", ".join(lost), order, *cells])
+        columns = [apart.get(name) for name in ("mean", "scale", "rotation", "shape", "opacity", "sh0", "rest")]
+        rows.append([kind, ", ".join(lost), order, *("" if c is None else f"{number(c.mean())}, {number(c.max())}" for c in columns)])
     report = work / "audit.json"
     run(arguments.bin / "rgs-audit", work / "scene.ply", backs[0], *(f"--also={back}" for back in backs[1:]), "--cameras", work / "cameras.json",
         "--size", "640x360", "--no-attribution", "--no-distances", "--quiet", "--overwrite", "--json", report)

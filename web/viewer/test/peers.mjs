@@ -6,6 +6,8 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { zstdDecompressSync } from "node:zlib";
 
 const kC0 = 0.28209479177387814;
+const [kMean, kSh0] = [["x", "y", "z"], ["f_dc_0", "f_dc_1", "f_dc_2"]];
+const [kScale, kRotation] = [["scale_0", "scale_1", "scale_2"], ["rot_0", "rot_1", "rot_2", "rot_3"]];
 const range = (n, f) => Array.from({ length: n }, (_, i) => f(i));
 /** A slice of `size` numbers for each Gaussian. */
 const rows = (values, size) => (i) => values.slice(size * i, size * (i + 1));
@@ -16,14 +18,15 @@ const buffer = (bytes) => bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset 
 /** The i-th Gaussian: mean, logarithms of scale, rotation w, x, y, z, opacity's logit, sh0, and rest [coefficients * 3]. */
 function writePly(path, n, gaussian) {
   const nRest = gaussian(0).rest.length / 3;
-  const names = ["x", "y", "z", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "opacity", "f_dc_0", "f_dc_1", "f_dc_2", ...range(3 * nRest, (i) => `f_rest_${i}`)];
+  const names = [...kMean, ...kScale, ...kRotation, "opacity", ...kSh0, ...range(3 * nRest, (i) => `f_rest_${i}`)];
   const body = new Float32Array(n * names.length);
   for (let i = 0; i < n; ++i) {
     const { mean, scale, rotation, opacity, sh0, rest } = gaussian(i);
-    body.set([...mean, ...scale, ...rotation, opacity, ...sh0, ...range(3 * nRest, (k) => rest[3 * (k % nRest) + Math.floor(k / nRest)])], i * names.length);
+    const byChannel = range(3 * nRest, (k) => rest[3 * (k % nRest) + Math.floor(k / nRest)]);
+    body.set([...mean, ...scale, ...rotation, opacity, ...sh0, ...byChannel], i * names.length);
   }
-  const header = ["ply", "format binary_little_endian 1.0", `element vertex ${n}`, ...names.map((name) => `property float ${name}`), "end_header\n"].join("\n");
-  writeFileSync(path, Buffer.concat([Buffer.from(header), Buffer.from(body.buffer)]));
+  const header = ["ply", "format binary_little_endian 1.0", `element vertex ${n}`, ...names.map((name) => `property float ${name}`), "end_header"];
+  writeFileSync(path, Buffer.concat([Buffer.from(`${header.join("\n")}\n`), Buffer.from(body.buffer)]));
 }
 
 // Spark's readers run in a worker, GaussianSplats3D looks for a window.
@@ -74,40 +77,51 @@ async function readBySplats3d(bytes, name) {
     splats.getSplatScaleAndRotation(i, scale, q);
     splats.getSplatColor(i, colours);
     const [r, g, b, opacity] = colours.toArray().map((code) => code / 255);
-    return { mean: mean.toArray(), scale: scale.toArray().map(Math.log), rotation: [q.w, q.x, q.y, q.z], opacity: logit(opacity), sh0: [r, g, b].map(colour), rest: rows(sh, size)(i) };
+    const rest = rows(sh, size)(i);
+    return { mean: mean.toArray(), scale: scale.toArray().map(Math.log), rotation: [q.w, q.x, q.y, q.z], opacity: logit(opacity), sh0: [r, g, b].map(colour), rest };
   }];
 }
 
 async function readByPlayCanvas(bytes, name) {
   const { Asset, GSplatHandler, NullGraphicsDevice, WasmModule } = await import("playcanvas");
   const { SpzParser } = await import("playcanvas/scripts/esm/parsers/spz-parser.mjs");
-  const app = { graphicsDevice: new NullGraphicsDevice({ addEventListener() {}, getContext() {} }), scene: { gsplatCentersEnabled: false } };
+  const graphicsDevice = new NullGraphicsDevice({ addEventListener() {}, getContext() {} });
+  const app = { graphicsDevice, scene: { gsplatCentersEnabled: false } };
   const handler = new GSplatHandler(app);
   handler.addParser(new SpzParser(app));
-  const asset = new Asset(name, "gsplat", { url: name, contents: name.endsWith(".ply") ? new Response(bytes) : buffer(bytes) }, { reorder: false, decompress: true });
+  const contents = name.endsWith(".ply") ? new Response(bytes) : buffer(bytes);
+  const asset = new Asset(name, "gsplat", { url: name, contents }, { reorder: false, decompress: true });
   WasmModule.getInstance = (_, callback) => callback({ decompress: (from) => zstdDecompressSync(from) });
   WasmModule.setConfig("ZstdDecoderModule", {});
-  const { gsplatData: data } = await new Promise((resolve, reject) => handler.load({ load: name, original: name }, (error, resource) => (error ? reject(error) : resolve(resource)), asset));
+  const { gsplatData: data } = await new Promise((resolve, reject) => {
+    handler.load({ load: name, original: name }, (error, resource) => (error ? reject(error) : resolve(resource)), asset);
+  });
   if (data.getProp) {
-    const column = (property) => data.getProp(property);
-    const columns = (...names) => {
-      const found = names.map(column);
+    const columns = (names) => {
+      const found = names.map((name) => data.getProp(name));
       return (i) => found.map((values) => values[i]);
     };
     const nRest = [0, 3, 8, 15][data.shBands];
-    const [mean, scale, rotation, opacity, sh0] = [columns("x", "y", "z"), columns("scale_0", "scale_1", "scale_2"), columns("rot_0", "rot_1", "rot_2", "rot_3"), columns("opacity"), columns("f_dc_0", "f_dc_1", "f_dc_2")];
-    const rest = columns(...range(3 * nRest, (k) => `f_rest_${(k % 3) * nRest + Math.floor(k / 3)}`));
+    const [mean, scale, rotation, opacity, sh0] = [kMean, kScale, kRotation, ["opacity"], kSh0].map(columns);
+    const rest = columns(range(3 * nRest, (k) => `f_rest_${(k % 3) * nRest + Math.floor(k / 3)}`));
     return [data.numSplats, (i) => ({ mean: mean(i), scale: scale(i), rotation: rotation(i), opacity: opacity(i)[0], sh0: sh0(i), rest: rest(i) })];
   }
   // An SPZ stays as it is until the shader decodes it; its rotations are left to the tests of pictures.
   const [mean, scale, sh0, rest] = [rows(data.getCenters(), 3), rows(data.scales, 3), rows(data.colors, 3), rows(data.sh, 3 * data.shDim)];
-  const centred = (code) => (code - 128) / 128;
-  return [data.numSplats, (i) => ({ mean: mean(i), scale: [...scale(i)].map((code) => code / 16 - 10), rotation: [1, 0, 0, 0], opacity: logit(data.alphas[i] / 255), sh0: [...sh0(i)].map((code) => (code / 255 - 0.5) / 0.15), rest: [...rest(i)].map(centred) })];
+  return [data.numSplats, (i) => ({
+    mean: mean(i),
+    scale: [...scale(i)].map((code) => code / 16 - 10),
+    rotation: [1, 0, 0, 0],
+    opacity: logit(data.alphas[i] / 255),
+    sh0: [...sh0(i)].map((code) => (code / 255 - 0.5) / 0.15),
+    rest: [...rest(i)].map((code) => (code - 128) / 128),
+  })];
 }
 
 /** The arrays of the reference library. */
 function cloud({ numPoints, positions, scales, rotations, alphas, colors, sh }) {
-  const [mean, scale, rotation, sh0, rest] = [rows(positions, 3), rows(scales, 3), rows(rotations, 4), rows(colors, 3), rows(sh, sh.length / numPoints)];
+  const [mean, scale, rotation, sh0] = [rows(positions, 3), rows(scales, 3), rows(rotations, 4), rows(colors, 3)];
+  const rest = rows(sh, sh.length / numPoints);
   return [numPoints, (i) => {
     const [x, y, z, w] = rotation(i);
     return { mean: mean(i), scale: scale(i), rotation: [w, x, y, z], opacity: alphas[i], sh0: sh0(i), rest: rest(i) };
@@ -151,7 +165,8 @@ const kWrite = {
 /** The errors of the validator that are not about the names of the splats' attributes, which it does not know. */
 async function validate(bytes) {
   const { issues } = await (await import("gltf-validator")).default.validateBytes(bytes);
-  const found = issues.messages.filter(({ severity, code, pointer }) => severity === 0 && !(code === "MESH_PRIMITIVE_INVALID_ATTRIBUTE" && pointer.includes("/KHR_gaussian_splatting:")));
+  const ofExtension = ({ code, pointer }) => code === "MESH_PRIMITIVE_INVALID_ATTRIBUTE" && pointer.includes("/KHR_gaussian_splatting:");
+  const found = issues.messages.filter((issue) => issue.severity === 0 && !ofExtension(issue));
   if (found.length > 0 || issues.truncated) throw new Error(found.map(({ message }) => message).join("; ") || "too many issues");
 }
 

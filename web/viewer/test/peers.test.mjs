@@ -1,7 +1,7 @@
 // peers.test.mjs - other programs read the files of rgs-convert, and it theirs, with every Gaussian in the same place.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { execFileSync } from "node:child_process";
+import { execFileSync, spawnSync } from "node:child_process";
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
@@ -55,9 +55,10 @@ test("other programs and rgs-convert read each other's files", (t) => {
   const cli = join(dirname(fileURLToPath(import.meta.resolve("@playcanvas/splat-transform"))), "../bin/cli.mjs");
   const script = fileURLToPath(new URL("../../../scripts/interop.py", import.meta.url));
   const env = { ...process.env, RGS_SPLAT_TRANSFORM: `${process.execPath} ${cli}` };
-  const said = execFileSync("/usr/bin/python3", [script, "--bin", dirname(program("rgs-convert"))], { env, encoding: "utf8" });
-  assert.match(said, /Spark.* reads/);
-  t.diagnostic(said);
+  const { status, stdout, stderr } = spawnSync("/usr/bin/python3", [script, "--bin", dirname(program("rgs-convert"))], { env, encoding: "utf8" });
+  for (const line of stdout.trim().split("\n")) t.diagnostic(line);
+  assert.equal(status, 0, stderr);
+  assert.match(stdout, /Spark.* reads/, "the others are installed");
 });
 
 test("rgs-convert turns an SPZ that declares its axes as the reference library does", () => {
