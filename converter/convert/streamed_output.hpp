@@ -1,4 +1,4 @@
-// streamed_output.hpp - the files of a streamed SOG: a folder, or a zip archive.
+// streamed_output.hpp - the files of a streamed SOG or a tileset: a folder, or a zip archive.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -28,6 +28,7 @@
 #include "spz.hpp"
 #include "stated_scene.hpp"
 #include "streamed_sog.hpp"
+#include "tileset.hpp"
 #include "torch_checkpoint.hpp"
 #include "usd_splats.hpp"
 #include "write_report.hpp"
@@ -248,6 +249,14 @@ constexpr Format kFormats[] = {
       "FP32; damaged Gaussians too",
       kAxes3dgs, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, true},
      is_ply, read_within<decode_ply>, encode_ply},
+    {{SplatFormat::tileset, "tileset.json", "tileset.json", "3D Tiles 1.0 and 1.1 above glTF with splats; written with .spz.glb",
+      "as .spz.glb; read as .glb",
+      kAxes3dTiles, 3, true, {.levels = true, .origin = true, .aa_mode = true, .declarations = true}, false, true},
+     detail::is_tileset, detail::decode_lone_tileset},
+    {{SplatFormat::spz_glb, "spz.glb", "", "the next with an SPZ inside (KHR_gaussian_splatting_compression_spz_2)",
+      "as .spz, version 3",
+      kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
+     detail::is_spz_glb, detail::decode_gltf, detail::encode_spz_glb},
     {{SplatFormat::glb, "glb", "", "glTF 2.0 with KHR_gaussian_splatting, also .gltf; written as .glb",
       "FP32; read from integers of 8 and 16 bits too",
       kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, false, true},
@@ -317,8 +326,8 @@ constexpr Foreign kForeign[] = {
     {detail::begins_with, "RAD0", kSpark},
     {detail::begins_with, "RADC", kSpark},
     {detail::begins_with, "PXR-USDC", detail::kUsdCrate},
-    {detail::is_json_with, "\"geometricError\"",
-     "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
+    {detail::is_zip_with, "@3dtilesIndex1@",
+     "a .3tz, 3D Tiles in one file, is not read: unzip it and name its tileset.json"},
     {detail::begins_with, "\x93NUMPY",
      "one array, a .npy, is not read: put gsplat's arrays into one .npz (numpy.savez)"},
 };
@@ -360,7 +369,9 @@ Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOpt
 }
 
 Result<SplatFile> decode_format(Bytes bytes, const Format& format, const ReadOptions& options) {
-  if (options.level_of_detail && !has_levels(bytes) && format.info.format != SplatFormat::ssog) return no_levels();
+  if (options.level_of_detail && !has_levels(bytes) && format.info.format != SplatFormat::ssog &&
+      format.info.format != SplatFormat::tileset)
+    return no_levels();
   if (format.read != nullptr) return format.read(bytes, options);
   if (const char* advice = advice_for(bytes)) return make_error(Errc::unsupported_feature, 0, advice);
   static const std::string none = "is not a " + format_list() + " file";
@@ -450,6 +461,9 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     const bool is_gltf = maybe_gltf && detail::is_gltf_text(file->bytes());
     const bool is_streamed = detail::is_streamed_sog_meta(file->bytes());
     const bool is_lcc = detail::is_lcc(file->bytes()) || detail::is_lcc2(file->bytes());
+    if (detail::is_tileset(file->bytes())) {
+      return finish(detail::decode_tileset_folder(file->bytes(), folder, options), SplatFormat::tileset, 0, options);
+    }
     if (is_lcc || (!is_gltf && !is_streamed && !detail::is_sog_meta(file->bytes()))) {
       auto splats = is_lcc ? read_lcc(file->bytes(), folder, options) : read_splats(file->bytes(), options);
       // A change of the file explains any other error.
@@ -467,10 +481,12 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
 
 Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin) {
   return detail::guard_memory([&]() -> Result<double> {
-    if (format_info(format).keeps.origin || (origin == kNoOrigin && format != SplatFormat::spz)) return 0.0;
-    const std::vector<float> positions = positions_of(splats, origin);
+    const bool is_spz = detail::holds_spz(format), keeps_origin = format_info(format).keeps.origin;
+    if (!is_spz && (keeps_origin || origin == kNoOrigin)) return 0.0;
+    const Origin& added = keeps_origin ? kNoOrigin : origin;
+    const std::vector<float> positions = positions_of(splats, added);
     int bits = 0;
-    if (format == SplatFormat::spz) {
+    if (is_spz) {
       SplatView placed = splats;
       placed.mean = positions;
       const auto chosen = detail::choose_fractional_bits(placed);
@@ -480,8 +496,8 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
     double largest = 0;
     for (std::size_t i = 0; i < positions.size(); ++i) {
       double held = static_cast<double>(positions[i]);
-      if (format == SplatFormat::spz) held = std::ldexp(std::floor(std::ldexp(held, bits) + 0.5), -bits);
-      const double error = std::fabs(held - (origin[i % 3] + static_cast<double>(splats.mean[i])));
+      if (is_spz) held = std::ldexp(std::floor(std::ldexp(held, bits) + 0.5), -bits);
+      const double error = std::fabs(held - (added[i % 3] + static_cast<double>(splats.mean[i])));
       if (std::isfinite(error)) largest = std::max(largest, error);
     }
     return largest;

@@ -1,4 +1,4 @@
-// convert_to_streamed_sog.cpp - writes the levels of an .rgs as a streamed SOG, in the memory of one of its SOGs.
+// convert_levels.cpp - writes the levels of an .rgs as a streamed SOG or a tileset, in the memory of one of its files.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 
@@ -8,23 +8,21 @@
 
 namespace rgs {
 
-Result<ConvertSummary> convert_to_streamed_sog(const PagedFile& source, const std::string& output_path,
-                                               const ConvertOptions& options, const StageObserver& observer) {
+Result<ConvertSummary> convert_levels(const PagedFile& source, SplatFormat format, const std::string& output_path,
+                                      const ConvertOptions& options, const StageObserver& observer) {
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
   auto output = StreamedOutput::create(output_path, options.output);
   if (!output) return tl::unexpected(output.error());
   const EncodeOptions& encode = options.encode;
-  WriteOptions write;
-  write.aa_mode = encode.aa_mode;
-  write.axes = encode.axes;
-  write.threads = encode.archive.threads;
-  write.strict = options.strict;
+  WriteOptions write = write_options(options);
   write.origin = source.head().declarations().origin;
   clock.begin("encode", 0, "");
-  const auto written = write_streamed_sog(
-      source, write, encode.sh_degree,
-      [&](const std::string& name, std::span<const std::byte> bytes) { return output->put(name, bytes); });
+  const PutFile put = [&](const std::string& name, std::span<const std::byte> bytes) {
+    return output->put(name, bytes);
+  };
+  const auto written = format == SplatFormat::ssog ? write_streamed_sog(source, write, encode.sh_degree, put)
+                                                   : write_tileset(source, write, encode.sh_degree, put);
   if (!written) return tl::unexpected(written.error());
   clock.begin("commit", 0, "");
   const auto synced = output->commit();
@@ -32,12 +30,13 @@ Result<ConvertSummary> convert_to_streamed_sog(const PagedFile& source, const st
   clock.end();
   summary.sync_seconds = *synced;
   summary.source_format = format_name(SplatFormat::rgs);
-  summary.output_format = format_name(SplatFormat::ssog);
+  summary.output_format = format_name(format);
   summary.source_bytes = source.head().bytes().size();
   summary.output_bytes = output->bytes();
   summary.n_source = summary.n_written = source.head().header().n_gaussians;
   summary.source_sh_degree = source.head().header().sh_degree;
   summary.sh_degree = std::min(summary.source_sh_degree, encode.sh_degree);
+  if (format_info(format).keeps.origin) summary.origin = write.origin;
   summary.n_levels = written->n_levels;
   summary.n_regions = written->n_regions;
   summary.n_stored = written->n_stored;
@@ -45,8 +44,8 @@ Result<ConvertSummary> convert_to_streamed_sog(const PagedFile& source, const st
   summary.position_rounding = written->position_rounding;
   summary.declarations = source.head().declarations();
   EncodeOptions turned = encode;
-  if (encode.axes[0] != Axis::undeclared) turned.axes = kAxes3dgs;
-  summary.lost = lost_declarations(SplatFormat::ssog, turned);
+  if (encode.axes[0] != Axis::undeclared) turned.axes = format_info(format).axes;
+  summary.lost = lost_declarations(format, turned);
   return summary;
 }
 
