@@ -62,9 +62,9 @@ struct ConvertSummary {
   std::vector<std::string> lost;   ///< declarations of the source that the output cannot state
   std::vector<std::string> notes;  ///< disagreements of inputs, and the like
   Header header;
-  std::uint32_t n_levels = 0, n_pages = 0;  ///< of an .rgs with levels of detail; n_levels also of .ssog and .rad
-  std::uint32_t n_regions = 0;              ///< of a streamed SOG
-  std::uint64_t n_stored = 0;               ///< Gaussians of all levels of these
+  std::uint32_t n_levels = 0, n_pages = 0;  ///< of an .rgs with levels of detail; n_levels also of what convert_levels() writes
+  std::uint32_t n_regions = 0;              ///< of a streamed SOG; tiles of a tileset
+  std::uint64_t n_stored = 0;               ///< Gaussians of all levels of these and of a .rad
   std::vector<SectionEntry> sections;
   float min_scale = 0, max_scale = 0, min_opacity = 0, max_opacity = 0;
   std::vector<std::pair<const char*, double>> seconds;  ///< by stage, in order
@@ -120,15 +120,12 @@ Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::str
                                           const AtomicFile::Options& output, const StageObserver& observer = {},
                                           const std::optional<Declarations>& stated = std::nullopt);
 
-/// Writes an .rgs with levels as a streamed SOG: write_streamed_sog(), StreamedOutput. options.encode.axes are those of
-/// the file. Errors: theirs.
-Result<ConvertSummary> convert_to_streamed_sog(const PagedFile& source, const std::string& output_path,
-                                               const ConvertOptions& options, const StageObserver& observer = {});
-
-/// Writes an .rgs with levels as a .rad with a tree: encode_rad_with_levels(). options.encode.axes are those of the
-/// file. Errors: its, AtomicFile's.
-Result<ConvertSummary> convert_to_rad(const PagedFile& source, const std::string& output_path,
+/// Writes an .rgs with levels as a streamed SOG, tileset or .rad: write_streamed_sog(), write_tileset(), write_rad().
+/// options.encode.axes are those of the file. Errors: theirs, SceneOutput's.
+Result<ConvertSummary> convert_levels(const PagedFile& source, SplatFormat format, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer = {});
+/// Those of encode_splats() that are in `options`; without the origin.
+WriteOptions write_options(const ConvertOptions& options);
 
 struct LoadedScene {
   SplatCloud cloud;

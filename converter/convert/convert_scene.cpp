@@ -9,6 +9,7 @@
 #include "convert.hpp"
 #include "rgs/splat_edit.hpp"
 #include "stage_clock.hpp"
+#include "streamed_output.hpp"
 
 namespace rgs {
 namespace {
@@ -27,13 +28,33 @@ bool knows_positions(const SplatFile& file) {
   return file.finest && (!file.source_index.empty() || (d.order == Order::input && d.n_dropped == 0));
 }
 
+   }
+    auto file = AtomicFile::create(path, options);
+    if (!file) return tl::unexpected(file.error());
+    file_ = std::move(*file);
+    return {};
+  }
+  Status put(const std::string& name, std::span<const std::byte> bytes) {
+    if (folder_) return folder_->put(name, bytes);
+    bytes_ = bytes.size();
+    return file_.write_at(0, bytes);
+  }
+  Result<double> commit() { return folder_ ? folder_->commit() : file_.commit(); }
+  std::uint64_t bytes() const { return folder_ ? folder_->bytes() : bytes_; }
+
+ private:
+  AtomicFile file_;
+  std::optional<StreamedOutput> folder_;
+  std::uint64_t bytes_ = 0;
+};
+
 // For formats other than .rgs: handles damage, then encodes the file in memory.
 Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const std::string& output_path,
                                    const ConvertOptions& options, const StageObserver& observer) {
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
-  auto file = AtomicFile::create(output_path, options.output);
-  if (!file) return tl::unexpected(file.error());
+  SceneOutput output;
+  if (Status s = output.create(format, output_path, options.output); !s) return tl::unexpected(s.error());
   strip_sh(scene.cloud, options.encode.sh_degree);
   clock.begin("encode", 0, "");
   if (format != SplatFormat::ply) {
@@ -42,28 +63,25 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
     summary.n_repaired = scan->n_repaired();
     for (std::size_t i = 0; i < kDefectKinds; ++i) summary.defects[i] = scan->defects(static_cast<Defect>(i));
   }
-  WriteOptions write;
-  write.colour_space = options.encode.colour_space;
-  write.aa_mode = options.encode.aa_mode;
-  write.low_pass_px2 = options.encode.low_pass_px2;
-  write.metres_per_unit = options.encode.metres_per_unit;
-  write.axes = options.encode.axes;
-  write.keep_order = options.encode.order == Order::input;
-  write.threads = options.encode.archive.threads;
-  write.spz_version = options.spz_version;
-  write.strict = options.strict;
+  WriteOptions write = write_options(options);
   write.origin = scene.origin;
-  write.crs = options.encode.crs;
   const auto rounding = position_rounding(scene.cloud.view(), format, write);
   if (!rounding) return tl::unexpected(rounding.error());
   summary.position_rounding = *rounding;
   const FormatInfo::Keeps keeps = keeps_of(format, write);
   summary.origin = keeps.origin ? scene.origin : kNoOrigin;
-  const auto bytes = encode_splats(scene.cloud.view(), format, write, &summary.clamped);
-  if (!bytes) return tl::unexpected(bytes.error());
+  if (format == SplatFormat::tileset) {
+    const auto tile =
+        write_tileset(scene.cloud.view(), write, [&](const auto&... file) { return output.put(file...); });
+    if (!tile) return tl::unexpected(tile.error());
+    summary.clamped = tile->clamped;
+  } else {
+    const auto bytes = encode_splats(scene.cloud.view(), format, write, &summary.clamped);
+    if (!bytes) return tl::unexpected(bytes.error());
+    if (const Status s = output.put("", *bytes); !s) return tl::unexpected(s.error());
+  }
   clock.begin("commit", 0, "");
-  if (const Status s = file->write_at(0, *bytes); !s) return tl::unexpected(s.error());
-  const auto synced = file->commit();
+  const auto synced = output.commit();
   if (!synced) return tl::unexpected(synced.error());
   clock.end();
   summary.sync_seconds = *synced;
@@ -80,13 +98,28 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   summary.declarations.metres_per_unit = options.encode.metres_per_unit;
   summary.declarations.crs = options.encode.crs;
   summary.spz_version = format == SplatFormat::spz ? options.spz_version : 0;
-  summary.output_bytes = bytes->size();
+  summary.output_bytes = output.bytes();
   summary.n_written = scene.cloud.size();
   summary.sh_degree = std::min(format_info(format).sh_degree, scene.cloud.sh_degree);
   return summary;
 }
 
 }  // namespace
+
+WriteOptions write_options(const ConvertOptions& options) {
+  WriteOptions write;
+  write.colour_space = options.encode.colour_space;
+  write.aa_mode = options.encode.aa_mode;
+  write.low_pass_px2 = options.encode.low_pass_px2;
+  write.metres_per_unit = options.encode.metres_per_unit;
+  write.axes = options.encode.axes;
+  write.keep_order = options.encode.order == Order::input;
+  write.threads = options.encode.archive.threads;
+  write.spz_version = options.spz_version;
+  write.strict = options.strict;
+  write.crs = options.encode.crs;
+  return write;
+}
 
 bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& file, std::span<const std::uint64_t> kept,
                  bool edited) {

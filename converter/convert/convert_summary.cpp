@@ -136,8 +136,8 @@ std::string summary_text(const ConvertSummary& s) {
   if (s.spz_version != 0) line("  version    {}", s.spz_version);
   for (const std::string& what : s.unused) line("  not kept   {}", what);
   if (s.n_regions != 0) {
-    line("  levels     {}, with {} Gaussians in {} regions in all", s.n_levels, format_count(s.n_stored),
-         format_count(s.n_regions));
+    line("  levels     {}, with {} Gaussians in {} {} in all", s.n_levels, format_count(s.n_stored),
+         format_count(s.n_regions), s.output_format == format_name(SplatFormat::tileset) ? "tiles" : "regions");
   }
   if (s.output_format == "rad" && s.n_levels != 0)
     line("  levels     {}, with {} Gaussians in all", s.n_levels, format_count(s.n_stored));

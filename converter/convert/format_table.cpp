@@ -34,11 +34,12 @@ std::string format_table() {
   std::vector<Row> precision{{"format", "precision"}};
   const auto mark = [](bool keeps_it) { return keeps_it ? "yes" : "-"; };
   for (const FormatInfo& f : all_formats()) {
-    const char* frame = f.axes == kAxesGltf     ? "gltf"
-                        : f.axes == kAxesOpenGl ? "opengl"
-                        : f.axes == kAxesLcc    ? "lcc"
-                        : f.keeps.declarations  ? "3dgs or declared"
-                                                : "3dgs";
+    const char* frame = f.axes == kAxesGltf      ? "gltf"
+                        : f.axes == kAxesOpenGl  ? "opengl"
+                        : f.axes == kAxesLcc     ? "lcc"
+                        : f.axes == kAxes3dTiles ? "3dtiles"
+                        : f.keeps.declarations   ? "3dgs or declared"
+                                                 : "3dgs";
     const std::string names = std::string(".") + f.name + (*f.other_name == 0 ? "" : ", ") + f.other_name;
     keeps.push_back({names, f.writable ? "yes" : "read only", frame, std::to_string(f.sh_degree), mark(f.keeps.levels),
                      mark(f.keeps.origin), mark(f.keeps.aa_mode), mark(f.keeps.declarations), mark(f.in_parts),

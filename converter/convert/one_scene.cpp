@@ -167,7 +167,7 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
     return outcome(convert_to_rgs(*ply, options.output(), convert, observer));
   }
   const bool with_levels = inputs.size() == 1 && has_levels(first.bytes()) && !options.edits();
-  if (to == SplatFormat::ssog || (to == SplatFormat::rad && with_levels)) {
+  if (to == SplatFormat::ssog || (with_levels && (to == SplatFormat::rad || to == SplatFormat::tileset))) {
     if (!with_levels)
       return failed(first.path(),
                     {Errc::unsupported_feature, 0,
@@ -177,8 +177,7 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
     if (!paged) return failed(first.path(), paged.error());
     convert.encode.axes = options.axes.value_or(paged->head().declarations().axes);
     if (auto s = declare(declared_by(paged->head(), first.name())); !s) return failed(first.path(), s.error());
-    return outcome((to == SplatFormat::rad ? convert_to_rad : convert_to_streamed_sog)(*paged, options.output(),
-                                                                                       convert, observer));
+    return outcome(convert_levels(*paged, to, options.output(), convert, observer));
   }
   if (from == SplatFormat::rgs && to == SplatFormat::ply && !options.edits() && !has_levels(first.bytes())) {
     const auto view = FileView::open(first.bytes(), options.limits);
@@ -330,6 +329,8 @@ std::optional<std::string> OutputOptions::check_format(const SceneOptions& scene
   if (format != SplatFormat::spz && spz_version) return "--spz-version is for .spz outputs";
   if (format_info(format).axes != kAxes3dgs && scene.to_axes)
     return std::string("the axes of ") + format_name(format) + " are prescribed by the format";
+  if (format == SplatFormat::tileset && !scene.output().ends_with(".json"))
+    return "a tileset is a folder: name its tileset.json";
   if (format == SplatFormat::spz && scene.to_axes) return "--spz-axes chooses the axes of .spz outputs";
   return std::nullopt;
 }

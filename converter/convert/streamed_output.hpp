@@ -1,14 +1,17 @@
-// streamed_output.hpp - the files of a streamed SOG: a folder, or a zip archive.
+// streamed_output.hpp - the files of a streamed SOG or a tileset: a folder, or a zip archive.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "rgs/file.hpp"
+#include "rgs/interchange.hpp"
 #include "rgs/result.hpp"
 
 namespace rgs {
@@ -47,5 +50,16 @@ class StreamedOutput {
   double sync_seconds_ = 0;
   bool made_folder_ = false;
 };
+
+/// A file, or the StreamedOutput of a streamed SOG or tileset.
+class SceneOutput {
+ public:
+  Status create(SplatFormat format, const std::string& path, const AtomicFile::Options& options) {
+    if (format == SplatFormat::tileset || format == SplatFormat::ssog) {
+      auto folder = StreamedOutput::create(path, options);
+      if (!folder) return tl::unexpected(folder.error());
+      folder_.emplace(std::move(*folder));
+      return {};
+ 
 
 }  // namespace rgs

@@ -6,7 +6,6 @@
 #include <array>
 #include <filesystem>
 #include <limits>
-#include <string_view>
 #include <utility>
 
 #include "json_member.hpp"
@@ -78,7 +77,8 @@ std::optional<std::vector<std::byte>> decode_base64(std::string_view text) {
   return bytes;
 }
 
-// The file that a relative URI names, in one spelling; nullopt if it may leave the folder, or is an address on the web.
+}  // namespace
+
 std::optional<std::string> file_within_folder(std::string_view uri) {
   std::string path;
   for (std::size_t i = 0; i < uri.size(); ++i) {
@@ -97,8 +97,6 @@ std::optional<std::string> file_within_folder(std::string_view uri) {
   if (path.empty() || path.front() == '/' || ("/" + path + "/").find("/../") != std::string::npos) return std::nullopt;
   return std::filesystem::path(path).lexically_normal().string();
 }
-
-}  // namespace
 
 std::optional<std::uint64_t> gltf_whole(const json& object, const char* name, std::optional<std::uint64_t> otherwise) {
   const json* value = json_member(object, name);

@@ -12,6 +12,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "quantised.hpp"
@@ -26,6 +27,9 @@ inline constexpr std::uint64_t kGlbHeaderBytes = 12, kChunkHeaderBytes = 8;
 /// A member that is a count or an offset; `otherwise` if absent, nullopt if it is anything else or above 2^32.
 std::optional<std::uint64_t> gltf_whole(const nlohmann::json& object, const char* name,
                                         std::optional<std::uint64_t> otherwise);
+
+/// The file that a relative URI names, in one spelling; nullopt if it may leave the folder, or is an address on the web.
+std::optional<std::string> file_within_folder(std::string_view uri);
 
 enum class GltfComponent : std::uint64_t { i8 = 5120, u8 = 5121, i16 = 5122, u16 = 5123, u32 = 5125, f32 = 5126 };
 

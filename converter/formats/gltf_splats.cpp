@@ -42,6 +42,7 @@ constexpr const char* kExtension = "KHR_gaussian_splatting";
 // KhronosGroup/glTF), and one before them beside it.
 constexpr std::array kSpzExtensions{"KHR_gaussian_splatting_compression_spz_2",
                                     "KHR_gaussian_splatting_compression_spz"};
+constexpr std::uint64_t kMostGlbBytes = std::numeric_limits<std::uint32_t>::max() - 65536;  // leaves room for the JSON
 constexpr const char* kSpzAlone = "KHR_spz_gaussian_splats_compression";
 constexpr std::uint64_t kSpzBytesWithoutSh = 19;  // of a decoded Gaussian, at least
 constexpr int kMaxNodeDepth = 64;
@@ -417,6 +418,20 @@ class BufferBuilder {
     }
     return add_accessor({{"componentType", GltfComponent::u8}, {"normalized", true}, {"count", n_}, {"type", "VEC4"}});
   }
+  /// An array that the SPZ of this primitive holds.
+  std::size_t add_packed(const char* type, GltfComponent component = GltfComponent::f32) {
+    ordered_json accessor{{"componentType", component}, {"count", n_}, {"type", type}};
+    if (component == GltfComponent::u8) accessor["normalized"] = true;
+    accessors_.push_back(std::move(accessor));
+    return accessors_.size() - 1;
+  }
+  /// Returns the view's index.
+  std::size_t add_bytes(std::vector<std::byte> bytes) {
+    views_.push_back({{"buffer", 0}, {"byteOffset", 0}, {"byteLength", bytes.size()}});
+    bin_ = std::move(bytes);
+    bin_.resize((bin_.size() + 3) / 4 * 4);
+    return views_.size() - 1;
+  }
   ordered_json& accessor(std::size_t i) { return accessors_[i]; }
   const ordered_json& views() const { return views_; }
   const ordered_json& accessors() const { return accessors_; }
@@ -488,30 +503,37 @@ ordered_json add_attributes(const SplatView& splats, const StatedScene& stated, 
   return attributes;
 }
 
-std::string make_json(const SplatView& splats, const StatedScene& stated, BufferBuilder& buffer) {
-  const ordered_json attributes = add_attributes(splats, stated, buffer);
-  ordered_json root;
-  root["asset"] = {{"version", "2.0"}, {"generator", "RoofGS"}};
-  root["extensionsUsed"] = {kExtension};
+ordered_json asset() {
+  return {{"version", "2.0"}, {"generator", "RoofGS"}};
+}
+
+// A .glb of one primitive at one node.
+std::vector<std::byte> make_glb(ordered_json root, ordered_json node, ordered_json primitive, const StatedScene& stated,
+                                const BufferBuilder& buffer) {
   root["scene"] = 0;
   root["scenes"] = ordered_json::array({{{"nodes", {0}}}});
-  root["nodes"] = ordered_json::array({{{"mesh", 0}}});
-  if (stated.origin != kNoOrigin) root["nodes"][0]["translation"] = stated.origin;
-  ordered_json primitive;
-  primitive["attributes"] = attributes;
-  primitive["mode"] = kModePoints;
-  primitive["extensions"][kExtension] = {
-      {"kernel", "ellipse"},
-      {"colorSpace",
-       stated.colour_space == ColourSpace::linear_display ? "lin_rec709_display" : "srgb_rec709_display"}};
-  if (ordered_json extras = extras_of(stated); !extras.is_null()) primitive["extras"] = std::move(extras);
+  node["mesh"] = 0;
+  root["nodes"] = ordered_json::array({std::move(node)});
+  if (ordered_json extras = extras_of(stated); !extras.is_null()) primitive["extras"].update(extras, true);
   root["meshes"] = ordered_json::array({{{"primitives", ordered_json::array({primitive})}}});
   root["buffers"] = ordered_json::array({{{"byteLength", buffer.bin().size()}}});
   root["bufferViews"] = buffer.views();
   root["accessors"] = buffer.accessors();
   std::string text = root.dump();
   text.resize((text.size() + 3) / 4 * 4, ' ');
-  return text;
+  const std::uint64_t bin_header = kGlbHeaderBytes + kChunkHeaderBytes + text.size();
+  const std::uint64_t total = bin_header + kChunkHeaderBytes + buffer.bin().size();
+  std::vector<std::byte> file(total);
+  store(std::span(file), 0, kMagicGlb);
+  store(std::span(file), 4, std::uint32_t{2});
+  store(std::span(file), 8, static_cast<std::uint32_t>(total));
+  store(std::span(file), 12, static_cast<std::uint32_t>(text.size()));
+  store(std::span(file), 16, kChunkJson);
+  std::memcpy(&file[kGlbHeaderBytes + kChunkHeaderBytes], text.data(), text.size());
+  store(std::span(file), bin_header, static_cast<std::uint32_t>(buffer.bin().size()));
+  store(std::span(file), bin_header + 4, kChunkBin);
+  std::ranges::copy(buffer.bin(), file.begin() + static_cast<std::ptrdiff_t>(bin_header + kChunkHeaderBytes));
+  return file;
 }
 
 Result<SplatFile> read_scene(GltfDocument& gltf, const ReadOptions& options) {
@@ -575,26 +597,61 @@ Result<SplatFile> decode_gltf_folder(std::span<const std::byte> bytes, const std
 
 Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const WriteOptions& options) {
   const std::uint64_t each = 4 * (11 + 1 + 3 * static_cast<std::uint64_t>(sh_coefficients(splats.sh_degree)));
-  constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint32_t>::max() - 65536;  // leaves room for the JSON
-  if (splats.n > kMostBytes / each) {
+  if (splats.n > kMostGlbBytes / each) {
     return make_error(Errc::limit_exceeded, Error::kNone,
-                      "a .glb holds at most 4 GiB; strip harmonics or split the scene", kMostBytes / each, splats.n);
+                      "a .glb holds at most 4 GiB; strip harmonics or split the scene", kMostGlbBytes / each, splats.n);
   }
+  const StatedScene stated = stated_scene(options);
   BufferBuilder buffer(splats.n);
-  const std::string text = make_json(splats, stated_scene(options), buffer);
-  const std::uint64_t bin_header = kGlbHeaderBytes + kChunkHeaderBytes + text.size();
-  const std::uint64_t total = bin_header + kChunkHeaderBytes + buffer.bin().size();
-  std::vector<std::byte> file(total);
-  store(std::span(file), 0, kMagicGlb);
-  store(std::span(file), 4, std::uint32_t{2});
-  store(std::span(file), 8, static_cast<std::uint32_t>(total));
-  store(std::span(file), 12, static_cast<std::uint32_t>(text.size()));
-  store(std::span(file), 16, kChunkJson);
-  std::memcpy(&file[kGlbHeaderBytes + kChunkHeaderBytes], text.data(), text.size());
-  store(std::span(file), bin_header, static_cast<std::uint32_t>(buffer.bin().size()));
-  store(std::span(file), bin_header + 4, kChunkBin);
-  std::ranges::copy(buffer.bin(), file.begin() + static_cast<std::ptrdiff_t>(bin_header + kChunkHeaderBytes));
-  return file;
+  ordered_json root, node, primitive;
+  root["asset"] = asset();
+  root["extensionsUsed"] = {kExtension};
+  if (stated.origin != kNoOrigin) node["translation"] = stated.origin;
+  primitive["attributes"] = add_attributes(splats, stated, buffer);
+  primitive["mode"] = kModePoints;
+  primitive["extensions"][kExtension] = {
+      {"kernel", "ellipse"},
+      {"colorSpace",
+       stated.colour_space == ColourSpace::linear_display ? "lin_rec709_display" : "srgb_rec709_display"}};
+  return make_glb(std::move(root), std::move(node), std::move(primitive), stated, buffer);
+}
+
+bool is_spz_glb(std::span<const std::byte> bytes) {
+  const std::string_view text = text_of(bytes).substr(0, 65536);
+  return begins_with(bytes, "glTF") && (text.find("compression_spz") != text.npos || text.find(kSpzAlone) != text.npos);
+}
+
+// As files for CesiumJS 1.145 are: it wants the node's matrix, and of attributes those of its decoder, so neither
+// opacity nor harmonics of degree 0, which are in COLOR_0. Kernel and colour space are not stated: with them a reader
+// may make the half turn of the later draft.
+Result<std::vector<std::byte>> encode_spz_glb(const SplatView& splats, const WriteOptions& options) {
+  auto spz = encode_spz(splats, options);
+  if (!spz) return spz;
+  if (spz->size() > kMostGlbBytes) {
+    return make_error(Errc::limit_exceeded, Error::kNone,
+                      "a .glb holds at most 4 GiB; strip harmonics or split the scene", kMostGlbBytes, spz->size());
+  }
+  const StatedScene stated = stated_scene(options);
+  BufferBuilder buffer(splats.n);
+  ordered_json root, node, primitive;
+  root["asset"] = asset();
+  root["extensionsUsed"] = {kExtension, kSpzExtensions[0]};
+  root["extensionsRequired"] = root["extensionsUsed"];
+  glm::dmat4 matrix(1.0);
+  for (int k = 0; k < 3; ++k) matrix[3][k] = stated.origin[static_cast<std::size_t>(k)];
+  node["matrix"] = std::span<const double, 16>(glm::value_ptr(matrix), 16);
+  ordered_json& attributes = primitive["attributes"];
+  attributes["POSITION"] = buffer.add_packed("VEC3");
+  add_bounds(buffer.accessor(0), splats.mean);
+  attributes["COLOR_0"] = buffer.add_packed("VEC4", GltfComponent::u8);
+  attributes[attribute("ROTATION")] = buffer.add_packed("VEC4");
+  attributes[attribute("SCALE")] = buffer.add_packed("VEC3");
+  for (int c = 1; c < sh_coefficients(splats.sh_degree); ++c) attributes[sh_attribute(c)] = buffer.add_packed("VEC3");
+  primitive["mode"] = kModePoints;
+  primitive["extensions"][kExtension]["extensions"][kSpzExtensions[0]]["bufferView"] =
+      buffer.add_bytes(std::move(*spz));
+  if (stated.colour_space == ColourSpace::linear_display) primitive["extras"]["rgs"]["colour_space"] = "linear";
+  return make_glb(std::move(root), std::move(node), std::move(primitive), stated, buffer);
 }
 
 }  // namespace rgs::detail

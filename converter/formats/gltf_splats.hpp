@@ -27,4 +27,9 @@ Result<SplatFile> decode_gltf_folder(std::span<const std::byte> bytes, const std
 /// for which the extension has no field go into its extras. Errors: limit_exceeded (above 4 GiB).
 Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const WriteOptions& options);
 
+/// A .glb that names one of the extensions for SPZ.
+bool is_spz_glb(std::span<const std::byte> bytes);
+/// The same with its Gaussians in an SPZ, as encode_spz() writes it, in the axes of glTF.
+Result<std::vector<std::byte>> encode_spz_glb(const SplatView& splats, const WriteOptions& options);
+
 }  // namespace rgs::detail

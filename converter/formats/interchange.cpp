@@ -32,6 +32,7 @@
 #include "spz_georeference.hpp"
 #include "stated_scene.hpp"
 #include "streamed_sog.hpp"
+#include "tileset.hpp"
 #include "torch_checkpoint.hpp"
 #include "usd_splats.hpp"
 #include "write_report.hpp"
@@ -299,6 +300,14 @@ constexpr Format kFormats[] = {
       "FP32; damaged Gaussians too",
       kAxes3dgs, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, true},
      is_ply, decode_ply, encode_ply},
+    {{SplatFormat::tileset, "tileset.json", "tileset.json", "3D Tiles 1.0 and 1.1 above glTF with splats; written with .spz.glb",
+      "as .spz.glb; read as .glb",
+      kAxes3dTiles, 3, true, {.levels = true, .origin = true, .aa_mode = true, .declarations = true}, false, true},
+     detail::is_tileset, detail::decode_lone_tileset},
+    {{SplatFormat::spz_glb, "spz.glb", "", "the next with an SPZ inside (KHR_gaussian_splatting_compression_spz_2)",
+      "as .spz, version 3",
+      kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}},
+     detail::is_spz_glb, detail::decode_gltf, detail::encode_spz_glb},
     {{SplatFormat::glb, "glb", "", "glTF 2.0 with KHR_gaussian_splatting, also .gltf; written as .glb",
       "FP32; read from integers of 8 and 16 bits too",
       kAxesGltf, 3, true, {.origin = true, .aa_mode = true, .declarations = true}, false, true},
@@ -371,8 +380,8 @@ constexpr Foreign kForeign[] = {
     {detail::begins_with, detail::kRadChunkMagic,
      "a .radc of Spark, one chunk of a scene, is not read: name the .rad beside it"},
     {detail::begins_with, "PXR-USDC", detail::kUsdCrate},
-    {detail::is_json_with, "\"geometricError\"",
-     "a tileset of 3D Tiles is not read: convert the scene that it was made from"},
+    {detail::is_zip_with, "@3dtilesIndex1@",
+     "a .3tz, 3D Tiles in one file, is not read: unzip it and name its tileset.json"},
     {detail::begins_with, "\x93NUMPY",
      "one array, a .npy, is not read: put gsplat's arrays into one .npz (numpy.savez)"},
 };
@@ -414,7 +423,8 @@ Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOpt
 }
 
 Result<SplatFile> decode_format(Bytes bytes, const Format& format, const ReadOptions& options) {
-  const bool may_have_levels = format.info.format == SplatFormat::ssog || format.info.format == SplatFormat::rad;
+  const bool may_have_levels = format.info.format == SplatFormat::ssog || format.info.format == SplatFormat::rad ||
+                               format.info.format == SplatFormat::tileset;
   if (options.level_of_detail && !has_levels(bytes) && !may_have_levels) return no_levels();
   if (format.read != nullptr) return format.read(bytes, options);
   if (const char* advice = advice_for(bytes)) return make_error(Errc::unsupported_feature, 0, advice);
@@ -509,6 +519,8 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
       if (is_lcc) return read_lcc(file->bytes(), folder, options);
       if (detail::is_rad(file->bytes()))
         return finish(detail::decode_rad_folder(file->bytes(), folder, options), SplatFormat::rad, 0, options);
+      if (detail::is_tileset(file->bytes()))
+        return finish(detail::decode_tileset_folder(file->bytes(), folder, options), SplatFormat::tileset, 0, options);
       if (is_streamed)
         return finish(detail::decode_streamed_sog_folder(file->bytes(), folder, options), SplatFormat::ssog, 0,
                       options);
@@ -570,10 +582,11 @@ Result<LevelTree> open_levels(std::span<const std::byte> bytes, const std::strin
 Result<double> position_rounding(const SplatView& splats, SplatFormat format, const WriteOptions& options) {
   return detail::guard_memory([&]() -> Result<double> {
     const Origin origin = keeps_of(format, options).origin ? kNoOrigin : options.origin;
-    if (origin == kNoOrigin && format != SplatFormat::spz) return 0.0;
+    const bool is_spz = detail::holds_spz(format);
+    if (origin == kNoOrigin && !is_spz) return 0.0;
     const std::vector<float> positions = positions_of(splats, origin);
     int bits = 0;
-    if (format == SplatFormat::spz) {
+    if (is_spz) {
       SplatView placed = splats;
       placed.mean = positions;
       const auto chosen = detail::choose_fractional_bits(placed);
@@ -583,7 +596,7 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
     double largest = 0;
     for (std::size_t i = 0; i < positions.size(); ++i) {
       double held = static_cast<double>(positions[i]);
-      if (format == SplatFormat::spz) held = std::ldexp(std::floor(std::ldexp(held, bits) + 0.5), -bits);
+      if (is_spz) held = std::ldexp(std::floor(std::ldexp(held, bits) + 0.5), -bits);
       const double error = std::fabs(held - (origin[i % 3] + static_cast<double>(splats.mean[i])));
       if (std::isfinite(error)) largest = std::max(largest, error);
     }

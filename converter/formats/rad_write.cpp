@@ -436,9 +436,8 @@ Result<std::vector<std::byte>> encode_rad(const SplatView& splats, const WriteOp
 
 }  // namespace detail
 
-Result<std::vector<std::byte>> encode_rad_with_levels(const PagedFile& file, const WriteOptions& options, int sh_degree,
-                                                      RadReport* report) {
-  return detail::guard_memory([&]() -> Result<std::vector<std::byte>> {
+Result<LevelsReport> write_rad(const PagedFile& file, const WriteOptions& options, int sh_degree, const PutFile& put) {
+  return detail::guard_memory([&]() -> Result<LevelsReport> {
     if (!file.complete())
       return make_error(Errc::pages_missing, Error::kNone, "the end of the file is missing, and pages with it");
     if (file.n_stored() >= detail::kNone)
@@ -455,7 +454,7 @@ Result<std::vector<std::byte>> encode_rad_with_levels(const PagedFile& file, con
     if (origin != kNoOrigin && options.strict)
       return make_error(Errc::bad_value, Error::kNone,
                         "the format holds no origin: positions would be rounded to FP32; drop --strict");
-    const auto rounding = position_rounding(cloud->view(), SplatFormat::rad, origin);
+    const auto rounding = position_rounding(cloud->view(), SplatFormat::rad, {.origin = origin});
     if (!rounding) return tl::unexpected(rounding.error());
     if (origin != kNoOrigin) {
       for (std::size_t i = 0; i < cloud->mean.size(); ++i)
@@ -466,9 +465,10 @@ Result<std::vector<std::byte>> encode_rad_with_levels(const PagedFile& file, con
     *cloud = {};
     const WriteReport clamped = detail::measure_clamping(forest->cloud.view(), SplatFormat::rad);
     if (Status s = detail::refuse_clamping(clamped); options.strict && !s) return tl::unexpected(s.error());
-    if (report != nullptr)
-      *report = {file.n_levels() + (forest->has_root ? 1 : 0), forest->cloud.size(), *rounding, clamped};
-    return detail::encode_rad_chunks(forest->cloud.view(), &forest->tree, options.threads);
+    const auto bytes = detail::encode_rad_chunks(forest->cloud.view(), &forest->tree, options.threads);
+    if (!bytes) return tl::unexpected(bytes.error());
+    if (const Status s = put("", *bytes); !s) return tl::unexpected(s.error());
+    return LevelsReport{file.n_levels() + (forest->has_root ? 1 : 0), 0, forest->cloud.size(), *rounding, clamped};
   });
 }
 

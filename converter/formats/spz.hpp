@@ -15,6 +15,11 @@ inline constexpr double kSpzColourScale = 0.15;
 /// Default fractional bits of means; fewer if one is far out.
 inline constexpr int kSpzFractionalBits = 12;
 
+/// Formats whose Gaussians are written as SPZ.
+constexpr bool holds_spz(SplatFormat format) {
+  return format == SplatFormat::spz || format == SplatFormat::spz_glb || format == SplatFormat::tileset;
+}
+
 /// As many fractional bits as the farthest mean allows, at most the default: steps are 2^-bits units. Errors: bad_value
 /// if no number of bits suffices; the offset is the Gaussian's index.
 Result<int> choose_fractional_bits(const SplatView& splats);

@@ -14,6 +14,8 @@
 #include "rgs/interchange.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/splat_edit.hpp"
+#include "tree_pages.hpp"
+#include "write_report.hpp"
 #include "zip_archive.hpp"
 
 namespace rgs {
@@ -53,12 +55,6 @@ std::uint32_t choose_region_level(const std::vector<lod::Page>& pages) {
   return 0;
 }
 
-// A region's pages of one level.
-struct Run {
-  std::vector<std::uint32_t> pages;
-  std::uint64_t count = 0;
-};
-
 struct Region {
   std::uint32_t page = 0;
   Json lods = Json::object();
@@ -73,7 +69,7 @@ class Writer {
     options_.keep_order = true;
   }
 
-  Result<StreamedSogReport> write() {
+  Result<LevelsReport> write() {
     const std::uint32_t coarsest = choose_region_level(pages_);
     for (const std::uint32_t page : lod::pages_of_level(pages_, coarsest)) regions_.push_back({page});
     report_.n_levels = coarsest + 1;
@@ -97,20 +93,6 @@ class Writer {
   }
 
  private:
-  // Pages of `level` below a page of the regions' level.
-  Run run_of(std::uint32_t page, std::uint32_t level) const {
-    Run run{{page}, 0};
-    while (pages_[run.pages.front()].level > level) {
-      std::vector<std::uint32_t> children;
-      for (const std::uint32_t i : run.pages) {
-        for (std::uint32_t k = 0; k < pages_[i].n_children; ++k) children.push_back(pages_[i].first_child + k);
-      }
-      run.pages = std::move(children);
-    }
-    for (const std::uint32_t i : run.pages) run.count += pages_[i].count;
-    return run;
-  }
-
   Status write_level(std::uint32_t level) {
     std::vector<std::uint32_t> pages;  // of the SOG to be written
     std::uint64_t n = 0, n_level = 0, n_sogs = 0;
@@ -121,7 +103,7 @@ class Writer {
       return s;
     };
     for (Region& region : regions_) {
-      const Run run = run_of(region.page, level);
+      const detail::PageRun run = detail::pages_below(pages_, region.page, level);
       if (n != 0 && n + run.count > kMostGaussians) {
         if (Status s = flush(); !s) return s;
       }
@@ -146,7 +128,7 @@ class Writer {
     WriteReport clamped;
     const auto zipped = encode_splats(cloud->view(), SplatFormat::sog, options_, &clamped);
     if (!zipped) return tl::unexpected(zipped.error());
-    add(clamped);
+    detail::add_report(report_.clamped, clamped);
     const auto archive = detail::ZipArchive::open(*zipped);
     if (!archive) return tl::unexpected(archive.error());
     const std::string folder = name + "/";
@@ -156,32 +138,12 @@ class Writer {
       if (Status s = put_(folder + file, *bytes); !s) return s;
     }
     filenames_.push_back(folder + "meta.json");
-    ++report_.n_sogs;
     return {};
   }
 
-  void add(const WriteReport& more) {
-    for (Clamped WriteReport::*of : {&WriteReport::mean, &WriteReport::log_scale, &WriteReport::opacity_logit,
-                                     &WriteReport::sh_dc, &WriteReport::sh}) {
-      (report_.clamped.*of).n += (more.*of).n;
-      (report_.clamped.*of).largest = std::max((report_.clamped.*of).largest, (more.*of).largest);
-    }
-  }
-
   Json bound(const Box& box) const {
-    Origin low, high;
-    for (std::size_t k = 0; k < 3; ++k) {
-      low[k] = static_cast<double>(box.min[k]);
-      high[k] = static_cast<double>(box.max[k]);
-    }
-    convert_axes(low, axes_, kAxes3dgs);
-    convert_axes(high, axes_, kAxes3dgs);
-    for (std::size_t k = 0; k < 3; ++k) {
-      if (low[k] > high[k]) std::swap(low[k], high[k]);  // a mirrored axis
-      low[k] += options_.origin[k];
-      high[k] += options_.origin[k];
-    }
-    return {{"min", low}, {"max", high}};
+    const WorldBox turned = detail::turned_box(box, axes_, kAxes3dgs, options_.origin);
+    return {{"min", turned.min}, {"max", turned.max}};
   }
 
   // In the order of regions.
@@ -205,14 +167,14 @@ class Writer {
   std::vector<Region> regions_;
   std::vector<std::uint64_t> counts_;
   std::vector<std::string> filenames_;
-  StreamedSogReport report_;
+  LevelsReport report_;
 };
 
 }  // namespace
 
-Result<StreamedSogReport> write_streamed_sog(const PagedFile& file, const WriteOptions& options, int sh_degree,
-                                             const PutFile& put) {
-  return detail::guard_memory([&]() -> Result<StreamedSogReport> {
+Result<LevelsReport> write_streamed_sog(const PagedFile& file, const WriteOptions& options, int sh_degree,
+                                        const PutFile& put) {
+  return detail::guard_memory([&]() -> Result<LevelsReport> {
     if (!file.complete())
       return make_error(Errc::pages_missing, Error::kNone, "the end of the file is missing, and pages with it");
     return Writer(file, options, sh_degree, put).write();

@@ -39,7 +39,7 @@ struct Ranges {
 
 Ranges ranges_of(SplatFormat format) {
   Ranges r;
-  if (format == SplatFormat::spz) {
+  if (holds_spz(format)) {
     r.log_scale = {-10, 255 / 16.0 - 10, 1 / 32.0, static_cast<double>(kMaxLogScale)};
     r.sh_dc = {-0.5 / kSpzColourScale, 0.5 / kSpzColourScale, 0.5 / 255 / kSpzColourScale};
     r.sh[0] = {-1, 127 / 128.0, 1 / 32.0};
@@ -158,7 +158,7 @@ Clamped count_coarse_means(const SplatView& splats) {
 WriteReport measure_clamping(const SplatView& splats, SplatFormat format) {
   const Ranges ranges = ranges_of(format);
   WriteReport report;
-  if (format == SplatFormat::spz) report.mean = count_coarse_means(splats);
+  if (holds_spz(format)) report.mean = count_coarse_means(splats);
   report.log_scale = count_beyond(splats.log_scale, 3, 3, ranges.log_scale);
   report.opacity_logit = count_beyond(splats.opacity_logit, 1, 1, ranges.opacity_logit);
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(splats.sh_degree));
@@ -178,6 +178,14 @@ Status refuse_clamping(const WriteReport& report) {
     if (clamped.n != 0) return make_error(Errc::bad_value, Error::kNone, what, 0, clamped.n);
   }
   return {};
+}
+
+void add_report(WriteReport& report, const WriteReport& more) {
+  for (Clamped WriteReport::*of : {&WriteReport::mean, &WriteReport::log_scale, &WriteReport::opacity_logit,
+                                   &WriteReport::sh_dc, &WriteReport::sh}) {
+    (report.*of).n += (more.*of).n;
+    (report.*of).largest = std::max((report.*of).largest, (more.*of).largest);
+  }
 }
 
 }  // namespace rgs::detail

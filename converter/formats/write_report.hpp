@@ -12,4 +12,7 @@ WriteReport measure_clamping(const SplatView& splats, SplatFormat format);
 /// An error if anything was clamped: bad_value, found: how many Gaussians.
 Status refuse_clamping(const WriteReport& report);
 
+/// Counts `more` too.
+void add_report(WriteReport& report, const WriteReport& more);
+
 }  // namespace rgs::detail

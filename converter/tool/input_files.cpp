@@ -98,6 +98,19 @@ void InputFiles::add_scene(const std::string& path) {
       if (fs::path(file).filename().string().starts_with(stem)) add(file);
   }
   if (ending == ".lcc2") add_all(folder / "data" / "3dgs", ".sog", ".spz");
+  if (place.filename().string().ends_with("tileset.json")) {
+    std::vector<std::string> contents;
+    std::error_code failed;
+    for (fs::recursive_directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed)) {
+      const std::string its = lower_case(it->path().extension().string());
+      std::error_code ignored;
+      if ((its == ".glb" || its == ".gltf" || its == ".bin" || its == ".json") && it->is_regular_file(ignored) &&
+          it->path() != place)
+        contents.push_back(it->path().string());
+    }
+    std::ranges::sort(contents);
+    for (const std::string& content : contents) add(content);
+  }
   if (place.filename() != "lod-meta.json") return;
   std::vector<fs::path> sogs;
   std::error_code failed;

@@ -18,7 +18,8 @@
 namespace rgs::tool {
 namespace {
 
-const std::string kStreamedSog = "lod-meta.json";
+// The files of a folder that is one scene.
+const std::string kScenes[] = {"lod-meta.json", "tileset.json"};
 constexpr std::string_view kGltfText = ".gltf";  // never an output, so unknown to format_of_name()
 
 using Identity = std::pair<std::uint64_t, std::uint64_t>;  // device and inode
@@ -85,11 +86,12 @@ class Walk {
                              Error::kNone, errno);
     std::ranges::sort(names);
     const std::string inside = path + "/";
-    // The SOGs below are parts of it at several levels, and no scenes.
-    if (std::ranges::binary_search(names, kStreamedSog)) {
-      ListedScene scene{prefix + kStreamedSog, inside + kStreamedSog, SplatFormat::ssog, 0, {}};
+    // The SOGs and tiles below are parts of it at several levels, and no scenes.
+    for (const std::string& name : kScenes) {
+      if (!std::ranges::binary_search(names, name)) continue;
+      ListedScene scene{prefix + name, inside + name, format_of_name(name), 0, {}};
       const auto file = MappedFile::open(scene.path);
-      if (file && detect_format(file->bytes()) == SplatFormat::ssog) {
+      if (file && detect_format(file->bytes()) == scene.format) {
         for (const std::string& part : files_of_scene(scene.path))
           scene.bytes += ::stat(part.c_str(), &info) == 0 ? static_cast<std::uint64_t>(info.st_size) : 0;
         list_.scenes.push_back(std::move(scene));
@@ -142,8 +144,9 @@ class Walk {
     const auto file = MappedFile::open(path);
     if (file) scene.format = format_of(file->bytes(), by_name);
     if (!file && by_name != SplatFormat::unknown) scene.readable = tl::unexpected(file.error());
-    const bool is_meta = (by_name == SplatFormat::sog || by_name == SplatFormat::ssog) &&
-                         name.ends_with(".json");  // others may have a meta.json too
+    const bool is_meta =
+        (by_name == SplatFormat::sog || by_name == SplatFormat::ssog || by_name == SplatFormat::tileset) &&
+        name.ends_with(".json");  // others may have a meta.json too
     const bool is_arrays = by_name == SplatFormat::npz || by_name == SplatFormat::pt;
     if (scene.format == SplatFormat::unknown && (by_name == SplatFormat::unknown || ((is_meta || is_arrays) && file)))
       return void(++list_.n_others);

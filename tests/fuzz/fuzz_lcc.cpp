@@ -1,4 +1,4 @@
-// fuzz_lcc.cpp - arbitrary bytes as the files of an LCC or LCC2 are an error or a scene. An input holds the JSON, index.bin,
+// fuzz_lcc.cpp - arbitrary bytes as the files of an LCC, LCC2 or tileset are an error or a scene. An input holds the JSON, index.bin,
 // data.bin, shcoef.bin and 0.spz, each after its length (u32).
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>

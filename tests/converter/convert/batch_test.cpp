@@ -722,6 +722,18 @@ TEST_CASE("a streamed SOG is one scene, and its parts are none") {
   CHECK(convert_all(f.command()).n_lines == 3);
 }
 
+TEST_CASE("a tileset is one scene, and its tiles are none") {
+  const Folders f(1);
+  REQUIRE(run_program({built("rgs-convert"), "--no-sync", f.in + "/a.ply", f.in + "/tree/tileset.json"}).exit_code ==
+          0);
+  const Batch run = convert_all(f.command());
+  CHECK(run.exit_code == 0);
+  CHECK(run.n_lines == 2);
+  CHECK(run.lines.at("tree/tileset.json")["status"] == "converted");
+  CHECK(fs::exists(f.out + "/tree/tileset.rgs"));
+  CHECK(run_program({built("rgs-convert"), "--to", "tileset.json", f.in, f.out}).exit_code == 2);
+}
+
 TEST_CASE("the chunks of an LCC2 are no scenes of their own") {
   const Folders f(1);
   fs::create_directories(f.in + "/b/data/3dgs");

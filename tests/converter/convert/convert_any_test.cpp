@@ -45,8 +45,8 @@ TEST_CASE("any format converts to any other, chosen by the output's name, each i
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(600, 2, 1);
   const std::string ply = write_scene(folder.file("scene.ply"), cloud);
-  const std::array<std::string, 10> endings{"rgs", "ply", "compressed.ply", "spz", "splat", "sog",
-                                            "glb", "npz", "usda",           "usdz"};
+  const std::array<std::string, 11> endings{"rgs", "ply", "compressed.ply", "spz",  "splat",  "sog",
+                                            "glb", "npz", "usda",           "usdz", "spz.glb"};
   for (const std::string& first : endings) {
     const std::string one = folder.file("one." + first);
     REQUIRE(rgs_convert({"--keep-order", ply, one}).exit_code == 0);

@@ -580,3 +580,30 @@ TEST_CASE("the SOGs of a streamed SOG lie beside its file, where a link leads") 
   CHECK(read_bytes(folder.file("scene/0_0/meta.json")) == bytes_of("new"));
   CHECK(read_bytes(folder.file("scene/lod-meta.json")) == bytes_of("new"));
 }
+
+TEST_CASE("levels become a tileset, a scene without levels one tile, and both come back") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(5000, 1, 9)),
+                    levels = folder.file("levels.rgs"), tiles = folder.file("tiles/tileset.json"),
+                    flat = folder.file("flat/tileset.json"), back = folder.file("back.rgs");
+  REQUIRE(rgs_convert({"--lod", "--chunk-size", "32", ply, levels}).exit_code == 0);
+  const ProgramResult run = rgs_convert({levels, tiles});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("in 1 tiles in all") != std::string::npos);
+  CHECK(files_below(folder.file("tiles")).contains("tiles/0_0.glb"));
+  REQUIRE(rgs_convert({tiles, back}).exit_code == 0);
+  CHECK(size_of(back) == 5000);
+  // What changes Gaussians, or a source without levels, gives one tile.
+  REQUIRE(rgs_convert({ply, flat}).exit_code == 0);
+  CHECK(files_below(folder.file("flat")).size() == 2);
+  REQUIRE(rgs_convert({flat, back}).exit_code == 0);
+  CHECK(size_of(back) == 5000);
+  REQUIRE(rgs_convert({"--level-of-detail", "1", levels, flat}).exit_code == 0);
+  REQUIRE(rgs_convert({flat, back}).exit_code == 0);
+  CHECK(size_of(back) < 1500);
+  // The name is that of a file in a folder; no output is a file that is read.
+  CHECK(rgs_convert({"--to", "tileset.json", ply, folder.file("x.ssog")}).exit_code == 2);
+  CHECK(rgs_convert({tiles, folder.file("tiles/tiles/0_0.glb"), "--to", "glb"}).exit_code == 2);
+  CHECK(run_program({built("rgs-convert"), ply, flat}).exit_code == 3);
+}

@@ -847,3 +847,41 @@ TEST_CASE(".glb: the file's size bounds what its nodes may show") {
 TEST_CASE("damaged .glb files are refused or read, but never crash") {
   check_hostile(encode_splats(ordinary_cloud(4, 0, 3).view(), SplatFormat::glb).value(), 8, 1000);
 }
+
+TEST_CASE(".spz.glb: holds what an SPZ does, in the axes of glTF, as CesiumJS wants it") {
+  for (const int degree : {0, 2, 3}) {
+    CAPTURE(degree);
+    const SplatCloud cloud = ordinary_cloud(50, degree, 3);
+    const Origin origin{4.2e6, 1.7e5, -4.8e6};
+    const WriteOptions options{.colour_space = ColourSpace::linear_display,
+                               .aa_mode = AaMode::mip_splatting,
+                               .metres_per_unit = 2,
+                               .axes = kAxesGltf,
+                               .origin = origin,
+                               .crs = {"EPSG:4978", {}}};
+    const Bytes bytes = encode_splats(cloud.view(), SplatFormat::spz_glb, options).value();
+    CHECK(detect_format(bytes) == SplatFormat::spz_glb);
+    const json root = json_of(bytes), primitive = root["meshes"][0]["primitives"][0];
+    CHECK(root["extensionsRequired"].size() == 2);
+    CHECK(root["nodes"][0]["matrix"][12] == origin[0]);
+    CHECK(primitive["attributes"].size() == static_cast<std::size_t>(4 + sh_coefficients(degree) - 1));
+    for (const json& accessor : root["accessors"]) CHECK_FALSE(accessor.contains("bufferView"));
+    const auto file = read_splats(bytes, kKeepAxes);
+    REQUIRE(file);
+    CHECK(file->origin == origin);
+    CHECK(file->colour_space == ColourSpace::linear_display);
+    CHECK(file->aa_mode == AaMode::mip_splatting);
+    CHECK(file->metres_per_unit == 2);
+    CHECK(file->crs.text == "EPSG:4978");
+    const auto spz = read_splats(encode_splats(cloud.view(), SplatFormat::spz).value(), kKeepAxes);
+    REQUIRE(spz);
+    CHECK(file->cloud.mean == spz->cloud.mean);
+    CHECK(file->cloud.sh == spz->cloud.sh);
+    // Any glTF reader of splats reads it, named so or not.
+    CHECK(read_splats(bytes, {{}, SplatFormat::glb, true})->cloud.mean == spz->cloud.mean);
+  }
+}
+
+TEST_CASE("damaged .spz.glb files are refused or read, but never crash") {
+  check_hostile(encode_splats(ordinary_cloud(4, 0, 3).view(), SplatFormat::spz_glb).value(), 8, 300);
+}

@@ -14,17 +14,10 @@ using namespace rgs::test;
 
 namespace {
 
-constexpr SplatFormat kWritable[] = {SplatFormat::compressed_ply,
-                                     SplatFormat::ply,
-                                     SplatFormat::glb,
-                                     SplatFormat::usda,
-                                     SplatFormat::usdz,
-                                     SplatFormat::spz,
-                                     SplatFormat::npz,
-                                     SplatFormat::sog,
-                                     SplatFormat::rad,
-                                     SplatFormat::ksplat,
-                                     SplatFormat::splat};
+constexpr SplatFormat kWritable[] = {
+    SplatFormat::compressed_ply, SplatFormat::ply,    SplatFormat::spz_glb, SplatFormat::glb,
+    SplatFormat::usda,           SplatFormat::usdz,   SplatFormat::spz,     SplatFormat::npz,
+    SplatFormat::sog,            SplatFormat::rad,    SplatFormat::ksplat,  SplatFormat::splat};
 
 }  // namespace
 
@@ -229,7 +222,7 @@ TEST_CASE("growth: all formats are read and written in linear time, coincident G
   formats.push_back(SplatFormat::rgs);
   for (const SplatFormat format : formats) {
     check(format, coincident);
-    if (format == SplatFormat::spz)
+    if (format == SplatFormat::spz || format == SplatFormat::spz_glb)
       continue;  // without repetitions, Zstandard's search outgrows one cache after another
     check(format, ordinary);
     check(format, outliers);
@@ -240,7 +233,7 @@ TEST_CASE("formats that are not read are named, with what to do, and so is an em
   const std::pair<std::string, const char*> files[] = {
       {"RADC....{\"version\":1}", ".radc of Spark"},
       {std::string("PXR-USDC") + std::string(80, '\0'), "OpenUSD"},
-      {R"({"asset":{"version":"1.1"},"geometricError":8,"root":{}})", "3D Tiles"},
+      {std::string("PK\3\4") + std::string(22, '\0') + std::string("\17\0\0\0", 4) + "@3dtilesIndex1@", "3D Tiles"},
       {std::string("\x93NUMPY\1\0v", 9) + std::string(90, ' '), ".npy"}};
   for (const auto& [text, named] : files) {
     const std::string what = named;
@@ -262,8 +255,8 @@ TEST_CASE("formats that are not read are named, with what to do, and so is an em
   REQUIRE_FALSE(text);
   CHECK(text.error().code == Errc::bad_magic);
   CHECK(std::string(text.error().what) ==
-        "is not a .rgs, .compressed.ply, .ply, .glb, .usda, .usdz, .spz, .npz, .pt, .ssog, .sog, .rad, .lcc, .lcc2, "
-        ".ksplat or .splat file");
+        "is not a .rgs, .compressed.ply, .ply, .tileset.json, .spz.glb, .glb, .usda, .usdz, .spz, .npz, .pt, .ssog, .sog, "
+        ".rad, .lcc, .lcc2, .ksplat or .splat file");
 }
 
 TEST_CASE("every format has one entry, by which it is found") {
@@ -275,7 +268,8 @@ TEST_CASE("every format has one entry, by which it is found") {
     CHECK(std::string(info.title) != "");
     CHECK(std::string(info.precision) != "");
     // These are written from more than Gaussians.
-    if (info.writable && info.format != SplatFormat::rgs && info.format != SplatFormat::ssog)
+    if (info.writable && info.format != SplatFormat::rgs && info.format != SplatFormat::ssog &&
+        info.format != SplatFormat::tileset)
       written += std::string(" ") + info.name;
   }
   std::string expected;
@@ -298,6 +292,8 @@ TEST_CASE("an output's extension chooses the format") {
   CHECK(format_of_name("x.ssog") == SplatFormat::ssog);
   CHECK(format_of_name("scene/lod-meta.json") == SplatFormat::ssog);
   CHECK(format_of_name("x.glb") == SplatFormat::glb);
+  CHECK(format_of_name("x.spz.glb") == SplatFormat::spz_glb);
+  CHECK(format_of_name("tiles/tileset.json") == SplatFormat::tileset);
   CHECK(format_of_name("x.rgs") == SplatFormat::rgs);
   CHECK(format_of_name("spz") == SplatFormat::unknown);
   CHECK(format_of_name("x.zip") == SplatFormat::unknown);

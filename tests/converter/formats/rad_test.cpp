@@ -203,14 +203,19 @@ Bytes rgs_of(const SplatCloud& leaves, const EncodeOptions& options = {}) {
   return bytes;
 }
 
-Bytes with_levels(const Bytes& rgs, WriteOptions options = {}, RadReport* report = nullptr) {
+Bytes with_levels(const Bytes& rgs, WriteOptions options = {}, LevelsReport* report = nullptr) {
   const auto file = PagedFile::open(rgs);
   REQUIRE(file);
   options.axes = file->head().declarations().axes;
   options.origin = file->head().declarations().origin;
-  const auto bytes = encode_rad_with_levels(*file, options, kMaxShDegree, report);
-  REQUIRE(bytes);
-  return *bytes;
+  Bytes bytes;
+  const auto written = write_rad(*file, options, kMaxShDegree, [&](const std::string&, std::span<const std::byte> put) {
+    bytes.assign(put.begin(), put.end());
+    return Status();
+  });
+  REQUIRE(written);
+  if (report != nullptr) *report = *written;
+  return bytes;
 }
 
 }  // namespace
@@ -407,7 +412,7 @@ TEST_CASE("levels become a tree: every Gaussian is below one of its page's paren
     const auto file = PagedFile::open(rgs);
     REQUIRE(file);
     REQUIRE(file->n_levels() == 4);
-    RadReport report;
+    LevelsReport report;
     const Bytes bytes = with_levels(rgs, {}, &report);
     CHECK(report.n_levels == 5);
     CHECK(report.n_stored == file->n_stored() + 1);
@@ -463,7 +468,7 @@ TEST_CASE("a .rad is in the axes of 3DGS, without an origin") {
   EncodeOptions options;
   options.axes = {Axis::right, Axis::up, Axis::backward};
   options.origin = {10.1, 20, 30};
-  RadReport report;
+  LevelsReport report;
   const Bytes rgs = rgs_of(cloud, options);
   const auto read = read_splats(with_levels(rgs, {}, &report));
   REQUIRE(read);
@@ -473,7 +478,7 @@ TEST_CASE("a .rad is in the axes of 3DGS, without an origin") {
   CHECK(std::abs(mean + 20) < 2);  // up is -down
   const auto paged = PagedFile::open(rgs);
   WriteOptions strict{.axes = options.axes, .origin = options.origin, .strict = true};
-  CHECK(encode_rad_with_levels(*paged, strict, 3).error().code == Errc::bad_value);
+  CHECK(write_rad(*paged, strict, 3, [](auto&&...) { return Status(); }).error().code == Errc::bad_value);
 }
 
 TEST_CASE("a .rad that contradicts itself is refused, with the offset") {

@@ -37,7 +37,7 @@ Bytes rgs_with_levels(std::uint64_t n, int sh_degree, const EncodeOptions& optio
 
 struct Written {
   Files files;
-  StreamedSogReport report;
+  LevelsReport report;
 };
 
 Written written(const Bytes& rgs, WriteOptions options = {}, int sh_degree = kMaxShDegree) {

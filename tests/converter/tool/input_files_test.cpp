@@ -46,14 +46,15 @@ TEST_CASE(
     "a COLMAP model's files, a SOG's pictures, the files of a glTF or an LCC and photographs are inputs; others are "
     "not") {
   const TemporaryFolder folder;
-  for (const char* name : {"sparse/0", "photos", "sog/0_0", "gltf", "lcc/data/3dgs", "rad"})
+  for (const char* name : {"sparse/0", "photos", "sog/0_0", "gltf", "lcc/data/3dgs", "rad", "3dtiles/b"})
     fs::create_directories(folder.path() / name);
   for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG",  "photos/report.html",
                            "sog/meta.json",       "sog/sh0.webp",         "sog/scene.ply", "sog/lod-meta.json",
                            "sog/0_0/meta.json",   "sog/0_0/quats.webp",   "gltf/a.gltf",   "gltf/a.bin",
                            "gltf/a.png",          "gltf/b.PLY",           "gltf/b.prj",    "lcc/data.bin",
                            "lcc/a.lcc",           "lcc/a.lcc2",           "lcc/b.sog",     "lcc/data/3dgs/0.sog",
-                           "rad/a.rad",           "rad/a-0.radc",         "rad/b-0.radc"})
+                           "rad/a.rad",           "rad/a-0.radc",         "rad/b-0.radc",  "3dtiles/tileset.json",
+                           "3dtiles/b/c.GLB",     "3dtiles/b/a.json",     "3dtiles/b/a.png"})
     write_text(folder.file(name), "x");
   InputFiles inputs;
   inputs.add_cameras(folder.path().string());
@@ -72,6 +73,10 @@ TEST_CASE(
   streamed.add_scene(folder.file("sog/lod-meta.json"));
   CHECK(streamed.paths() == std::vector{folder.file("sog/lod-meta.json"), folder.file("sog/0_0/meta.json"),
                                         folder.file("sog/0_0/quats.webp")});
+  InputFiles tiles;
+  tiles.add_scene(folder.file("3dtiles/tileset.json"));
+  CHECK(tiles.paths() == std::vector{folder.file("3dtiles/tileset.json"), folder.file("3dtiles/b/a.json"),
+                                     folder.file("3dtiles/b/c.GLB")});
 }
 
 TEST_CASE("a file that was rewritten, extended or replaced has changed; a removed one has not") {

@@ -35,6 +35,8 @@ enum class SplatFormat : std::uint8_t {
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; written zipped
   ssog,            ///< PlayCanvas streamed SOG, zipped or lod-meta.json above its SOGs; written by write_streamed_sog()
   glb,             ///< glTF with KHR_gaussian_splatting, also .gltf; written as .glb
+  spz_glb,         ///< the same with an SPZ inside
+  tileset,         ///< 3D Tiles: tileset.json above its .glb; written by write_tileset()
   usda,            ///< OpenUSD text with ParticleField3DGaussianSplat
   usdz,            ///< OpenUSD package of a .usda
   npz,             ///< NumPy archive of gsplat's parameters
@@ -58,18 +60,19 @@ inline constexpr Axes kAxes3dgs{Axis::right, Axis::down, Axis::forward};
 inline constexpr Axes kAxesOpenGl{Axis::right, Axis::up, Axis::backward};
 inline constexpr Axes kAxesGltf{Axis::left, Axis::up, Axis::forward};
 inline constexpr Axes kAxesLcc{Axis::right, Axis::forward, Axis::up};
+inline constexpr Axes kAxes3dTiles{Axis::left, Axis::backward, Axis::up};  ///< those of glTF, turned
 /// What a format is and keeps. `rgs-convert --formats` prints it for all.
 struct FormatInfo {
   SplatFormat format = SplatFormat::unknown;
   const char* name = "unknown";  ///< the ending of its files, and what rgs-convert's --from and --to take
-  const char* other_name = "";   ///< another name that its files have: "meta.json", "lod-meta.json"
+  const char* other_name = "";   ///< another name that its files have: "meta.json", "lod-meta.json", "tileset.json"
   const char* title = "";        ///< whose it is, and which versions are read
   const char* precision = "";    ///< of its Gaussians; docs/user/INTERCHANGE.md has the ranges
   /// The frame that it prescribes. The description of SPZ says OpenGL's, but its tools leave coordinates as a PLY has
   /// them: ReadOptions::spz_axes.
   Axes axes = kAxes3dgs;
   int sh_degree = 3;      ///< the highest that is written; of ksplat 3 is read
-  bool writable = false;  ///< by encode_splats(), .rgs by encode(), .ssog by write_streamed_sog()
+  bool writable = false;  ///< by encode_splats(), .rgs by encode(), .ssog and tilesets by the functions below
   struct Keeps {
     bool levels = false;  ///< of detail, as those of an .rgs; read by open_levels()
     bool origin = false;  ///< formats without hold FP32 positions; of spz only version 4: keeps_of()
@@ -106,7 +109,7 @@ struct SplatFile {
   std::optional<Declarations> declarations = std::nullopt;
   std::optional<Provenance> provenance = std::nullopt;
   std::vector<std::uint32_t> source_index = {};
-  /// From an .rgs, .ssog or .rad with levels of detail: the number of levels, and whether `cloud` is level 0.
+  /// From an .rgs, .ssog, .rad or tileset with levels of detail: the number of levels, and whether `cloud` is level 0.
   std::uint32_t n_levels = 0;
   bool finest = true;
   /// What the file also holds and SplatCloud has no field for, one phrase each: extensions of SPZ that do not change
@@ -133,8 +136,8 @@ struct ReadOptions {
   /// mean; SplatFile::unused names them.
   bool skip_unknown_extensions = false;
   Axes spz_axes = kAxes3dgs;  ///< of an SPZ that declares none by a coordinate record
-  /// For an .rgs, .ssog or .rad with levels: read this level (0: finest; of a .rad the Gaussians that have at most so
-  /// many generations below them, and whose parents have more), or of an .rgs the finest cut of at most max_count
+  /// For an .rgs, .ssog, .rad or tileset with levels: read this level (0: finest; of a .rad the Gaussians that have at
+  /// most so many generations below them, and whose parents have more), or of an .rgs the finest cut of at most max_count
   /// Gaussians (lod::finest_cut()). Neither: level 0. A level of a file without levels is bad_argument; files without
   /// levels are read whole whatever max_count is.
   std::optional<std::uint32_t> level_of_detail = std::nullopt;
@@ -156,9 +159,9 @@ struct ReadOptions {
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
 /// or in meta.json; inside .npz: in the array; inside .pt: in data.pkl; inside .usdz: in its first file; of .lcc and
-/// .lcc2 in the file that the text names).
+/// .lcc2 in the file that the text names; of tilesets in the tileset or in the content of a tile).
 Result<SplatFile> read_splats(const std::string& path, const ReadOptions& options = {});
-/// The same from memory; a SOG must be zipped, an .lcc or .lcc2 is refused.
+/// The same from memory; a SOG must be zipped, an .lcc, .lcc2 or tileset is refused.
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options = {});
 
 struct WriteOptions {
@@ -208,9 +211,10 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
 
 /// Receives a file of a scene that is a folder, by its path in it.
 using PutFile = std::function<Status(const std::string& name, std::span<const std::byte> bytes)>;
-struct StreamedSogReport {
-  std::uint32_t n_levels = 0, n_regions = 0, n_sogs = 0;
-  std::uint64_t n_stored = 0;  ///< Gaussians of all levels
+struct LevelsReport {
+  std::uint32_t n_levels = 0;
+  std::uint32_t n_regions = 0;  ///< of a tileset: tiles; of a .rad 0
+  std::uint64_t n_stored = 0;   ///< Gaussians of all levels
   double position_rounding = 0;
   WriteReport clamped;
 };
@@ -218,26 +222,28 @@ struct StreamedSogReport {
 /// are pages of the coarsest level at which they hold so many with all their levels, or of a finer one if most are
 /// wider than 16 units; coarser levels are left out. options.axes and options.origin are those of the file.
 /// Deterministic. Memory: that of one SOG. Errors: pages_missing, those of read_pages(), encode_splats() and `put`.
-Result<StreamedSogReport> write_streamed_sog(const PagedFile& file, const WriteOptions& options, int sh_degree,
-                                             const PutFile& put);
+Result<LevelsReport> write_streamed_sog(const PagedFile& file, const WriteOptions& options, int sh_degree,
+                                        const PutFile& put);
+
+/// Writes an .rgs with levels as an explicit tileset of 3D Tiles 1.1: tile after tile, each an SPZ inside a .glb, then
+/// tileset.json. A tile holds the pages some levels below one page: as many levels as keep it at most at 32 Ki Gaussians.
+/// Coarser levels are left out. Otherwise as write_streamed_sog(). Memory: that of one tile.
+Result<LevelsReport> write_tileset(const PagedFile& file, const WriteOptions& options, int sh_degree,
+                                   const PutFile& put);
+/// The same of a scene without levels, as one tile. `splats` are in kAxes3dTiles or of undeclared axes.
+Result<LevelsReport> write_tileset(const SplatView& splats, const WriteOptions& options, const PutFile& put);
+
+/// Writes an .rgs with levels as a .rad with a tree, one file without a name: each level, and one Gaussian above the
+/// coarsest. Each Gaussian is below one of its page's parent; coarser ones without any below are left out. Otherwise as
+/// write_streamed_sog(). Memory: all levels, decoded, twice. Errors: limit_exceeded too (more than 65,535 Gaussians
+/// below one).
+Result<LevelsReport> write_rad(const PagedFile& file, const WriteOptions& options, int sh_degree, const PutFile& put);
 
 /// What a file of that format with these options keeps of the scene.
 FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options);
-struct RadReport {
-  std::uint32_t n_levels = 0;
-  std::uint64_t n_stored = 0;  ///< Gaussians of all levels
-  double position_rounding = 0;
-  WriteReport clamped;
-};
-/// Encodes an .rgs with levels as a .rad with a tree: each level, and one Gaussian above the coarsest. Each Gaussian is
-/// below one of its page's parent; coarser ones without any below are left out. options.axes and options.origin are
-/// those of the file. Deterministic. Memory: all levels, decoded, twice. Errors: pages_missing, those of read_pages()
-/// and encode_splats(), limit_exceeded (more than 65,535 Gaussians below one).
-Result<std::vector<std::byte>> encode_rad_with_levels(const PagedFile& file, const WriteOptions& options, int sh_degree,
-                                                      RadReport* report = nullptr);
 
 /// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
-/// no origin, and from SPZ's fixed point. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat and
+/// no origin, and from SPZ's fixed point, also inside .glb. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat and
 /// sog, which are proportional to the size of chunks, buckets or the scene. Errors: those of encode_splats() for SPZ.
 Result<double> position_rounding(const SplatView& splats, SplatFormat format, const WriteOptions& options);
 

@@ -1,0 +1,224 @@
+// tileset_write.cpp - writes a scene, or the levels of an .rgs, as an explicit tileset of 3D Tiles 1.1, which tileset.cpp
+// describes. Tiles replace their parents; the root's transform holds the origin.
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "rgs/guard_memory.hpp"
+#include "rgs/interchange.hpp"
+#include "rgs/paged_file.hpp"
+#include "rgs/splat_edit.hpp"
+#include "stated_scene.hpp"
+#include "tree_pages.hpp"
+#include "write_report.hpp"
+
+namespace rgs {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// About half a megabyte of harmonics of degree 3: neither many requests nor long ones.
+constexpr std::uint64_t kMostGaussians = std::uint64_t{32} << 10;
+// A viewer draws a tile whose geometricError is at most this many pixels, unless told otherwise (CesiumJS,
+// maximumScreenSpaceError). A page may be drawn where a pixel covers at least its error.
+constexpr double kScreenErrorPx = 16;
+constexpr double kSigmas = 3;          // of bounds, as those of pages
+constexpr float kLargestLogScale = 6;  // of an SPZ
+
+Axis opposite(Axis axis) {
+  return static_cast<Axis>(((static_cast<unsigned>(axis) - 1) ^ 1U) + 1);
+}
+
+// The axes of tiles: those of the CRS if there is one, so that coordinates are its; else z is up.
+Axes tile_axes(const WriteOptions& options) {
+  if (options.axes[0] == Axis::undeclared || options.crs.text.empty()) return kAxes3dTiles;
+  return options.crs.axes[0] == Axis::undeclared ? options.axes : options.crs.axes;
+}
+
+class Writer {
+ public:
+  Writer(const WriteOptions& options, const PutFile& put)
+      : from_(options.axes), tile_(tile_axes(options)), content_options_(options), put_(put) {
+    const bool is_declared = from_[0] != Axis::undeclared;
+    if (!is_declared) from_ = tile_;  // coordinates stay as they are
+    // A viewer turns the y-up contents: x, -z, y of these are x, y, z of tiles.
+    content_ = {tile_[0], tile_[2], opposite(tile_[1])};
+    origin_ = options.origin;
+    convert_axes(origin_, from_, tile_);
+    detail::StatedScene stated;
+    if (!is_declared) stated.axes = options.axes;
+    stated.crs.text = options.crs.text;
+    extras_ = detail::extras_of(stated);
+    if (is_declared && tile_ != kAxes3dTiles) extras_["rgs"]["axes"] = axes_text(tile_);
+    content_options_.axes = is_declared ? kAxesGltf : options.axes;
+    content_options_.origin = kNoOrigin;
+    content_options_.crs = {};
+  }
+
+  // Writes the content of a tile; its coordinates are relative to the origin.
+  Result<Json> tile(SplatCloud cloud, const Box& bounds, double error, const std::string& name) {
+    convert_axes(cloud, from_, content_);
+    const auto rounding = position_rounding(cloud.view(), SplatFormat::spz_glb, kNoOrigin);
+    if (!rounding) return tl::unexpected(rounding.error());
+    WriteReport clamped;
+    const auto glb = encode_splats(cloud.view(), SplatFormat::spz_glb, content_options_, &clamped);
+    if (!glb) return tl::unexpected(glb.error());
+    if (Status s = put_(name, *glb); !s) return tl::unexpected(s.error());
+    report.position_rounding = std::max(report.position_rounding, *rounding);
+    detail::add_report(report.clamped, clamped);
+    report.n_stored += cloud.size();
+    ++report.n_regions;
+    const WorldBox box = detail::turned_box(bounds, from_, tile_, kNoOrigin);
+    std::array<double, 12> volume{};  // the middle, then half of each side
+    for (std::size_t k = 0; k < 3; ++k) {
+      volume[k] = 0.5 * (box.min[k] + box.max[k]);
+      volume[3 + 4 * k] = 0.5 * (box.max[k] - box.min[k]);
+    }
+    Json json;
+    json["boundingVolume"]["box"] = volume;
+    json["geometricError"] = kScreenErrorPx * error;
+    json["content"]["uri"] = name;
+    return json;
+  }
+
+  // `bounds`, `error`: of the whole scene.
+  Status write_tree(Json root, const Box& bounds, double error) {
+    root["refine"] = "REPLACE";
+    if (origin_ != kNoOrigin)
+      root["transform"] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, origin_[0], origin_[1], origin_[2], 1};
+    double diagonal = 0;
+    for (std::size_t k = 0; k < 3; ++k)
+      diagonal = std::hypot(diagonal, static_cast<double>(bounds.max[k]) - static_cast<double>(bounds.min[k]));
+    Json json;
+    json["asset"]["version"] = "1.1";
+    if (!extras_.is_null()) json["asset"]["extras"] = extras_;
+    json["extensionsUsed"] = {"3DTILES_content_gltf"};
+    // CesiumJS takes contents for splats because of these.
+    const Json used = {"KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"};
+    json["extensions"]["3DTILES_content_gltf"] = {{"extensionsUsed", used}, {"extensionsRequired", used}};
+    json["geometricError"] = std::max(diagonal, kScreenErrorPx * error);  // a viewer draws nothing of a smaller scene
+    json["root"] = std::move(root);
+    const std::string text = json.dump();
+    return put_("tileset.json", std::as_bytes(std::span(text)));
+  }
+
+  LevelsReport report;
+
+ private:
+  Axes from_, tile_, content_{};
+  Origin origin_ = kNoOrigin;
+  WriteOptions content_options_;
+  Json extras_;
+  const PutFile& put_;
+};
+
+// Most levels between a tile's page and those that it holds.
+std::uint32_t choose_depth(const std::vector<lod::Page>& pages) {
+  std::vector<std::uint64_t> held(pages.size());  // by the tile of each page
+  std::ranges::transform(pages, held.begin(), [](const lod::Page& page) { return page.count; });
+  for (std::uint32_t depth = 0; depth < pages.front().level; ++depth) {
+    std::vector<std::uint64_t> more(pages.size());
+    for (std::size_t i = 1; i < pages.size(); ++i) more[pages[i].parent] += held[i];
+    if (*std::ranges::max_element(more) > kMostGaussians) return depth;
+    held = std::move(more);
+  }
+  return pages.front().level;
+}
+
+class LevelsWriter {
+ public:
+  LevelsWriter(const PagedFile& file, const WriteOptions& options, int sh_degree, const PutFile& put)
+      : file_(file), pages_(file.pages()), sh_degree_(sh_degree), depth_(choose_depth(pages_)), writer_(options, put) {}
+
+  Result<LevelsReport> write() {
+    writer_.report.n_levels = pages_.front().level - depth_ + 1;
+    auto root = tile(0);
+    if (!root) return tl::unexpected(root.error());
+    const lod::Page& whole = pages_.front();
+    if (Status s = writer_.write_tree(*std::move(root), whole.bounds, static_cast<double>(whole.error)); !s)
+      return tl::unexpected(s.error());
+    return writer_.report;
+  }
+
+ private:
+  // With those below it: as deep as the tree.
+  Result<Json> tile(std::uint32_t page) {
+    const std::uint32_t level = pages_[page].level - depth_;
+    const detail::PageRun run = detail::pages_below(pages_, page, level);
+    auto cloud = read_pages(file_, run.pages);
+    if (!cloud) return tl::unexpected(cloud.error());
+    strip_sh(*cloud, sh_degree_);
+    float error = 0;
+    for (const std::uint32_t i : run.pages) error = std::max(error, pages_[i].error);
+    n_of_level_.resize(std::max<std::size_t>(n_of_level_.size(), level + 1));
+    const std::string name = "tiles/" + std::to_string(level) + "_" + std::to_string(n_of_level_[level]++) + ".glb";
+    auto json = writer_.tile(*std::move(cloud), pages_[page].bounds, static_cast<double>(error), name);
+    if (!json || level == 0) return json;
+    for (std::uint32_t k = 0; k < pages_[page].n_children; ++k) {
+      auto child = tile(pages_[page].first_child + k);
+      if (!child) return child;
+      (*json)["children"].push_back(*std::move(child));
+    }
+    return json;
+  }
+
+  const PagedFile& file_;
+  const std::vector<lod::Page>& pages_;
+  int sh_degree_;
+  std::uint32_t depth_;
+  Writer writer_;
+  std::vector<std::uint64_t> n_of_level_;  // tiles until now
+};
+
+Box bounds_of(const SplatView& splats) {
+  Box box;
+  for (std::uint64_t i = 0; i < splats.n; ++i) {
+    const float* log_scale = &splats.log_scale[3 * i];
+    const auto reach = static_cast<float>(
+        kSigmas *
+        std::exp(static_cast<double>(std::min(*std::max_element(log_scale, log_scale + 3), kLargestLogScale))));
+    for (std::size_t k = 0; k < 3; ++k) {
+      const float mean = splats.mean[3 * i + k];
+      box.min[k] = i == 0 ? mean - reach : std::min(box.min[k], mean - reach);
+      box.max[k] = i == 0 ? mean + reach : std::max(box.max[k], mean + reach);
+    }
+  }
+  return box;
+}
+
+SplatCloud copy_of(const SplatView& splats) {
+  SplatCloud cloud;
+  cloud.resize(splats.n, splats.sh_degree);
+  for (std::uint64_t i = 0; i < splats.n; ++i) cloud.set(i, splats.splat(i));
+  return cloud;
+}
+
+}  // namespace
+
+Result<LevelsReport> write_tileset(const PagedFile& file, const WriteOptions& options, int sh_degree,
+                                   const PutFile& put) {
+  return detail::guard_memory([&]() -> Result<LevelsReport> {
+    if (!file.complete())
+      return make_error(Errc::pages_missing, Error::kNone, "the end of the file is missing, and pages with it");
+    return LevelsWriter(file, options, sh_degree, put).write();
+  });
+}
+
+Result<LevelsReport> write_tileset(const SplatView& splats, const WriteOptions& options, const PutFile& put) {
+  return detail::guard_memory([&]() -> Result<LevelsReport> {
+    Writer writer(options, put);
+    const Box bounds = bounds_of(splats);
+    auto root = writer.tile(copy_of(splats), bounds, 0, "tiles/0_0.glb");
+    if (!root) return tl::unexpected(root.error());
+    if (Status s = writer.write_tree(*std::move(root), bounds, 0); !s) return tl::unexpected(s.error());
+    writer.report.n_levels = 1;
+    return writer.report;
+  });
+}
+
+}  // namespace rgs

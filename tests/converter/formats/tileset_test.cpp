@@ -1,0 +1,348 @@
+// tileset_test.cpp - 3D Tiles: levels and scenes written and read back, others' trees, hostile files.
+// SPDX-License-Identifier: Apache-2.0
+#include <cmath>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "interchange_samples.hpp"
+#include "rgs/levels_writer.hpp"
+#include "rgs/paged_file.hpp"
+#include "rgs/splat_edit.hpp"
+#include "temporary_folder.hpp"
+#include "trivial_levels.hpp"
+#include "zip_samples.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+using nlohmann::json;
+
+PutFile into(Files& files) {
+  return [&files](const std::string& name, std::span<const std::byte> bytes) {
+    files[name] = Bytes(bytes.begin(), bytes.end());
+    return Status();
+  };
+}
+
+json tree_of(const Files& files) {
+  return json::parse(text_of(files.at("tileset.json")));
+}
+
+// Writes the files to a folder and reads its tileset.json.
+Result<SplatFile> read_files(const Files& files, const ReadOptions& options = kKeepAxes) {
+  const TemporaryFolder folder;
+  for (const auto& [name, bytes] : files) {
+    std::filesystem::create_directories(std::filesystem::path(folder.file(name)).parent_path());
+    write_bytes(folder.file(name), bytes);
+  }
+  return read_splats(folder.file("tileset.json"), options);
+}
+
+ReadOptions level(std::uint32_t wanted) {
+  ReadOptions options = kKeepAxes;
+  options.level_of_detail = wanted;
+  return options;
+}
+
+// One Gaussian, at x in the axes of glTF.
+Bytes glb_at(float x) {
+  SplatCloud cloud = ordinary_cloud(1, 1, 7);
+  cloud.mean = {x, 2, 3};
+  return encode_splats(cloud.view(), SplatFormat::glb, {.axes = kAxesGltf}).value();
+}
+
+json tile(const std::string& uri, const std::vector<json>& children = {}) {
+  json t{{"boundingVolume", {{"sphere", {0, 0, 0, 9}}}}, {"geometricError", 1}};
+  if (!uri.empty()) t["content"]["uri"] = uri;
+  if (!children.empty()) t["children"] = children;
+  return t;
+}
+
+Bytes tileset(json root, const std::string& refine = "REPLACE") {
+  if (!root.contains("refine")) root["refine"] = refine;
+  return bytes_of(json{{"asset", {{"version", "1.1"}}}, {"geometricError", 9}, {"root", std::move(root)}}.dump());
+}
+
+// x of all Gaussians, in axes of tiles, where glTF's are x, -z, y.
+std::vector<float> xs_of(const Result<SplatFile>& file) {
+  REQUIRE(file);
+  std::vector<float> xs;
+  for (std::size_t i = 0; i < file->cloud.mean.size(); i += 3) xs.push_back(file->cloud.mean[i]);
+  return xs;
+}
+using Xs = std::vector<float>;
+
+// Boxes hold those of children, and errors fall.
+std::size_t check_tree(const json& node, double error) {
+  CHECK(node["geometricError"] < error);
+  std::size_t n = 1;
+  const auto& box = node["boundingVolume"]["box"];
+  if (!node.contains("children")) CHECK(node["geometricError"] == 0);
+  for (const json& child : node.value("children", json::array())) {
+    const auto& inner = child["boundingVolume"]["box"];
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double middle = inner[k].get<double>() - box[k].get<double>();
+      const double half = inner[3 + 4 * k].get<double>(), outer = box[3 + 4 * k].get<double>();
+      CHECK(std::abs(middle) + half <= outer * (1 + 1e-6));
+    }
+    n += check_tree(child, node["geometricError"].get<double>());
+  }
+  return n;
+}
+
+}  // namespace
+
+TEST_CASE("levels become tiles that replace their parents, and come back level by level") {
+  const SplatCloud leaves = ordinary_cloud(100000, 0, 5);
+  EncodeOptions direct;
+  direct.profile = Profile::direct;
+  direct.chunk_size = 1024;
+  Bytes rgs;
+  REQUIRE(write_levels(trivial_levels(leaves, {.chunk_size = 1024}), direct, rgs));
+  const auto file = PagedFile::open(rgs);
+  REQUIRE(file);
+  REQUIRE(file->n_levels() == 4);
+  Files files, again;
+  const auto report = write_tileset(*file, {.threads = 1}, 0, into(files));
+  REQUIRE(report);
+  REQUIRE(write_tileset(*file, {.threads = 3}, 0, into(again)));
+  CHECK(files == again);
+  CHECK(report->n_levels == 3);  // a tile holds at most 32 Ki Gaussians, here those of four pages
+  CHECK(report->n_regions + 1 == files.size());
+  CHECK(report->position_rounding <= 0x1p-13);
+  const json tree = tree_of(files);
+  CHECK(tree["asset"] == json{{"version", "1.1"}});
+  const json used{"KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"};
+  CHECK(tree["extensions"]["3DTILES_content_gltf"]["extensionsRequired"] == used);
+  CHECK(tree["root"]["refine"] == "REPLACE");
+  CHECK_FALSE(tree["root"].contains("transform"));
+  CHECK(check_tree(tree["root"], tree["geometricError"].get<double>()) == report->n_regions);
+  double error = 0;
+  for (const lod::Page& page : file->pages())
+    if (page.level == 2) error = std::max(error, 16.0 * static_cast<double>(page.error));
+  CHECK(tree["root"]["geometricError"] == error);
+  std::uint64_t n_stored = 0;
+  for (std::uint32_t i = 0; i < 3; ++i) {
+    CAPTURE(i);
+    const SplatCloud expected = read_pages(*file, lod::pages_of_level(file->pages(), i)).value();
+    ReadOptions options = level(i);
+    options.keep_axes = false;
+    const auto read = read_files(files, options);
+    REQUIRE(read);
+    n_stored += read->cloud.size();
+    CHECK(read->format == SplatFormat::tileset);
+    CHECK(read->n_levels == 3);
+    CHECK(read->finest == (i == 0));
+    CHECK(read->axes == kAxes3dgs);
+    REQUIRE(read->cloud.size() == expected.size());
+    const SplatError e = compare(expected, turned_like(expected, read->cloud));
+    CHECK(e.mean[0] <= 0x1p-13);
+    CHECK(e.opacity <= 0.51 / 255);
+  }
+  CHECK(report->n_stored == n_stored);
+  CHECK(read_files(files)->unused == std::vector<std::string>{"levels of detail but the finest"});
+  CHECK(read_files(files, level(3)).error().code == Errc::bad_argument);
+}
+
+TEST_CASE("a tileset holds millimetres at ECEF, with the coordinates of the CRS, from levels and from a flat scene") {
+  const SplatCloud cloud = ordinary_cloud(300, 1, 9);
+  const Origin origin{4.2e6 + 0.125, 1.7e5, -4.8e6};
+  for (const bool has_crs : {true, false}) {
+    for (const Axes& axes : {kAxes3dgs, Axes{Axis::left, Axis::down, Axis::forward},
+                             Axes{Axis::undeclared, Axis::undeclared, Axis::undeclared}}) {
+      for (const bool has_levels : {true, false}) {
+        CAPTURE(has_crs);
+        CAPTURE(axes_text(axes));
+        CAPTURE(has_levels);
+        WriteOptions options{.metres_per_unit = 1, .axes = axes, .origin = origin};
+        if (has_crs) options.crs.text = "EPSG:4978";
+        Files files;
+        if (has_levels) {
+          EncodeOptions direct;
+          direct.profile = Profile::direct;
+          direct.chunk_size = 32;
+          Bytes rgs;
+          REQUIRE(write_levels(trivial_levels(cloud, {.chunk_size = 32}), direct, rgs));
+          REQUIRE(write_tileset(*PagedFile::open(rgs), options, 3, into(files)));
+        } else {
+          REQUIRE(write_tileset(cloud.view(), options, into(files)));
+        }
+        const json transform = tree_of(files)["root"]["transform"];
+        const bool is_declared = axes[0] != Axis::undeclared;
+        Origin placed = origin;
+        if (!has_crs) convert_axes(placed, axes, kAxes3dTiles);
+        for (std::size_t k = 0; k < 3; ++k) CHECK(transform[12 + k] == placed[k]);
+        const auto read = read_files(files);
+        REQUIRE(read);
+        CHECK(read->axes == (has_crs || !is_declared ? axes : kAxes3dTiles));
+        CHECK(read->crs.text == (has_crs ? "EPSG:4978" : ""));
+        CHECK(read->metres_per_unit == 1);
+        CHECK(read->origin == placed);
+        SplatFile back = *read;
+        convert_axes(back.cloud, back.axes, axes);
+        REQUIRE(back.cloud.size() == cloud.size());
+        const SplatError e = compare(cloud, turned_like(cloud, back.cloud));
+        CHECK(e.mean[0] < 1e-3);
+      }
+    }
+  }
+}
+
+TEST_CASE("of tiles that replace each other the finest are read or those some levels above, of others all") {
+  const auto glb = [](float x) { return glb_at(x); };
+  Files files{{"a.glb", glb(1)}, {"b.glb", glb(2)}, {"sub/c d.glb", glb(3)}, {"d.glb", glb(4)}, {"e.glb", glb(5)}};
+  // The first branch has three levels, the second ends with a coarser tile.
+  const json branch = tile("b.glb", {tile("", {tile("./sub//c%20d.glb")}), tile("d.glb")});
+  files["tileset.json"] = tileset(tile("a.glb", {branch, tile("e.glb")}));
+  CHECK(xs_of(read_files(files)) == Xs{3, 4, 5});
+  CHECK(read_files(files)->n_levels == 3);
+  CHECK(xs_of(read_files(files, level(1))) == Xs{2, 5});
+  CHECK(xs_of(read_files(files, level(2))) == Xs{1});
+  files["tileset.json"] = tileset(tile("a.glb", {branch, tile("e.glb")}), "ADD");
+  CHECK(xs_of(read_files(files)) == Xs{1, 2, 3, 4, 5});
+  CHECK(read_files(files)->n_levels == 1);
+  // A branch that replaces within one that adds.
+  json replaced = branch;
+  replaced["refine"] = "REPLACE";
+  files["tileset.json"] = tileset(tile("a.glb", {replaced, tile("e.glb")}), "ADD");
+  CHECK(xs_of(read_files(files)) == Xs{1, 3, 4, 5});
+  CHECK(xs_of(read_files(files, level(1))) == Xs{1, 2, 5});
+  // Several contents, some of which are no splats; a tile below which there are none is not replaced.
+  json several = tile("");
+  several["contents"] = {{{"uri", "a.glb"}}, {{"uri", "b.glb"}}, {{"uri", "x.b3dm"}}};
+  several["children"] = {tile("")};
+  files["x.b3dm"] = bytes_of("b3dm....");
+  files["mesh.gltf"] = bytes_of(R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[]}],"buffers":[]})");
+  files["tileset.json"] = tileset(tile("", {several, tile("mesh.gltf")}));
+  CHECK(xs_of(read_files(files)) == Xs{1, 2});
+  CHECK(read_files(files)->unused == std::vector<std::string>{"contents of tiles without splats: 2"});
+  files["tileset.json"] = tileset(tile("x.b3dm"));
+  CHECK(read_files(files).error().code == Errc::not_gaussian_splats);
+}
+
+TEST_CASE("tiles are placed by their transforms, also through external tilesets") {
+  Files files{{"a.glb", glb_at(1)}, {"in/b.glb", glb_at(1)}, {"in/deep/c.glb", glb_at(1)}};
+  json turned = tile("b.glb", {tile("deep/tileset.json")});
+  turned["transform"] = {0, 2, 0, 0, -2, 0, 0, 0, 0, 0, 2, 0, 10, 0, 0, 1};  // a quarter turn about z, twice as large
+  files["in/tileset.json"] = tileset(turned, "ADD");
+  files["in/deep/tileset.json"] = tileset(tile("c.glb"));
+  json root = tile("a.glb", {tile("in/tileset.json")});
+  root["transform"] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 5, 1};
+  files["tileset.json"] = tileset(root, "ADD");
+  const auto file = read_files(files);
+  REQUIRE(file);
+  // 1, 2, 3 of glTF is 1, -3, 2.
+  CHECK(file->cloud.mean == Xs{1, -3, 7, 16, 2, 9, 16, 2, 9});
+  CHECK(file->cloud.log_scale[3] == doctest::Approx(file->cloud.log_scale[0] + std::log(2.0F)));
+  std::uint64_t bytes = 0;
+  for (const auto& [name, content] : files) bytes += content.size();
+  CHECK(file->bytes == bytes);
+}
+
+TEST_CASE("tilesets that are not read are refused with what is wrong") {
+  const Bytes glb = glb_at(1);
+  const auto refused = [&](const json& stated, const Files& more = {}) {
+    Files files = more;
+    files["a.glb"] = glb;
+    files["tileset.json"] = bytes_of(stated.dump());
+    const auto file = read_files(files);
+    REQUIRE_FALSE(file);
+    CHECK(file.error().what[0] != '\0');
+    CAPTURE(stated.dump());
+    if (exit_code(file.error().code) == 4) CHECK(file.error().offset == 0);
+    return file.error().code;
+  };
+  const json good = json::parse(text_of(tileset(tile("a.glb"))));
+  CHECK(read_files({{"a.glb", glb}, {"tileset.json", bytes_of(good.dump())}}));
+  const auto with = [&](const char* pointer, const json& value) {
+    json edited = good;
+    edited[json::json_pointer(pointer)] = value;
+    return edited;
+  };
+  for (const char* uri :
+       {"../a.glb", "sub/../../a.glb", "%2e%2e/a.glb", "/a.glb", "https://example.org/a.glb", "b\\a.glb"})
+    CHECK(refused(with("/root/content/uri", uri)) == Errc::unsupported_feature);
+  CHECK(refused(with("/root/content/uri", "b.glb")) == Errc::open_failed);
+  CHECK(refused(with("/root/content", json::object())) == Errc::bad_syntax);
+  CHECK(refused(with("/root/contents", {{"uri", 1}})) == Errc::bad_syntax);
+  CHECK(refused(with("/root/content/uri", "c"), {{"c", bytes_of("neither")}}) == Errc::bad_magic);
+  CHECK(refused(with("/root/contents", {{{"uri", "./a.glb"}}})) == Errc::unsupported_feature);
+  // An external tileset that names itself, or one that is named twice.
+  CHECK(refused(with("/root/content/uri", "b.json"), {{"b.json", tileset(tile("b.json"))}}) ==
+        Errc::unsupported_feature);
+  CHECK(refused(with("/root/content/uri", "tileset.json")) == Errc::unsupported_feature);
+  CHECK(refused(with("/root/content/uri", "b.json"), {{"b.json", bytes_of("{\"geometricError\":")}}) ==
+        Errc::bad_syntax);
+  CHECK(refused(with("/asset/version", "2.0")) == Errc::unsupported_version);
+  CHECK(refused(with("/asset", json::object())) == Errc::bad_syntax);
+  CHECK(refused(with("/asset/gltfUpAxis", "Z")) == Errc::unsupported_feature);
+  CHECK(refused(with("/asset/extras/rgs/axes", "up,up,up")) == Errc::bad_value);
+  CHECK(refused(with("/extensionsRequired", {"3DTILES_unknown"})) == Errc::unsupported_feature);
+  CHECK(refused(with("/root/implicitTiling", json::object())) == Errc::unsupported_feature);
+  CHECK(refused(with("/root/refine", "MIX")) == Errc::bad_syntax);
+  CHECK(refused(with("/root/children", 1)) == Errc::bad_syntax);
+  CHECK(refused(with("/root/children", {1})) == Errc::bad_syntax);
+  CHECK(refused(with("/root", 1)) == Errc::bad_syntax);
+  CHECK(refused(with("/root/transform", {1, 2})) == Errc::bad_syntax);
+  CHECK(refused(with("/root/transform", {1, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1})) ==
+        Errc::unsupported_feature);
+  CHECK(refused(with("/root/transform", {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 2})) ==
+        Errc::unsupported_feature);
+  CHECK(refused(with("/root/transform", {-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1})) ==
+        Errc::unsupported_feature);
+  // From memory there are no contents; an archive is named.
+  CHECK(read_splats(tileset(tile("a.glb"))).error().code == Errc::unsupported_feature);
+  const Bytes archive = zipped({{"tileset.json", tileset(tile("a.glb"))}, {"@3dtilesIndex1@", bytes_of("x")}});
+  CHECK(std::string(read_splats(archive).error().what).find(".3tz") != std::string::npos);
+}
+
+TEST_CASE("limits hold for all tiles of a tileset together") {
+  const Files files{
+      {"a.glb", glb_at(1)}, {"b.glb", glb_at(2)}, {"tileset.json", tileset(tile("", {tile("a.glb"), tile("b.glb")}))}};
+  ReadOptions options = kKeepAxes;
+  options.limits.max_gaussians = 2;
+  CHECK(read_files(files, options));
+  options.limits.max_gaussians = 1;
+  CHECK(read_files(files, options).error().code == Errc::limit_exceeded);
+  // Deep trees take no stack.
+  std::string text = text_of(tileset(tile("a.glb")));
+  const std::size_t at = text.find("\"content\"");
+  std::string deep;
+  for (int i = 0; i < 100000; ++i) deep += "\"children\":[{";
+  text.insert(at, deep);
+  std::string closing;
+  for (int i = 0; i < 100000; ++i) closing += "}]";
+  text.insert(text.find("a.glb\"}") + 7, closing);
+  CHECK(read_files({{"a.glb", glb_at(1)}, {"tileset.json", bytes_of(text)}}));
+}
+
+TEST_CASE("damaged tilesets are refused or read, but never crash") {
+  const TemporaryFolder folder;
+  write_bytes(folder.file("a.glb"), glb_at(1));
+  write_bytes(folder.file("b.json"), tileset(tile("c.glb")));
+  write_bytes(folder.file("c.glb"), glb_at(2));
+  json root = tile("", {tile("a.glb"), tile("b.json")});
+  root["transform"] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 5, 1};
+  const Bytes good = tileset(root);
+  const std::string path = folder.file("tileset.json");
+  const auto check = [&](const Bytes& bytes) {
+    write_bytes(path, bytes);
+    const auto file = read_splats(path);
+    CHECK((file ? file->cloud.view().consistent() : file.error().what[0] != '\0'));
+    CHECK((file || exit_code(file.error().code) >= 3));
+  };
+  for (std::size_t n = 0; n < good.size(); ++n)
+    check(Bytes(good.begin(), good.begin() + static_cast<std::ptrdiff_t>(n)));
+  for (std::size_t i = 0; i < good.size(); ++i) {
+    for (const unsigned flip : {1U, 0x20U, 0x80U}) {
+      Bytes bytes = good;
+      bytes[i] ^= static_cast<std::byte>(flip);
+      check(bytes);
+    }
+  }
+}
