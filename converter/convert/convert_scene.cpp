@@ -28,11 +28,6 @@ bool knows_positions(const SplatFile& file) {
   return file.finest && (!file.source_index.empty() || (d.order == Order::input && d.n_dropped == 0));
 }
 
-   }
-    auto file = AtomicFile::create(path, options);
-    if (!file) return tl::unexpected(file.error());
-    file_ = std::move(*file);
-    return {};
   }
   Status put(const std::string& name, std::span<const std::byte> bytes) {
     if (folder_) return folder_->put(name, bytes);

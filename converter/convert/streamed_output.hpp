@@ -60,6 +60,10 @@ class SceneOutput {
       if (!folder) return tl::unexpected(folder.error());
       folder_.emplace(std::move(*folder));
       return {};
- 
+    }
+    auto file = AtomicFile::create(path, options);
+    if (!file) return tl::unexpected(file.error());
+    file_ = std::move(*file);
+    return {};
 
 }  // namespace rgs

@@ -466,8 +466,7 @@ Result<LevelsReport> write_rad(const PagedFile& file, const WriteOptions& option
     const WriteReport clamped = detail::measure_clamping(forest->cloud.view(), SplatFormat::rad);
     if (Status s = detail::refuse_clamping(clamped); options.strict && !s) return tl::unexpected(s.error());
     const auto bytes = detail::encode_rad_chunks(forest->cloud.view(), &forest->tree, options.threads);
-    if (!bytes) return tl::unexpected(bytes.error());
-    if (const Status s = put("", *bytes); !s) return tl::unexpected(s.error());
+    if (const Status s = put("", bytes); !s) return tl::unexpected(s.error());
     return LevelsReport{file.n_levels() + (forest->has_root ? 1 : 0), 0, forest->cloud.size(), *rounding, clamped};
   });
 }

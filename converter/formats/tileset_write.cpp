@@ -63,7 +63,7 @@ class Writer {
   // Writes the content of a tile; its coordinates are relative to the origin.
   Result<Json> tile(SplatCloud cloud, const Box& bounds, double error, const std::string& name) {
     convert_axes(cloud, from_, content_);
-    const auto rounding = position_rounding(cloud.view(), SplatFormat::spz_glb, kNoOrigin);
+    const auto rounding = position_rounding(cloud.view(), SplatFormat::spz_glb);
     if (!rounding) return tl::unexpected(rounding.error());
     WriteReport clamped;
     const auto glb = encode_splats(cloud.view(), SplatFormat::spz_glb, content_options_, &clamped);

@@ -245,6 +245,6 @@ FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options);
 /// Largest distance of a written coordinate from origin + mean, world units: from FP32 positions where the format holds
 /// no origin, and from SPZ's fixed point, also inside .glb. 0 where positions are kept. Excludes the steps of compressed.ply, ksplat and
 /// sog, which are proportional to the size of chunks, buckets or the scene. Errors: those of encode_splats() for SPZ.
-Result<double> position_rounding(const SplatView& splats, SplatFormat format, const WriteOptions& options);
+Result<double> position_rounding(const SplatView& splats, SplatFormat format, const WriteOptions& options = {});
 
 }  // namespace rgs
