@@ -94,7 +94,8 @@ Bytes deflated(const Bytes& bytes) {
   return out;
 }
 
-// Of the codes above and below each number, those that decode nearest to the rotation: for random ones 0.007 rad (RMS).
+// Of the codes above and below each number, those that decode nearest to the rotation: 0.010 rad (RMS), 0.022 at
+// worst, in a scene of 50,000 Gaussians.
 std::array<std::uint8_t, 3> encode_octahedral(const float* wxyz) {
   std::array<double, 4> q{};
   double squared = 0;
