@@ -62,9 +62,10 @@ struct ConvertSummary {
   std::vector<std::string> lost;   ///< declarations of the source that the output cannot state
   std::vector<std::string> notes;  ///< disagreements of inputs, and the like
   Header header;
-  std::uint32_t n_levels = 0, n_pages = 0;  ///< of an .rgs with levels of detail; n_levels also of what convert_levels() writes
-  std::uint32_t n_regions = 0;              ///< of a streamed SOG; tiles of a tileset
-  std::uint64_t n_stored = 0;               ///< Gaussians of all levels of these and of a .rad
+  std::uint32_t n_levels = 0,
+                n_pages = 0;    ///< of an .rgs with levels of detail; n_levels also of what convert_levels() writes
+  std::uint32_t n_regions = 0;  ///< of a streamed SOG; tiles of a tileset
+  std::uint64_t n_stored = 0;   ///< Gaussians of all levels of these and of a .rad
   std::vector<SectionEntry> sections;
   float min_scale = 0, max_scale = 0, min_opacity = 0, max_opacity = 0;
   std::vector<std::pair<const char*, double>> seconds;  ///< by stage, in order

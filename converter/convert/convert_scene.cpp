@@ -28,21 +28,6 @@ bool knows_positions(const SplatFile& file) {
   return file.finest && (!file.source_index.empty() || (d.order == Order::input && d.n_dropped == 0));
 }
 
-  }
-  Status put(const std::string& name, std::span<const std::byte> bytes) {
-    if (folder_) return folder_->put(name, bytes);
-    bytes_ = bytes.size();
-    return file_.write_at(0, bytes);
-  }
-  Result<double> commit() { return folder_ ? folder_->commit() : file_.commit(); }
-  std::uint64_t bytes() const { return folder_ ? folder_->bytes() : bytes_; }
-
- private:
-  AtomicFile file_;
-  std::optional<StreamedOutput> folder_;
-  std::uint64_t bytes_ = 0;
-};
-
 // For formats other than .rgs: handles damage, then encodes the file in memory.
 Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const std::string& output_path,
                                    const ConvertOptions& options, const StageObserver& observer) {

@@ -54,6 +54,7 @@ class StreamedOutput {
 /// A file, or the StreamedOutput of a streamed SOG or tileset.
 class SceneOutput {
  public:
+  /// Errors: those of StreamedOutput and AtomicFile.
   Status create(SplatFormat format, const std::string& path, const AtomicFile::Options& options) {
     if (format == SplatFormat::tileset || format == SplatFormat::ssog) {
       auto folder = StreamedOutput::create(path, options);
@@ -65,5 +66,20 @@ class SceneOutput {
     if (!file) return tl::unexpected(file.error());
     file_ = std::move(*file);
     return {};
+  }
+  /// Of one file only once, whatever its name.
+  Status put(const std::string& name, std::span<const std::byte> bytes) {
+    if (folder_) return folder_->put(name, bytes);
+    bytes_ = bytes.size();
+    return file_.write_at(0, bytes);
+  }
+  Result<double> commit() { return folder_ ? folder_->commit() : file_.commit(); }
+  std::uint64_t bytes() const { return folder_ ? folder_->bytes() : bytes_; }
+
+ private:
+  AtomicFile file_;
+  std::optional<StreamedOutput> folder_;
+  std::uint64_t bytes_ = 0;
+};
 
 }  // namespace rgs

@@ -212,8 +212,9 @@ Status each_sog(const Meta& meta, bool wanted_only, const FetchFile& fetch, cons
     };
     const auto sog_meta = fetch_counted(name);
     if (!sog_meta) return tl::unexpected(sog_meta.error());
-    auto sog = decode_sog_files(
-        *sog_meta, [&](const std::string& image) { return fetch_counted(folder_of(name) + image); }, {.limits = limits});
+    auto sog =
+        decode_sog_files(*sog_meta, [&](const std::string& image) { return fetch_counted(folder_of(name) + image); },
+                         {.limits = limits});
     if (!sog) return tl::unexpected(sog.error());
     sog->bytes = bytes;
     if (Status s = check_runs(of_file, sog->cloud.size()); !s) return s;

@@ -15,9 +15,9 @@ using namespace rgs::test;
 namespace {
 
 constexpr SplatFormat kWritable[] = {
-    SplatFormat::compressed_ply, SplatFormat::ply,    SplatFormat::spz_glb, SplatFormat::glb,
-    SplatFormat::usda,           SplatFormat::usdz,   SplatFormat::spz,     SplatFormat::npz,
-    SplatFormat::sog,            SplatFormat::rad,    SplatFormat::ksplat,  SplatFormat::splat};
+    SplatFormat::compressed_ply, SplatFormat::ply,  SplatFormat::spz_glb, SplatFormat::glb, SplatFormat::usda,
+    SplatFormat::usdz,           SplatFormat::spz,  SplatFormat::npz,     SplatFormat::sog, SplatFormat::rad,
+    SplatFormat::ksplat,         SplatFormat::splat};
 
 }  // namespace
 
@@ -255,7 +255,8 @@ TEST_CASE("formats that are not read are named, with what to do, and so is an em
   REQUIRE_FALSE(text);
   CHECK(text.error().code == Errc::bad_magic);
   CHECK(std::string(text.error().what) ==
-        "is not a .rgs, .compressed.ply, .ply, .tileset.json, .spz.glb, .glb, .usda, .usdz, .spz, .npz, .pt, .ssog, .sog, "
+        "is not a .rgs, .compressed.ply, .ply, .tileset.json, .spz.glb, .glb, .usda, .usdz, .spz, .npz, .pt, .ssog, "
+        ".sog, "
         ".rad, .lcc, .lcc2, .ksplat or .splat file");
 }
 

@@ -48,27 +48,26 @@ TEST_CASE(
   const TemporaryFolder folder;
   for (const char* name : {"sparse/0", "photos", "sog/0_0", "gltf", "lcc/data/3dgs", "rad", "3dtiles/b"})
     fs::create_directories(folder.path() / name);
-  for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG",  "photos/report.html",
-                           "sog/meta.json",       "sog/sh0.webp",         "sog/scene.ply", "sog/lod-meta.json",
-                           "sog/0_0/meta.json",   "sog/0_0/quats.webp",   "gltf/a.gltf",   "gltf/a.bin",
-                           "gltf/a.png",          "gltf/b.PLY",           "gltf/b.prj",    "lcc/data.bin",
-                           "lcc/a.lcc",           "lcc/a.lcc2",           "lcc/b.sog",     "lcc/data/3dgs/0.sog",
-                           "rad/a.rad",           "rad/a-0.radc",         "rad/b-0.radc",  "3dtiles/tileset.json",
+  for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG",   "photos/report.html",
+                           "sog/meta.json",       "sog/sh0.webp",         "sog/scene.ply",  "sog/lod-meta.json",
+                           "sog/0_0/meta.json",   "sog/0_0/quats.webp",   "gltf/a.gltf",    "gltf/a.bin",
+                           "gltf/a.png",          "gltf/b.PLY",           "gltf/b.prj",     "lcc/data.bin",
+                           "lcc/a.lcc",           "lcc/a.lcc2",           "lcc/b.sog",      "lcc/data/3dgs/0.sog",
+                           "rad/a.rad",           "rad/a-0.radc",         "rad/b-0.radc",   "3dtiles/tileset.json",
                            "3dtiles/b/c.GLB",     "3dtiles/b/a.json",     "3dtiles/b/a.png"})
     write_text(folder.file(name), "x");
   InputFiles inputs;
   inputs.add_cameras(folder.path().string());
   inputs.add_pictures(folder.file("photos"));
-  for (const char* scene : {"sog/meta.json", "gltf/a.gltf", "lcc/a.lcc", "lcc/a.lcc2", "gltf/b.PLY", "sog/scene.ply",
-                            "rad/a.rad"})
+  for (const char* scene :
+       {"sog/meta.json", "gltf/a.gltf", "lcc/a.lcc", "lcc/a.lcc2", "gltf/b.PLY", "sog/scene.ply", "rad/a.rad"})
     inputs.add_scene(folder.file(scene));
-  CHECK(inputs.paths() == std::vector{folder.file("sparse/0/images.bin"), folder.file("photos/a.JPG"),
-                                      folder.file("sog/meta.json"), folder.file("sog/sh0.webp"),
-                                      folder.file("gltf/a.gltf"), folder.file("gltf/a.bin"), folder.file("lcc/a.lcc"),
-                                      folder.file("lcc/data.bin"), folder.file("lcc/a.lcc2"),
-                                      folder.file("lcc/data/3dgs/0.sog"), folder.file("gltf/b.PLY"),
-                                      folder.file("gltf/b.prj"), folder.file("sog/scene.ply"), folder.file("rad/a.rad"),
-                                      folder.file("rad/a-0.radc")});
+  CHECK(inputs.paths() ==
+        std::vector{folder.file("sparse/0/images.bin"), folder.file("photos/a.JPG"), folder.file("sog/meta.json"),
+                    folder.file("sog/sh0.webp"), folder.file("gltf/a.gltf"), folder.file("gltf/a.bin"),
+                    folder.file("lcc/a.lcc"), folder.file("lcc/data.bin"), folder.file("lcc/a.lcc2"),
+                    folder.file("lcc/data/3dgs/0.sog"), folder.file("gltf/b.PLY"), folder.file("gltf/b.prj"),
+                    folder.file("sog/scene.ply"), folder.file("rad/a.rad"), folder.file("rad/a-0.radc")});
   InputFiles streamed;
   streamed.add_scene(folder.file("sog/lod-meta.json"));
   CHECK(streamed.paths() == std::vector{folder.file("sog/lod-meta.json"), folder.file("sog/0_0/meta.json"),

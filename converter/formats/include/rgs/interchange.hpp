@@ -74,7 +74,7 @@ struct FormatInfo {
   int sh_degree = 3;      ///< the highest that is written; of ksplat 3 is read
   bool writable = false;  ///< by encode_splats(), .rgs by encode(), .ssog and tilesets by the functions below
   struct Keeps {
-    bool levels = false;  ///< of detail, as those of an .rgs; read by open_levels()
+    bool levels = false;  ///< of detail, as those of an .rgs; all but rad and tileset are read by open_levels()
     bool origin = false;  ///< formats without hold FP32 positions; of spz only version 4: keeps_of()
     bool aa_mode = false;
     bool declarations = false;       ///< low-pass, colour space and metres per unit; axes, where none are prescribed
