@@ -625,7 +625,7 @@ bool is_spz_glb(std::span<const std::byte> bytes) {
 // opacity nor harmonics of degree 0, which are in COLOR_0. Kernel and colour space are not stated: with them a reader
 // may make the half turn of the later draft.
 Result<std::vector<std::byte>> encode_spz_glb(const SplatView& splats, const WriteOptions& options) {
-  auto spz = encode_spz(splats, options);
+  auto spz = encode_spz(splats, {.aa_mode = options.aa_mode});  // the node says where it lies
   if (!spz) return spz;
   if (spz->size() > kMostGlbBytes) {
     return make_error(Errc::limit_exceeded, Error::kNone,

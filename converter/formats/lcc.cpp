@@ -29,6 +29,8 @@
 #include "rgs/quantize.hpp"
 #include "rgs/splat_edit.hpp"
 #include "signature.hpp"
+#include "sog.hpp"
+#include "spz.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -452,7 +454,9 @@ Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBesid
       error.what = "cannot open a chunk that root.splatFiles names";
       return tl::unexpected(error);
     }
-    const auto chunk = read_splats(*chunk_bytes, of_chunk);
+    // A georeference of an SPZ does not move it: that of the .lcc2 speaks for all.
+    const auto chunk = tree->chunks == SplatFormat::spz ? decode_spz(*chunk_bytes, of_chunk, false)
+                                                        : decode_sog(*chunk_bytes, of_chunk);
     if (!chunk) return tl::unexpected(chunk.error());
     if (count && *count != chunk->cloud.size()) {
       return make_error(Errc::size_mismatch, 0, "a chunk has another number of Gaussians than its nodes", *count,

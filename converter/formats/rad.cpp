@@ -290,7 +290,8 @@ Result<Meta> parse_meta(Bytes bytes, const DecodeLimits& limits) {
     if (!offset || !size) return bad("a chunk of the .rad lacks offset or bytes");
     Piece piece{0, *size, name != nullptr && name->is_string() ? name->get<std::string>() : std::string()};
     if (name != nullptr && name->is_string()) {
-      if (!is_beside(piece.name)) return bad("the filename of a chunk is not that of a file beside the .rad");
+      if (!is_beside(piece.name) || !piece.name.ends_with(".radc"))
+        return bad("the filename of a chunk is not that of a .radc beside the .rad");
     } else {
       piece.offset = head->end + *offset;
       if (piece.offset != next)

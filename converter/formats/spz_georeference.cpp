@@ -41,9 +41,9 @@ bool is_code(std::string_view text) {
          std::ranges::all_of(text, [](char c) { return c > ' ' && c <= '~' && c != '@'; });
 }
 
-// Positions of undeclared axes are as they are.
+// Undeclared axes are taken for those of a PLY, as readers of an SPZ without records take them.
 Axes file_axes(const WriteOptions& options) {
-  return options.axes[0] == Axis::undeclared ? kAxesOpenGl : options.axes;
+  return options.axes[0] == Axis::undeclared ? kAxes3dgs : options.axes;
 }
 
 Axes crs_axes(const WriteOptions& options) {
@@ -68,7 +68,8 @@ std::optional<Axes> turned_axes(const glm::dmat3& rotation) {
   Axes axes{};
   for (int i = 0; i < 3; ++i) {
     for (int k = 0; k < 3; ++k) {
-      if (!(std::abs(std::abs(rotation[k][i]) - 1) <= kTolerance)) continue;
+      if (std::abs(rotation[k][i]) <= kTolerance) continue;
+      if (!(std::abs(std::abs(rotation[k][i]) - 1) <= kTolerance)) return std::nullopt;
       const auto along = static_cast<unsigned>(kAxesOpenGl[static_cast<std::size_t>(k)]);
       axes[static_cast<std::size_t>(i)] = static_cast<Axis>(rotation[k][i] > 0 ? along : ((along - 1) ^ 1U) + 1);
     }
@@ -80,8 +81,7 @@ std::optional<Axes> turned_axes(const glm::dmat3& rotation) {
 }  // namespace
 
 bool keeps_origin(const WriteOptions& options) {
-  return options.spz_version == 4 &&
-         (options.axes[0] == Axis::undeclared || spz_coordinate_system(options.axes) != 0) &&
+  return options.spz_version == 4 && spz_coordinate_system(file_axes(options)) != 0 &&
          glm::determinant(turn(kAxesOpenGl, crs_axes(options))) > 0;
 }
 
@@ -104,8 +104,7 @@ std::vector<std::byte> georeference_records(const WriteOptions& options) {
     };
     (add(values), ...);
   };
-  if (const std::uint32_t axes = spz_coordinate_system(options.axes); axes != 0)
-    put(kSpzCoordinateSystem, std::uint32_t{4}, axes);
+  put(kSpzCoordinateSystem, std::uint32_t{4}, spz_coordinate_system(file_axes(options)));
   put(kSpzGeoreference, static_cast<std::uint32_t>(kSpzGeoreferenceBytes + text.size()), std::uint8_t{1},
       static_cast<std::uint8_t>(is_projjson(text) ? kProjjson << kEncodingShift : 0),
       static_cast<std::uint16_t>(text.size()), origin[0], origin[1], origin[2], q.x, q.y, q.z, q.w, 1.0,

@@ -21,6 +21,7 @@ namespace {
 
 constexpr std::uint32_t kSafeOrbitCamera = 0xADBE0002;
 constexpr std::uint64_t kSafeOrbitBytes = 12;
+constexpr std::size_t kMostUnused = 64;
 
 // By the value of Adobe's extension, from 1. 0 is "unspecified", which the reference library reads as no extension.
 using enum Axis;
@@ -162,6 +163,8 @@ Result<SpzExtensions> parse_spz_extensions(std::span<const std::byte> records, s
     } else if (type == kSafeOrbitCamera && bytes != kSafeOrbitBytes) {
       return make_error(Errc::bad_header, offset + 4, "the safe orbit extension is not 12 bytes", kSafeOrbitBytes,
                         bytes);
+    } else if (out.unused.size() == kMostUnused) {
+      return make_error(Errc::limit_exceeded, offset, "more extensions than any writer has", kMostUnused);
     } else {
       out.unused.push_back({type, bytes,
                             type == kSafeOrbitCamera   ? "safe orbit camera"

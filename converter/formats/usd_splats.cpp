@@ -360,7 +360,7 @@ void StageReader::value(Prim& prim, std::string_view type, bool is_array, std::s
   } else if (name == "colorSpace:name") {
     prim.colour_space = text_.quoted();
     return;
-  } else if (name == "purpose") {
+  } else if (name == "purpose" && !is_array && type == "token") {
     prim.purpose = text_.quoted();
     return;
   } else if (name == "visibility") {

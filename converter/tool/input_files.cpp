@@ -91,17 +91,13 @@ void InputFiles::add_scene(const std::string& path) {
   if (std::error_code ignored; fs::is_regular_file(prj_of(path), ignored)) add(prj_of(path));
   if (place.filename() == "meta.json") add_all(folder, ".webp");
   if (ending == ".lcc" || ending == ".gltf") add_all(folder, ".bin");
-  if (ending == ".rad") {  // a.rad of Spark's tool has chunks a-0.radc, a-1.radc, ...
-    constexpr std::array<std::string_view, 1> kChunks{".radc"};
-    const std::string stem = place.stem().string() + "-";
-    for (const std::string& file : files_of(folder, kChunks))
-      if (fs::path(file).filename().string().starts_with(stem)) add(file);
-  }
+  if (ending == ".rad") add_all(folder, ".radc");
   if (ending == ".lcc2") add_all(folder / "data" / "3dgs", ".sog", ".spz");
-  if (place.filename().string().ends_with("tileset.json")) {
+  if (ending == ".json" && place.filename() != "meta.json" && place.filename() != "lod-meta.json") {  // a tileset
     std::vector<std::string> contents;
     std::error_code failed;
-    for (fs::recursive_directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed)) {
+    for (fs::recursive_directory_iterator it(folder, fs::directory_options::skip_permission_denied, failed), end;
+         !failed && it != end; it.increment(failed)) {
       const std::string its = lower_case(it->path().extension().string());
       std::error_code ignored;
       if ((its == ".glb" || its == ".gltf" || its == ".bin" || its == ".json") && it->is_regular_file(ignored) &&

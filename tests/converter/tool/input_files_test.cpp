@@ -62,12 +62,13 @@ TEST_CASE(
   for (const char* scene :
        {"sog/meta.json", "gltf/a.gltf", "lcc/a.lcc", "lcc/a.lcc2", "gltf/b.PLY", "sog/scene.ply", "rad/a.rad"})
     inputs.add_scene(folder.file(scene));
-  CHECK(inputs.paths() ==
-        std::vector{folder.file("sparse/0/images.bin"), folder.file("photos/a.JPG"), folder.file("sog/meta.json"),
-                    folder.file("sog/sh0.webp"), folder.file("gltf/a.gltf"), folder.file("gltf/a.bin"),
-                    folder.file("lcc/a.lcc"), folder.file("lcc/data.bin"), folder.file("lcc/a.lcc2"),
-                    folder.file("lcc/data/3dgs/0.sog"), folder.file("gltf/b.PLY"), folder.file("gltf/b.prj"),
-                    folder.file("sog/scene.ply"), folder.file("rad/a.rad"), folder.file("rad/a-0.radc")});
+  CHECK(inputs.paths() == std::vector{folder.file("sparse/0/images.bin"), folder.file("photos/a.JPG"),
+                                      folder.file("sog/meta.json"), folder.file("sog/sh0.webp"),
+                                      folder.file("gltf/a.gltf"), folder.file("gltf/a.bin"), folder.file("lcc/a.lcc"),
+                                      folder.file("lcc/data.bin"), folder.file("lcc/a.lcc2"),
+                                      folder.file("lcc/data/3dgs/0.sog"), folder.file("gltf/b.PLY"),
+                                      folder.file("gltf/b.prj"), folder.file("sog/scene.ply"), folder.file("rad/a.rad"),
+                                      folder.file("rad/a-0.radc"), folder.file("rad/b-0.radc")});
   InputFiles streamed;
   streamed.add_scene(folder.file("sog/lod-meta.json"));
   CHECK(streamed.paths() == std::vector{folder.file("sog/lod-meta.json"), folder.file("sog/0_0/meta.json"),

@@ -74,8 +74,9 @@ struct FormatInfo {
   int sh_degree = 3;      ///< the highest that is written; of ksplat 3 is read
   bool writable = false;  ///< by encode_splats(), .rgs by encode(), .ssog and tilesets by the functions below
   struct Keeps {
-    bool levels = false;  ///< of detail, as those of an .rgs; all but rad and tileset are read by open_levels()
-    bool origin = false;  ///< formats without hold FP32 positions; of spz only version 4: keeps_of()
+    bool levels = false;     ///< of detail, as those of an .rgs: open_levels()
+    bool one_level = false;  ///< has levels, of which one is read; written are those of an .rgs
+    bool origin = false;     ///< formats without hold FP32 positions; of spz only version 4: keeps_of()
     bool aa_mode = false;
     bool declarations = false;       ///< low-pass, colour space and metres per unit; axes, where none are prescribed
     bool axes = false, crs = false;  ///< keeps_of() sets these
