@@ -14,10 +14,10 @@ import numpy as np
 from interop import differences, nearest, read_ply, shaped
 from measure_formats import WRITTEN, cpu_name, run
 
-FORMATS = [("ply", "scene.back.ply", []), *((kind, f"scene.{kind}", []) for kind in ("glb", "usda", "usdz", "npz")),
+FORMATS = [("ply", "scene.back.ply", []), *((kind, f"scene.{kind}", []) for kind in ("glb", "spz.glb", "usda", "usdz", "npz", "rad")),
            *((kind, name, options) for kind, name, options in WRITTEN if "step" not in kind),
            *((f"rgs archive{preset}", f"archive{preset[1:]}.rgs", ["--profile", f"archive{preset}"]) for preset in (":high", ":small", ":tiny")),
-           ("lod-meta.json", "streamed/lod-meta.json", [])]
+           ("tileset.json", "tiles/tileset.json", []), ("lod-meta.json", "streamed/lod-meta.json", [])]
 DECLARED = ["--crs", "EPSG:4978", "--translate", "4000000,500000,4700000", "--aa", "mip", "--low-pass", "0.2"]
 
 
@@ -31,7 +31,7 @@ def main():
     parser.add_argument("--work", type=Path, default=Path("build/round-trips"))
     arguments = parser.parse_args()
     work = arguments.work
-    (work / "streamed").mkdir(parents=True, exist_ok=True)
+    work.mkdir(parents=True, exist_ok=True)
     make = ["--gaussians", "20k", "--cameras", work / "cameras.json", work / "scene.ply"]
     run(arguments.bin / "rgs-make-scene", "--quiet", "--overwrite", *make)
     convert = lambda *words: run(arguments.bin / "rgs-convert", "--quiet", "--overwrite", *words)
@@ -68,7 +68,7 @@ def main():
         stated = info(file)
         lost = [] if stated["header"]["sh_degree"] == 3 else [f"SH above degree {stated['header']['sh_degree']}"]
         lost += [] if "levels" in stated else ["levels"]
-        lost += ["origin"] if written["position_rounding"] > 0 else []
+        lost += ["origin"] if written["position_rounding"] > 1e-3 else []
         lost += [] if stated["declarations"].get("crs") else ["CRS"]
         lost += [] if stated["declarations"]["aa_mode"] == "mip_splatting" else ["anti-aliasing"]
         lost += [] if stated["declarations"].get("low_pass_px2") == 0.2 else ["low-pass"]

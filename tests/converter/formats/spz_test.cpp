@@ -385,7 +385,7 @@ TEST_CASE("SPZ of version 4 holds an origin and a CRS, whose axes may be others,
     CHECK(file.origin == origin);
     CHECK(file.crs == Crs());
   }
-  // Undeclared axes: coordinates are those of the CRS as they are.
+  // Undeclared axes are taken for those of a PLY.
   options.axes = {};
   options.crs.text = "EPSG:4978";
   CHECK(keeps(options) == std::array{true, true, false});
@@ -440,6 +440,10 @@ TEST_CASE("an SPZ's georeference that turns or scales transforms the Gaussians; 
   CHECK(turned.crs.axes == kAxesLcc);
   CHECK(turned.origin == Origin{4194304.5, 4713930.125, 555555.25});
   CHECK(compare(turned.cloud, coded).sum() == 0);
+  // A slight turn is one: 2 cm at 2 km.
+  const auto tilted = read_splats(with_extensions(plain, record(0, "EPSG:4978", 1, {1, 0, 0, 5e-6})), keep).value();
+  CHECK(tilted.axes == Axes{});
+  CHECK(compare(tilted.cloud, coded).sum() > 0);
   CHECK(read(record(2, "{\n}", 1, {1, 0, 0, 0})).crs.text == "{ }");
 
   for (const Bytes& bad :
