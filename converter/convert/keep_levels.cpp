@@ -82,7 +82,7 @@ std::vector<std::uint32_t> order_of(std::span<const Splat> rows, const MortonKey
   auto sorted = shows;
   std::ranges::nth_element(sorted, sorted.begin() + static_cast<std::ptrdiff_t>(n_first));
   const auto threshold = sorted[n_first];
-  std::ranges::stable_partition(order, [&](std::uint32_t i) { return shows[i] < threshold; });
+  std::stable_partition(order.begin(), order.end(), [&](std::uint32_t i) { return shows[i] < threshold; });
   return order;
 }
 
