@@ -496,11 +496,10 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
         }
         for (const std::uint32_t node : r.nodes)
           stated = stated && tree_.nodes[node].level == level && tree_.nodes[node].error > 0;
-        const bool is_repeated = r.n_children == 1 && r.nodes == first.nodes;
         for (const std::uint32_t node : r.nodes)
           if (stated) r.error = std::max(r.error, tree_.nodes[node].error);
         const auto of_region = std::span(pages).subspan(r.first_page, r.n_pages());
-        if (!stated && !is_repeated) {
+        if (!stated) {  // also where the level below is repeated, which may be cut otherwise
           if (Status s = measure_pages(out, r, of_region, out.pages[level - 1]); !s) return s;
         }
         r.error = std::clamp(r.error, std::numeric_limits<float>::min(), lod::kMostError);

@@ -246,6 +246,11 @@ TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   REQUIRE(rgs_convert({"--chunk-size", "64", one, rgs}).exit_code == 0);
   const Bytes floaters = read_bytes(rgs);
   CHECK(count_refuted(PagedFile::open(floaters).value()) == 0);
+  // Repeats of leaves, which are whole chunks, have errors of their own too.
+  const std::string repeated = streamed_sog(folder, fine, coarse, {{{0, 0, 5000}, {1, 0, 3000}}, {{0, 5000, 4030}}});
+  REQUIRE(rgs_convert({"--chunk-size", "4096", repeated, rgs}).exit_code == 0);
+  const Bytes leaves_again = read_bytes(rgs);
+  CHECK(count_refuted(PagedFile::open(leaves_again).value()) == 0);
   // Nothing else than a region without Gaussians.
   json meta = json::parse(text_of(read_bytes(one)));
   meta["tree"] = {{"children", {{{"lods", json::object()}}}}};
