@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "check_error.hpp"
+#include "convert_steps.hpp"
 #include "core_box.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/spatial_order.hpp"
@@ -350,6 +351,7 @@ Result<KeptLevels> KeptLevels::open(LevelTree tree, const Axes& from, const Enco
       return unsupported("more than 32 levels of detail; pass --lod, which builds new ones");
   }
   kept.n_kept_.resize(tree.nodes.size());
+  kept.coarser_ = SceneScan(encode.sh_degree, encode.on_bad);
   kept.tree_ = std::move(tree);
   bool first = true;
   const Status status = kept.read([&](std::uint32_t node, SplatFile piece) -> Status {
@@ -358,9 +360,17 @@ Result<KeptLevels> KeptLevels::open(LevelTree tree, const Axes& from, const Enco
     kept.tree_.file.bytes += piece.bytes;
     kept.sh_degree_ = std::max(kept.sh_degree_, piece.cloud.sh_degree);
     kept.n_kept_[node] = clean(piece.cloud, encode.sh_degree, encode.on_bad).size();
+    for (std::uint64_t i = 0; i < piece.cloud.size() && !kept.is_leaf_[node]; ++i) {
+      Splat s = piece.cloud.view().splat(i);
+      kept.coarser_.add(s);
+    }
     return {};
   });
   if (!status) return tl::unexpected(status.error());
+  const SceneScan& coarser = kept.coarser_;
+  if (encode.on_bad == BadPolicy::refuse && coarser.n_kept() != coarser.n_source())
+    return damaged_gaussian(Error::kNone, coarser);
+  if (const Status s = check_encodable(coarser, encode); !s) return tl::unexpected(s.error());
   return kept;
 }
 

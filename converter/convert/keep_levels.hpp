@@ -19,10 +19,12 @@ namespace rgs {
 class KeptLevels {
  public:
   /// Reads all nodes once. `from`: the axes of the nodes; encode.axes are those of the result. Errors: the tree's,
-  /// unsupported_feature (too many levels).
+  /// unsupported_feature (too many levels), bad_value and too_many_bad (damaged Gaussians above the leaves).
   static Result<KeptLevels> open(LevelTree tree, const Axes& from, const EncodeOptions& encode);
   /// The tree's, with anti-aliasing and bytes.
   const SplatFile& file() const { return tree_.file; }
+  /// All Gaussians but the leaves.
+  const SceneScan& coarser() const { return coarser_; }
   /// The leaves, in the order of read_splats(). A view.
   lod::SplatStream leaves() const;
   /// In place of order_leaves() and build_upper(). Errors: theirs; unsupported_feature (the levels' sizes are none of a
@@ -37,6 +39,7 @@ class KeptLevels {
   std::vector<std::uint64_t> n_kept_;  // of each node, without damaged ones
   std::vector<bool> is_leaf_;
   int sh_degree_ = 0;
+  SceneScan coarser_{0};
 };
 
 }  // namespace rgs

@@ -122,6 +122,11 @@ Outcome<ConvertSummary> convert_levels(ConvertArguments& arguments, const SceneI
   const InputDeclarations by_input = declared_by(declared, input.name(), {});
   if (auto s = declare_scene(encode, {&by_input, 1}, options.asked, loss.notes); !s)
     return failed(input.path(), s.error());
+  const SceneScan& coarser = kept->coarser();
+  if (const std::uint64_t n = coarser.n_source() - coarser.n_kept(); n != 0)
+    loss.notes.push_back(tool::format_count(n) + " damaged Gaussians of coarser levels dropped");
+  if (const std::uint64_t n = coarser.n_repaired(); n != 0)
+    loss.notes.push_back(tool::format_count(n) + " damaged Gaussians of coarser levels repaired");
   const lod::SplatStream leaves = kept->leaves();
   encode.n_source = leaves.n;
   encode.n_repaired = 0;

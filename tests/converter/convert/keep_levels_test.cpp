@@ -286,6 +286,20 @@ TEST_CASE("levels of an LCC become levels of an .rgs") {
   CHECK(n[1] == 1500 + 3);  // the second cell has no other level
   CHECK(n[2] == 1500 + 3);
   check_same(level_of(rgs, 0), read_splats(folder.file("a.lcc"))->cloud, 0);
+  // Damaged Gaussians above the leaves are treated as others are: level 1 of the first cell lies after 4000 Gaussians.
+  const auto convert_damaged = [&](std::size_t n_damaged, const std::vector<std::string>& options) {
+    Bytes data = files.at("data.bin");
+    for (std::size_t i = 0; i < n_damaged; ++i) put(data, 32 * (4000 + i), std::numeric_limits<float>::quiet_NaN());
+    write_bytes(folder.file("data.bin"), data);
+    std::vector<std::string> arguments{folder.file("a.lcc"), rgs};
+    arguments.insert(arguments.begin(), options.begin(), options.end());
+    return rgs_convert(arguments);
+  };
+  CHECK(convert_damaged(30, {}).out.find("30 damaged Gaussians of coarser levels dropped") != std::string::npos);
+  CHECK(convert_damaged(31, {}).exit_code == 4);
+  CHECK(convert_damaged(31, {"--on-bad", "drop"}).exit_code == 0);
+  CHECK(convert_damaged(1, {"--on-bad", "refuse"}).exit_code == 4);
+  CHECK(convert_damaged(1, {"--strict"}).exit_code == 4);
 }
 
 TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaussians") {
