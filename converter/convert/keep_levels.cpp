@@ -22,6 +22,7 @@ namespace rgs {
 namespace {
 
 constexpr std::uint32_t kMostLevels = 32;   // of a file; what is built above them has fewer
+constexpr std::uint64_t kMostRepeats = 4;   // of all Gaussians, where levels are lacking
 constexpr std::uint64_t kMeasuring = 1024;  // bytes a Gaussian
 
 // What becomes pages of one level that are drawn together.
@@ -87,15 +88,29 @@ std::vector<std::uint32_t> order_of(std::span<const Splat> rows, const MortonKey
   return order;
 }
 
-// Regions of all levels: nodes, and repeated ones where a level is lacking.
-RegionLevels regions_of(const LevelTree& tree, std::span<const std::uint64_t> n_kept,
-                        const std::vector<bool>& is_leaf) {
-  const std::size_t n = tree.nodes.size();
-  std::vector<bool> lives(n);  // has leaves
-  for (std::size_t i = n; i-- > 0;) {
+// Whether each node has Gaussians and leaves.
+std::vector<bool> find_living(const LevelTree& tree, std::span<const std::uint64_t> n_kept,
+                              const std::vector<bool>& is_leaf) {
+  std::vector<bool> lives(tree.nodes.size());
+  for (std::size_t i = lives.size(); i-- > 0;) {
     if (is_leaf[i]) lives[i] = n_kept[i] != 0;
     if (lives[i] && tree.nodes[i].parent != LevelTree::kNoParent) lives[tree.nodes[i].parent] = true;
+    lives[i] = lives[i] && n_kept[i] != 0;
   }
+  return lives;
+}
+
+// Numbers levels anew, without those that no living node has.
+void close_gaps(std::span<LevelTree::Node> nodes, const std::vector<bool>& lives) {
+  std::array<bool, kMostLevels> is_used{};
+  for (std::size_t i = 0; i < nodes.size(); ++i) is_used[nodes[i].level] = is_used[nodes[i].level] || lives[i];
+  for (LevelTree::Node& node : nodes)
+    node.level = static_cast<std::uint32_t>(std::count(is_used.begin(), is_used.begin() + node.level, true));
+}
+
+// Regions of all levels: nodes, and repeated ones where a level is lacking.
+RegionLevels regions_of(const LevelTree& tree, std::span<const std::uint64_t> n_kept, const std::vector<bool>& lives) {
+  const std::size_t n = tree.nodes.size();
   std::vector<std::vector<std::uint32_t>> children(n);
   RegionLevels levels(1);
   std::vector<Region> roots;
@@ -107,7 +122,7 @@ RegionLevels regions_of(const LevelTree& tree, std::span<const std::uint64_t> n_
   };
   std::uint32_t highest = 0;
   for (std::uint32_t i = 0; i < n; ++i) {
-    if (!lives[i] || n_kept[i] == 0) continue;
+    if (!lives[i]) continue;
     std::uint32_t parent = tree.nodes[i].parent;
     while (parent != LevelTree::kNoParent && n_kept[parent] == 0) parent = tree.nodes[parent].parent;
     parent == LevelTree::kNoParent ? roots.push_back(region(i)) : children[parent].push_back(i);
@@ -371,6 +386,7 @@ Result<KeptLevels> KeptLevels::open(LevelTree tree, const Axes& from, const Enco
   if (encode.on_bad == BadPolicy::refuse && coarser.n_kept() != coarser.n_source())
     return damaged_gaussian(Error::kNone, coarser);
   if (const Status s = check_encodable(coarser, encode); !s) return tl::unexpected(s.error());
+  close_gaps(kept.tree_.nodes, find_living(kept.tree_, kept.n_kept_, kept.is_leaf_));
   return kept;
 }
 
@@ -402,7 +418,7 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
                            lod::StreamedLevels& out) const {
   return detail::guard_memory([&]() -> Status {
     const lod::BuildOptions build = lod::build_options(encode, options);
-    RegionLevels levels = regions_of(tree_, n_kept_, is_leaf_);
+    RegionLevels levels = regions_of(tree_, n_kept_, find_living(tree_, n_kept_, is_leaf_));
     join_small(build.chunk_size, levels);
 
     // The place of each node's Gaussians.
@@ -429,6 +445,13 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
       bytes += level_bytes.back();
       n_all += first;
     }
+    const std::uint64_t most_kept =
+        (1 + kMostRepeats) * std::accumulate(n_kept_.begin(), n_kept_.end(), std::uint64_t{0});
+    if (n_all > most_kept)
+      return make_error(Errc::limit_exceeded, Error::kNone,
+                        "so many regions lack levels of detail that their Gaussians would be repeated more than 4 "
+                        "times; pass --lod, which builds new ones",
+                        most_kept, n_all);
     out.n_leaves = levels.front().back().end();
     if (out.n_leaves != scan.n_kept())
       return make_error(Errc::read_failed, Error::kNone, "the source changed while it was read");

@@ -327,15 +327,17 @@ TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaus
   options.encode.chunk_size = 64;
   options.encode.axes = kAxes3dgs;
   options.output.sync = false;
-  const auto kept = KeptLevels::open(tree, kAxes3dgs, options.encode);
-  REQUIRE(kept);
-  const lod::SplatStream leaves = kept->leaves();
-  CHECK(leaves.n == 2001);
-  StreamFacts facts;
-  facts.hash = [] { return 0; };
-  facts.arrange = [&](auto&... of) { return kept->arrange(of...); };
-  const auto summary = convert_to_levels(leaves, facts, folder.file("tree.rgs"), options);
+  const auto convert = [&]() -> Result<ConvertSummary> {
+    const auto kept = KeptLevels::open(tree, kAxes3dgs, options.encode);
+    REQUIRE(kept);
+    StreamFacts facts;
+    facts.hash = [] { return 0; };
+    facts.arrange = [&](auto&... of) { return kept->arrange(of...); };
+    return convert_to_levels(kept->leaves(), facts, folder.file("tree.rgs"), options);
+  };
+  const auto summary = convert();
   REQUIRE(summary);
+  CHECK(summary->n_source == 2001);
   CHECK(summary->n_written == 2000);
   const Bytes bytes = read_bytes(folder.file("tree.rgs"));
   const auto file = PagedFile::open(bytes);
@@ -348,6 +350,15 @@ TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaus
     CHECK((page.error == 0.5F || page.count == 100));
   }
   CHECK(n == 300 + 100);
+  // Levels that no node has are left out.
+  options.output.overwrite = true;
+  tree.nodes[0].level = 31;
+  REQUIRE(convert());
+  CHECK(read_bytes(folder.file("tree.rgs")) == bytes);
   tree.nodes[0].level = 40;
   CHECK(KeptLevels::open(tree, kAxes3dgs, options.encode).error().code == Errc::unsupported_feature);
+  // Levels that one region has are not made of repeats.
+  tree.nodes = {{0, LevelTree::kNoParent, 2000}};
+  for (std::uint32_t k = 0; k < 7; ++k) tree.nodes.push_back({6 - k, k == 0 ? LevelTree::kNoParent : k, 100});
+  CHECK(convert().error().code == Errc::limit_exceeded);
 }
