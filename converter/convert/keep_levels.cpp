@@ -321,7 +321,7 @@ class Cutter {
 // The error of a region: that of its middle page. A page that half of what rgs-info allows would refute, as one of
 // floaters, gets an error of its own.
 Status measure_pages(const lod::StreamedLevels& levels, Region& region, std::span<lod::Page> pages,
-                     std::span<const lod::Page> below) {
+                     std::span<const lod::Page> below, bool lossy) {
   constexpr float kTrusted = lod::kErrorTolerance / 2;
   constexpr int kMostRounds = 16;
   const std::uint32_t level = pages.front().level;
@@ -331,7 +331,9 @@ Status measure_pages(const lod::StreamedLevels& levels, Region& region, std::spa
     Status s = levels.rows[level - 1].read(first.first, last.first + last.count - first.first, finer);
     if (s) s = levels.rows[level].read(page.first, page.count, coarser);
     if (!s) return tl::unexpected(s.error());
-    return lod::error_against(finer.view(), coarser.view(), page.error);
+    // Other Gaussians that look the same here, or lossy ones, may not do so in the file.
+    const bool is_same = !lossy && coarser.mean == finer.mean;
+    return lod::error_against(finer.view(), coarser.view(), page.error, is_same);
   };
   std::vector<float> errors;
   for (const lod::Page& page : pages) {
@@ -492,7 +494,8 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
     if (!placed) return placed;
 
     options.begin("levels", n_all, "Gaussians");
-    const std::uint64_t most_rows = encode.profile == Profile::archive ? kMaxArchiveRows : lod::kMaxPageRows;
+    const bool lossy = encode.profile == Profile::archive;
+    const std::uint64_t most_rows = lossy ? kMaxArchiveRows : lod::kMaxPageRows;
     if (Status s = Cutter(key, build, most_rows, out).cut(options, levels); !s) return s;
     std::vector<lod::Page>& leaves = out.pages.front();
     const std::uint64_t page_bytes = kMeasuring * build.page_chunks * build.chunk_size;
@@ -533,7 +536,7 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
           if (stated) r.error = std::max(r.error, tree_.nodes[node].error);
         const auto of_region = std::span(pages).subspan(r.first_page, r.n_pages());
         if (!stated) {  // also where the level below is repeated, which may be cut otherwise
-          if (Status s = measure_pages(out, r, of_region, out.pages[level - 1]); !s) return s;
+          if (Status s = measure_pages(out, r, of_region, out.pages[level - 1], lossy); !s) return s;
         }
         r.error = std::clamp(r.error, std::numeric_limits<float>::min(), lod::kMostError);
         for (lod::Page& page : of_region) {

@@ -251,6 +251,18 @@ TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   REQUIRE(rgs_convert({"--chunk-size", "4096", repeated, rgs}).exit_code == 0);
   const Bytes leaves_again = read_bytes(rgs);
   CHECK(count_refuted(PagedFile::open(leaves_again).value()) == 0);
+  // Equal ones have none, unless they are stored with losses.
+  const std::string equal = streamed_sog(folder, fine, coarse, {{{0, 0, 4096}, {1, 0, 3000}}, {{0, 4096, 4934}}});
+  for (const std::string profile : {"packed", "archive:high"}) {
+    CAPTURE(profile);
+    REQUIRE(rgs_convert({"--chunk-size", "4096", "--profile", profile, equal, rgs}).exit_code == 0);
+    const Bytes of_profile = read_bytes(rgs);
+    const auto opened = PagedFile::open(of_profile);
+    REQUIRE(opened);
+    float error = 1;
+    for (const lod::Page& page : opened->pages()) error = page.level == 1 ? std::min(error, page.error) : error;
+    CHECK((error < 1e-30F) == (profile == "packed"));
+  }
   // Nothing else than a region without Gaussians.
   json meta = json::parse(text_of(read_bytes(one)));
   meta["tree"] = {{"children", {{{"lods", json::object()}}}}};
