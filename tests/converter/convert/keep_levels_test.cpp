@@ -298,6 +298,11 @@ TEST_CASE("levels of an LCC become levels of an .rgs") {
   CHECK(n[1] == 1500 + 3);  // the second cell has no other level
   CHECK(n[2] == 1500 + 3);
   check_same(level_of(rgs, 0), read_splats(folder.file("a.lcc"))->cloud, 0);
+  // A coordinate reference system runs along the axes of the .lcc.
+  const std::string placed = folder.file("placed.rgs");
+  REQUIRE(rgs_convert({"--crs", "EPSG:25832", folder.file("a.lcc"), placed}).exit_code == 0);
+  const Bytes of_placed = read_bytes(placed);
+  CHECK(PagedFile::open(of_placed)->head().declarations().crs == Crs{"EPSG:25832", kAxesLcc});
   // Damaged Gaussians above the leaves are treated as others are: level 1 of the first cell lies after 4000 Gaussians.
   const auto convert_damaged = [&](std::size_t n_damaged, const std::vector<std::string>& options) {
     Bytes data = files.at("data.bin");
