@@ -298,6 +298,10 @@ TEST_CASE("levels of an LCC become levels of an .rgs") {
   CHECK(n[1] == 1500 + 3);  // the second cell has no other level
   CHECK(n[2] == 1500 + 3);
   check_same(level_of(rgs, 0), read_splats(folder.file("a.lcc"))->cloud, 0);
+  // What comes by standard input has no files beside it, whatever the current folder holds.
+  const ProgramResult piped = run_shell("cd '" + folder.path().string() + "' && '" + built("rgs-convert") +
+                                        "' --overwrite - piped.rgs < a.lcc");
+  CHECK(piped.exit_code == 4);
   // A coordinate reference system runs along the axes of the .lcc.
   const std::string placed = folder.file("placed.rgs");
   REQUIRE(rgs_convert({"--crs", "EPSG:25832", folder.file("a.lcc"), placed}).exit_code == 0);
