@@ -397,7 +397,7 @@ Result<LevelTree> open_lcc_levels(std::span<const std::byte> bytes, const FetchB
   tree.file = lcc->file;
   tree.file.n_levels = static_cast<std::uint32_t>(lcc->meta.n_levels);
   std::vector<std::vector<Run>> of_cell;  // by level
-  std::uint64_t n = 0;
+  std::uint64_t n = 0, n_dropped = 0;
   for (std::uint64_t level = 0; level < lcc->meta.n_levels && (level == 0 || n != 0); ++level) {
     const auto runs = find_runs(*lcc, level);
     if (!runs) {
@@ -412,11 +412,15 @@ Result<LevelTree> open_lcc_levels(std::span<const std::byte> bytes, const FetchB
       if (run.cell < of_cell.size() && (level == 0 || !of_cell[run.cell].empty())) {
         of_cell[run.cell].push_back(run);
         n += run.n;
+      } else {
+        n_dropped += run.n;
       }
     }
   }
   if (n > limits.max_gaussians)
     return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
+  if (n_dropped != 0)
+    tree.file.unused.push_back(std::to_string(n_dropped) + " Gaussians of cells without a finest level");
   std::vector<Run> all;
   for (const std::vector<Run>& cell : of_cell) {
     for (auto run = cell.rbegin(); run != cell.rend(); ++run) {

@@ -156,6 +156,11 @@ TEST_CASE("LCC: cells are chains of the levels that they have, the coarsest firs
   const auto counted = open(stated);
   REQUIRE(counted);
   CHECK(counted->nodes.size() == tree->nodes.size());
+  // The second cell has no finest level: its Gaussians have no place, and are counted.
+  Files without = stated;
+  put(without.at("index.bin"), kCell + 4 + 16, 2U);
+  put(without.at("index.bin"), kCell + 4 + 16 + 12, 64U);
+  CHECK(open(without)->file.unused == std::vector<std::string>{"2 Gaussians of cells without a finest level"});
 }
 
 TEST_CASE("LCC is right, forward, up, and comes in 3DGS's frame") {
