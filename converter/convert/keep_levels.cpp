@@ -358,38 +358,40 @@ Status measure_pages(const lod::StreamedLevels& levels, Region& region, std::spa
 }  // namespace
 
 Result<KeptLevels> KeptLevels::open(LevelTree tree, const Axes& from, const EncodeOptions& encode) {
-  KeptLevels kept;
-  kept.from_ = from;
-  kept.to_ = encode.axes;
-  kept.is_leaf_.assign(tree.nodes.size(), true);
-  for (const LevelTree::Node& node : tree.nodes) {
-    if (node.parent != LevelTree::kNoParent) kept.is_leaf_[node.parent] = false;
-    if (node.level >= kMostLevels)
-      return unsupported("more than 32 levels of detail; pass --lod, which builds new ones");
-  }
-  kept.n_kept_.resize(tree.nodes.size());
-  kept.coarser_ = SceneScan(encode.sh_degree, encode.on_bad);
-  kept.tree_ = std::move(tree);
-  bool first = true;
-  const Status status = kept.read([&](std::uint32_t node, SplatFile piece) -> Status {
-    if (first) kept.tree_.file.aa_mode = piece.aa_mode;
-    first = false;
-    kept.tree_.file.bytes += piece.bytes;
-    kept.sh_degree_ = std::max(kept.sh_degree_, piece.cloud.sh_degree);
-    kept.n_kept_[node] = clean(piece.cloud, encode.sh_degree, encode.on_bad).size();
-    for (std::uint64_t i = 0; i < piece.cloud.size() && !kept.is_leaf_[node]; ++i) {
-      Splat s = piece.cloud.view().splat(i);
-      kept.coarser_.add(s);
+  return detail::guard_memory([&]() -> Result<KeptLevels> {
+    KeptLevels kept;
+    kept.from_ = from;
+    kept.to_ = encode.axes;
+    kept.is_leaf_.assign(tree.nodes.size(), true);
+    for (const LevelTree::Node& node : tree.nodes) {
+      if (node.parent != LevelTree::kNoParent) kept.is_leaf_[node.parent] = false;
+      if (node.level >= kMostLevels)
+        return unsupported("more than 32 levels of detail; pass --lod, which builds new ones");
     }
-    return {};
+    kept.n_kept_.resize(tree.nodes.size());
+    kept.coarser_ = SceneScan(encode.sh_degree, encode.on_bad);
+    kept.tree_ = std::move(tree);
+    bool first = true;
+    const Status status = kept.read([&](std::uint32_t node, SplatFile piece) -> Status {
+      if (first) kept.tree_.file.aa_mode = piece.aa_mode;
+      first = false;
+      kept.tree_.file.bytes += piece.bytes;
+      kept.sh_degree_ = std::max(kept.sh_degree_, piece.cloud.sh_degree);
+      kept.n_kept_[node] = clean(piece.cloud, encode.sh_degree, encode.on_bad).size();
+      for (std::uint64_t i = 0; i < piece.cloud.size() && !kept.is_leaf_[node]; ++i) {
+        Splat s = piece.cloud.view().splat(i);
+        kept.coarser_.add(s);
+      }
+      return {};
+    });
+    if (!status) return tl::unexpected(status.error());
+    const SceneScan& coarser = kept.coarser_;
+    if (encode.on_bad == BadPolicy::refuse && coarser.n_kept() != coarser.n_source())
+      return damaged_gaussian(Error::kNone, coarser);
+    if (const Status s = check_encodable(coarser, encode); !s) return tl::unexpected(s.error());
+    close_gaps(kept.tree_.nodes, find_living(kept.tree_, kept.n_kept_, kept.is_leaf_));
+    return kept;
   });
-  if (!status) return tl::unexpected(status.error());
-  const SceneScan& coarser = kept.coarser_;
-  if (encode.on_bad == BadPolicy::refuse && coarser.n_kept() != coarser.n_source())
-    return damaged_gaussian(Error::kNone, coarser);
-  if (const Status s = check_encodable(coarser, encode); !s) return tl::unexpected(s.error());
-  close_gaps(kept.tree_.nodes, find_living(kept.tree_, kept.n_kept_, kept.is_leaf_));
-  return kept;
 }
 
 Status KeptLevels::read(const LevelTree::Visit& visit) const {

@@ -14,13 +14,14 @@ namespace rgs {
 
 /// Leaves are the nodes without children, one after another, each along a Morton curve. Pages of a node share core and
 /// error, so that they are drawn together. Where a node's level is not one above its children's, pages repeat the
-/// children; levels that no node has are left out. Leaf pages are whole chunks: what is left to fill a node's last chunk
-/// are those Gaussians of the next node that show least. Nodes of less than what is left are joined to the one before.
-/// Above the coarsest nodes levels are built.
+/// children; levels that no node has are left out. Leaf pages are whole chunks: what is left to fill a node's last
+/// chunk are those Gaussians of the next node that show least. Nodes of less than what is left are joined to the one
+/// before. Above the coarsest nodes levels are built.
 class KeptLevels {
  public:
   /// Reads all nodes once. `from`: the axes of the nodes; encode.axes are those of the result. Errors: the tree's,
-  /// unsupported_feature (too many levels), bad_value and too_many_bad (damaged Gaussians above the leaves).
+  /// unsupported_feature (too many levels), bad_value and too_many_bad (damaged Gaussians above the leaves),
+  /// host_out_of_memory.
   static Result<KeptLevels> open(LevelTree tree, const Axes& from, const EncodeOptions& encode);
   /// The tree's, with anti-aliasing and bytes.
   const SplatFile& file() const { return tree_.file; }

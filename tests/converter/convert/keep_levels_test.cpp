@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <filesystem>
 #include <map>
+#include <new>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -382,4 +383,6 @@ TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaus
   tree.nodes = {{0, LevelTree::kNoParent, 2000}};
   for (std::uint32_t k = 0; k < 7; ++k) tree.nodes.push_back({6 - k, k == 0 ? LevelTree::kNoParent : k, 100});
   CHECK(convert().error().code == Errc::limit_exceeded);
+  tree.read = [](const LevelTree::Visit&) -> Status { throw std::bad_alloc(); };
+  CHECK(KeptLevels::open(tree, kAxes3dgs, options.encode).error().code == Errc::host_out_of_memory);
 }
