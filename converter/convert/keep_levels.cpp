@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "check_error.hpp"
+#include "convert_steps.hpp"
 #include "core_box.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/spatial_order.hpp"
@@ -21,6 +22,7 @@ namespace rgs {
 namespace {
 
 constexpr std::uint32_t kMostLevels = 32;   // of a file; what is built above them has fewer
+constexpr std::uint64_t kMostRepeats = 4;   // of all Gaussians, where levels are lacking
 constexpr std::uint64_t kMeasuring = 1024;  // bytes a Gaussian
 
 // What becomes pages of one level that are drawn together.
@@ -86,15 +88,29 @@ std::vector<std::uint32_t> order_of(std::span<const Splat> rows, const MortonKey
   return order;
 }
 
-// Regions of all levels: nodes, and repeated ones where a level is lacking.
-RegionLevels regions_of(const LevelTree& tree, std::span<const std::uint64_t> n_kept,
-                        const std::vector<bool>& is_leaf) {
-  const std::size_t n = tree.nodes.size();
-  std::vector<bool> lives(n);  // has leaves
-  for (std::size_t i = n; i-- > 0;) {
+// Whether each node has Gaussians and leaves.
+std::vector<bool> find_living(const LevelTree& tree, std::span<const std::uint64_t> n_kept,
+                              const std::vector<bool>& is_leaf) {
+  std::vector<bool> lives(tree.nodes.size());
+  for (std::size_t i = lives.size(); i-- > 0;) {
     if (is_leaf[i]) lives[i] = n_kept[i] != 0;
     if (lives[i] && tree.nodes[i].parent != LevelTree::kNoParent) lives[tree.nodes[i].parent] = true;
+    lives[i] = lives[i] && n_kept[i] != 0;
   }
+  return lives;
+}
+
+// Numbers levels anew, without those that no living node has.
+void close_gaps(std::span<LevelTree::Node> nodes, const std::vector<bool>& lives) {
+  std::array<bool, kMostLevels> is_used{};
+  for (std::size_t i = 0; i < nodes.size(); ++i) is_used[nodes[i].level] = is_used[nodes[i].level] || lives[i];
+  for (LevelTree::Node& node : nodes)
+    node.level = static_cast<std::uint32_t>(std::count(is_used.begin(), is_used.begin() + node.level, true));
+}
+
+// Regions of all levels: nodes, and repeated ones where a level is lacking.
+RegionLevels regions_of(const LevelTree& tree, std::span<const std::uint64_t> n_kept, const std::vector<bool>& lives) {
+  const std::size_t n = tree.nodes.size();
   std::vector<std::vector<std::uint32_t>> children(n);
   RegionLevels levels(1);
   std::vector<Region> roots;
@@ -106,7 +122,7 @@ RegionLevels regions_of(const LevelTree& tree, std::span<const std::uint64_t> n_
   };
   std::uint32_t highest = 0;
   for (std::uint32_t i = 0; i < n; ++i) {
-    if (!lives[i] || n_kept[i] == 0) continue;
+    if (!lives[i]) continue;
     std::uint32_t parent = tree.nodes[i].parent;
     while (parent != LevelTree::kNoParent && n_kept[parent] == 0) parent = tree.nodes[parent].parent;
     parent == LevelTree::kNoParent ? roots.push_back(region(i)) : children[parent].push_back(i);
@@ -305,7 +321,7 @@ class Cutter {
 // The error of a region: that of its middle page. A page that half of what rgs-info allows would refute, as one of
 // floaters, gets an error of its own.
 Status measure_pages(const lod::StreamedLevels& levels, Region& region, std::span<lod::Page> pages,
-                     std::span<const lod::Page> below) {
+                     std::span<const lod::Page> below, bool lossy) {
   constexpr float kTrusted = lod::kErrorTolerance / 2;
   constexpr int kMostRounds = 16;
   const std::uint32_t level = pages.front().level;
@@ -315,7 +331,9 @@ Status measure_pages(const lod::StreamedLevels& levels, Region& region, std::spa
     Status s = levels.rows[level - 1].read(first.first, last.first + last.count - first.first, finer);
     if (s) s = levels.rows[level].read(page.first, page.count, coarser);
     if (!s) return tl::unexpected(s.error());
-    return lod::error_against(finer.view(), coarser.view(), page.error);
+    // Other Gaussians that look the same here, or lossy ones, may not do so in the file.
+    const bool is_same = !lossy && coarser.mean == finer.mean;
+    return lod::error_against(finer.view(), coarser.view(), page.error, is_same);
   };
   std::vector<float> errors;
   for (const lod::Page& page : pages) {
@@ -340,28 +358,40 @@ Status measure_pages(const lod::StreamedLevels& levels, Region& region, std::spa
 }  // namespace
 
 Result<KeptLevels> KeptLevels::open(LevelTree tree, const Axes& from, const EncodeOptions& encode) {
-  KeptLevels kept;
-  kept.from_ = from;
-  kept.to_ = encode.axes;
-  kept.is_leaf_.assign(tree.nodes.size(), true);
-  for (const LevelTree::Node& node : tree.nodes) {
-    if (node.parent != LevelTree::kNoParent) kept.is_leaf_[node.parent] = false;
-    if (node.level >= kMostLevels)
-      return unsupported("more than 32 levels of detail; pass --lod, which builds new ones");
-  }
-  kept.n_kept_.resize(tree.nodes.size());
-  kept.tree_ = std::move(tree);
-  bool first = true;
-  const Status status = kept.read([&](std::uint32_t node, SplatFile piece) -> Status {
-    if (first) kept.tree_.file.aa_mode = piece.aa_mode;
-    first = false;
-    kept.tree_.file.bytes += piece.bytes;
-    kept.sh_degree_ = std::max(kept.sh_degree_, piece.cloud.sh_degree);
-    kept.n_kept_[node] = clean(piece.cloud, encode.sh_degree, encode.on_bad).size();
-    return {};
+  return detail::guard_memory([&]() -> Result<KeptLevels> {
+    KeptLevels kept;
+    kept.from_ = from;
+    kept.to_ = encode.axes;
+    kept.is_leaf_.assign(tree.nodes.size(), true);
+    for (const LevelTree::Node& node : tree.nodes) {
+      if (node.parent != LevelTree::kNoParent) kept.is_leaf_[node.parent] = false;
+      if (node.level >= kMostLevels)
+        return unsupported("more than 32 levels of detail; pass --lod, which builds new ones");
+    }
+    kept.n_kept_.resize(tree.nodes.size());
+    kept.coarser_ = SceneScan(encode.sh_degree, encode.on_bad);
+    kept.tree_ = std::move(tree);
+    bool first = true;
+    const Status status = kept.read([&](std::uint32_t node, SplatFile piece) -> Status {
+      if (first) kept.tree_.file.aa_mode = piece.aa_mode;
+      first = false;
+      kept.tree_.file.bytes += piece.bytes;
+      kept.sh_degree_ = std::max(kept.sh_degree_, piece.cloud.sh_degree);
+      kept.n_kept_[node] = clean(piece.cloud, encode.sh_degree, encode.on_bad).size();
+      for (std::uint64_t i = 0; i < piece.cloud.size() && !kept.is_leaf_[node]; ++i) {
+        Splat s = piece.cloud.view().splat(i);
+        kept.coarser_.add(s);
+      }
+      return {};
+    });
+    if (!status) return tl::unexpected(status.error());
+    const SceneScan& coarser = kept.coarser_;
+    if (encode.on_bad == BadPolicy::refuse && coarser.n_kept() != coarser.n_source())
+      return damaged_gaussian(Error::kNone, coarser);
+    if (const Status s = check_encodable(coarser, encode); !s) return tl::unexpected(s.error());
+    close_gaps(kept.tree_.nodes, find_living(kept.tree_, kept.n_kept_, kept.is_leaf_));
+    return kept;
   });
-  if (!status) return tl::unexpected(status.error());
-  return kept;
 }
 
 Status KeptLevels::read(const LevelTree::Visit& visit) const {
@@ -392,7 +422,7 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
                            lod::StreamedLevels& out) const {
   return detail::guard_memory([&]() -> Status {
     const lod::BuildOptions build = lod::build_options(encode, options);
-    RegionLevels levels = regions_of(tree_, n_kept_, is_leaf_);
+    RegionLevels levels = regions_of(tree_, n_kept_, find_living(tree_, n_kept_, is_leaf_));
     join_small(build.chunk_size, levels);
 
     // The place of each node's Gaussians.
@@ -419,6 +449,13 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
       bytes += level_bytes.back();
       n_all += first;
     }
+    const std::uint64_t most_kept =
+        (1 + kMostRepeats) * std::accumulate(n_kept_.begin(), n_kept_.end(), std::uint64_t{0});
+    if (n_all > most_kept)
+      return make_error(Errc::limit_exceeded, Error::kNone,
+                        "so many regions lack levels of detail that their Gaussians would be repeated more than 4 "
+                        "times; pass --lod, which builds new ones",
+                        most_kept, n_all);
     out.n_leaves = levels.front().back().end();
     if (out.n_leaves != scan.n_kept())
       return make_error(Errc::read_failed, Error::kNone, "the source changed while it was read");
@@ -459,7 +496,8 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
     if (!placed) return placed;
 
     options.begin("levels", n_all, "Gaussians");
-    const std::uint64_t most_rows = encode.profile == Profile::archive ? kMaxArchiveRows : lod::kMaxPageRows;
+    const bool lossy = encode.profile == Profile::archive;
+    const std::uint64_t most_rows = lossy ? kMaxArchiveRows : lod::kMaxPageRows;
     if (Status s = Cutter(key, build, most_rows, out).cut(options, levels); !s) return s;
     std::vector<lod::Page>& leaves = out.pages.front();
     const std::uint64_t page_bytes = kMeasuring * build.page_chunks * build.chunk_size;
@@ -496,12 +534,11 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
         }
         for (const std::uint32_t node : r.nodes)
           stated = stated && tree_.nodes[node].level == level && tree_.nodes[node].error > 0;
-        const bool is_repeated = r.n_children == 1 && r.nodes == first.nodes;
         for (const std::uint32_t node : r.nodes)
           if (stated) r.error = std::max(r.error, tree_.nodes[node].error);
         const auto of_region = std::span(pages).subspan(r.first_page, r.n_pages());
-        if (!stated && !is_repeated) {
-          if (Status s = measure_pages(out, r, of_region, out.pages[level - 1]); !s) return s;
+        if (!stated) {  // also where the level below is repeated, which may be cut otherwise
+          if (Status s = measure_pages(out, r, of_region, out.pages[level - 1], lossy); !s) return s;
         }
         r.error = std::clamp(r.error, std::numeric_limits<float>::min(), lod::kMostError);
         for (lod::Page& page : of_region) {

@@ -105,8 +105,8 @@ bool may_keep_levels(const ConvertArguments& arguments, SplatFormat from, SplatF
 }
 
 // As convert_tiles(); `tree` has levels.
-Outcome<ConvertSummary> convert_levels(ConvertArguments& arguments, const SceneInput& input, LevelTree tree,
-                                       DeclaredLoss& loss, const StageObserver& observer) {
+Outcome<ConvertSummary> convert_kept(ConvertArguments& arguments, const SceneInput& input, LevelTree tree,
+                                     DeclaredLoss& loss, const StageObserver& observer) {
   const SceneOptions& options = arguments.scene;
   ConvertOptions& convert = arguments.output.convert;
   EncodeOptions& encode = convert.encode;
@@ -118,10 +118,15 @@ Outcome<ConvertSummary> convert_levels(ConvertArguments& arguments, const SceneI
   observer.finish();
   if (!kept) return failed(input.path(), kept.error());
   SplatFile declared = kept->file();
-  declared.axes = encode.axes;
+  declared.axes = axes;
   const InputDeclarations by_input = declared_by(declared, input.name(), {});
   if (auto s = declare_scene(encode, {&by_input, 1}, options.asked, loss.notes); !s)
     return failed(input.path(), s.error());
+  const SceneScan& coarser = kept->coarser();
+  if (const std::uint64_t n = coarser.n_source() - coarser.n_kept(); n != 0)
+    loss.notes.push_back(tool::format_count(n) + " damaged Gaussians of coarser levels dropped");
+  if (const std::uint64_t n = coarser.n_repaired(); n != 0)
+    loss.notes.push_back(tool::format_count(n) + " damaged Gaussians of coarser levels repaired");
   const lod::SplatStream leaves = kept->leaves();
   encode.n_source = leaves.n;
   encode.n_repaired = 0;
@@ -197,7 +202,7 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
     if (!tree) return failed(first.path(), tree.error());
     const auto above = [](const LevelTree::Node& node) { return node.level > 0; };
     if (std::ranges::any_of(tree->nodes, above))
-      return convert_levels(arguments, first, std::move(*tree), loss, observer);
+      return convert_kept(arguments, first, std::move(*tree), loss, observer);
   }
   if (streams_tiles(arguments, inputs, to)) return convert_tiles(arguments, inputs, loss, observer);
   std::vector<std::pair<const char*, double>> seconds;

@@ -90,6 +90,8 @@ Result<SplatFile> SceneInput::read(ReadOptions options) const {
 }
 
 Result<LevelTree> SceneInput::levels(const ReadOptions& options) const {
+  // Of standard input nothing lies beside; a zip archive needs nothing.
+  if (path_ == "-" && (bytes_.empty() || bytes_.front() != std::byte{'P'})) return LevelTree();
   const std::string folder = std::filesystem::path(path_).parent_path().string();
   return open_levels(bytes_, folder.empty() ? "." : folder, options);
 }

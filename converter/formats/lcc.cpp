@@ -160,7 +160,8 @@ struct Run {
 
 Result<std::vector<Run>> find_runs(const Lcc& lcc, std::uint64_t level) {
   const auto& [meta, index, data, harmonics, file] = lcc;
-  const std::uint64_t wanted = level < meta.n.size() ? meta.n[level] : 0;
+  const bool is_stated = level < meta.n.size();  // some state the finest alone
+  const std::uint64_t wanted = is_stated ? meta.n[level] : 0;
   if (wanted > data.size() / kRecordBytes) {
     return make_error(Errc::truncated, data.size(), "data.bin is shorter than one level", kRecordBytes * wanted,
                       data.size());
@@ -196,7 +197,7 @@ Result<std::vector<Run>> find_runs(const Lcc& lcc, std::uint64_t level) {
     n += run.n;  // 32 bits each
     runs.push_back(run);
   }
-  if (n != wanted) {
+  if (is_stated ? n != wanted : n > data.size() / kRecordBytes) {
     return make_error(Errc::size_mismatch, index.size(),
                       "index.bin has another number of Gaussians of a level than the .lcc", wanted, n);
   }
@@ -396,21 +397,30 @@ Result<LevelTree> open_lcc_levels(std::span<const std::byte> bytes, const FetchB
   tree.file = lcc->file;
   tree.file.n_levels = static_cast<std::uint32_t>(lcc->meta.n_levels);
   std::vector<std::vector<Run>> of_cell;  // by level
-  std::uint64_t n = 0;
+  std::uint64_t n = 0, n_dropped = 0;
   for (std::uint64_t level = 0; level < lcc->meta.n_levels && (level == 0 || n != 0); ++level) {
     const auto runs = find_runs(*lcc, level);
-    if (!runs) return tl::unexpected(runs.error());
+    if (!runs) {
+      Error error = runs.error();
+      if (level > 0)
+        error.what = "a coarser level of the .lcc is cut off or contradicts it; pass --lod, which builds new ones";
+      return tl::unexpected(error);
+    }
     for (const Run& run : *runs) {
       if (level == 0) of_cell.resize(run.cell + 1);
       // A cell without the finest level has no place in the scene.
       if (run.cell < of_cell.size() && (level == 0 || !of_cell[run.cell].empty())) {
         of_cell[run.cell].push_back(run);
         n += run.n;
+      } else {
+        n_dropped += run.n;
       }
     }
   }
   if (n > limits.max_gaussians)
     return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
+  if (n_dropped != 0)
+    tree.file.unused.push_back(std::to_string(n_dropped) + " Gaussians of cells without a finest level");
   std::vector<Run> all;
   for (const std::vector<Run>& cell : of_cell) {
     for (auto run = cell.rbegin(); run != cell.rend(); ++run) {

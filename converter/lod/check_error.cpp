@@ -60,7 +60,7 @@ bool looks_same(const Measured& measured) {
 
 }  // namespace
 
-float error_against(const SplatView& children, const SplatView& page, float stated) {
+float error_against(const SplatView& children, const SplatView& page, float stated, bool may_look_same) {
   float centre[3];
   find_middle(children, 0, children.n, centre);
   const Gaussians group = near(children, centre), result = near(page, centre);
@@ -71,7 +71,7 @@ float error_against(const SplatView& children, const SplatView& page, float stat
   const float pixel = std::max(footprint_of(areas(group), n), std::min(kFirst * stated, kFarAway));
   Measured measured;
   measure(framed, group, result, pixel, std::max(pixel, extent(framed) / kMostOfFrame), measured);
-  if (looks_same(measured)) return 0;
+  if (may_look_same && looks_same(measured)) return 0;
   // A page that is good at one footprint counts as good at coarser ones. There the whole may miss by a little what its
   // classes of size, judged by themselves, do not.
   for (int k = 1; k < kFootprints; ++k) {

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <filesystem>
 #include <map>
+#include <new>
 #include <nlohmann/json.hpp>
 #include <set>
 
@@ -246,6 +247,23 @@ TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   REQUIRE(rgs_convert({"--chunk-size", "64", one, rgs}).exit_code == 0);
   const Bytes floaters = read_bytes(rgs);
   CHECK(count_refuted(PagedFile::open(floaters).value()) == 0);
+  // Repeats of leaves, which are whole chunks, have errors of their own too.
+  const std::string repeated = streamed_sog(folder, fine, coarse, {{{0, 0, 5000}, {1, 0, 3000}}, {{0, 5000, 4030}}});
+  REQUIRE(rgs_convert({"--chunk-size", "4096", repeated, rgs}).exit_code == 0);
+  const Bytes leaves_again = read_bytes(rgs);
+  CHECK(count_refuted(PagedFile::open(leaves_again).value()) == 0);
+  // Equal ones have none, unless they are stored with losses.
+  const std::string equal = streamed_sog(folder, fine, coarse, {{{0, 0, 4096}, {1, 0, 3000}}, {{0, 4096, 4934}}});
+  for (const std::string profile : {"packed", "archive:high"}) {
+    CAPTURE(profile);
+    REQUIRE(rgs_convert({"--chunk-size", "4096", "--profile", profile, equal, rgs}).exit_code == 0);
+    const Bytes of_profile = read_bytes(rgs);
+    const auto opened = PagedFile::open(of_profile);
+    REQUIRE(opened);
+    float error = 1;
+    for (const lod::Page& page : opened->pages()) error = page.level == 1 ? std::min(error, page.error) : error;
+    CHECK((error < 1e-30F) == (profile == "packed"));
+  }
   // Nothing else than a region without Gaussians.
   json meta = json::parse(text_of(read_bytes(one)));
   meta["tree"] = {{"children", {{{"lods", json::object()}}}}};
@@ -281,6 +299,29 @@ TEST_CASE("levels of an LCC become levels of an .rgs") {
   CHECK(n[1] == 1500 + 3);  // the second cell has no other level
   CHECK(n[2] == 1500 + 3);
   check_same(level_of(rgs, 0), read_splats(folder.file("a.lcc"))->cloud, 0);
+  // What comes by standard input has no files beside it, whatever the current folder holds.
+  const ProgramResult piped = run_shell("cd '" + folder.path().string() + "' && '" + built("rgs-convert") +
+                                        "' --overwrite - piped.rgs < a.lcc");
+  CHECK(piped.exit_code == 4);
+  // A coordinate reference system runs along the axes of the .lcc.
+  const std::string placed = folder.file("placed.rgs");
+  REQUIRE(rgs_convert({"--crs", "EPSG:25832", folder.file("a.lcc"), placed}).exit_code == 0);
+  const Bytes of_placed = read_bytes(placed);
+  CHECK(PagedFile::open(of_placed)->head().declarations().crs == Crs{"EPSG:25832", kAxesLcc});
+  // Damaged Gaussians above the leaves are treated as others are: level 1 of the first cell lies after 4000 Gaussians.
+  const auto convert_damaged = [&](std::size_t n_damaged, const std::vector<std::string>& options) {
+    Bytes data = files.at("data.bin");
+    for (std::size_t i = 0; i < n_damaged; ++i) put(data, 32 * (4000 + i), std::numeric_limits<float>::quiet_NaN());
+    write_bytes(folder.file("data.bin"), data);
+    std::vector<std::string> arguments{folder.file("a.lcc"), rgs};
+    arguments.insert(arguments.begin(), options.begin(), options.end());
+    return rgs_convert(arguments);
+  };
+  CHECK(convert_damaged(30, {}).out.find("30 damaged Gaussians of coarser levels dropped") != std::string::npos);
+  CHECK(convert_damaged(31, {}).exit_code == 4);
+  CHECK(convert_damaged(31, {"--on-bad", "drop"}).exit_code == 0);
+  CHECK(convert_damaged(1, {"--on-bad", "refuse"}).exit_code == 4);
+  CHECK(convert_damaged(1, {"--strict"}).exit_code == 4);
 }
 
 TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaussians") {
@@ -308,15 +349,17 @@ TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaus
   options.encode.chunk_size = 64;
   options.encode.axes = kAxes3dgs;
   options.output.sync = false;
-  const auto kept = KeptLevels::open(tree, kAxes3dgs, options.encode);
-  REQUIRE(kept);
-  const lod::SplatStream leaves = kept->leaves();
-  CHECK(leaves.n == 2001);
-  StreamFacts facts;
-  facts.hash = [] { return 0; };
-  facts.arrange = [&](auto&... of) { return kept->arrange(of...); };
-  const auto summary = convert_to_levels(leaves, facts, folder.file("tree.rgs"), options);
+  const auto convert = [&]() -> Result<ConvertSummary> {
+    const auto kept = KeptLevels::open(tree, kAxes3dgs, options.encode);
+    REQUIRE(kept);
+    StreamFacts facts;
+    facts.hash = [] { return 0; };
+    facts.arrange = [&](auto&... of) { return kept->arrange(of...); };
+    return convert_to_levels(kept->leaves(), facts, folder.file("tree.rgs"), options);
+  };
+  const auto summary = convert();
   REQUIRE(summary);
+  CHECK(summary->n_source == 2001);
   CHECK(summary->n_written == 2000);
   const Bytes bytes = read_bytes(folder.file("tree.rgs"));
   const auto file = PagedFile::open(bytes);
@@ -329,6 +372,17 @@ TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaus
     CHECK((page.error == 0.5F || page.count == 100));
   }
   CHECK(n == 300 + 100);
+  // Levels that no node has are left out.
+  options.output.overwrite = true;
+  tree.nodes[0].level = 31;
+  REQUIRE(convert());
+  CHECK(read_bytes(folder.file("tree.rgs")) == bytes);
   tree.nodes[0].level = 40;
   CHECK(KeptLevels::open(tree, kAxes3dgs, options.encode).error().code == Errc::unsupported_feature);
+  // Levels that one region has are not made of repeats.
+  tree.nodes = {{0, LevelTree::kNoParent, 2000}};
+  for (std::uint32_t k = 0; k < 7; ++k) tree.nodes.push_back({6 - k, k == 0 ? LevelTree::kNoParent : k, 100});
+  CHECK(convert().error().code == Errc::limit_exceeded);
+  tree.read = [](const LevelTree::Visit&) -> Status { throw std::bad_alloc(); };
+  CHECK(KeptLevels::open(tree, kAxes3dgs, options.encode).error().code == Errc::host_out_of_memory);
 }

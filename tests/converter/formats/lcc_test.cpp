@@ -148,6 +148,19 @@ TEST_CASE("LCC: cells are chains of the levels that they have, the coarsest firs
   put(cut.at("index.bin"), 4 + 16, 200U);
   CHECK(exit_code(open(cut).error().code) == 4);
   CHECK(read_folder(cut, "a.lcc"));  // the finest is read all the same
+  cut = files;
+  cut.at("data.bin").resize(cut.at("data.bin").size() - 1);
+  CHECK(std::string(open(cut).error().what).find("--lod") != std::string::npos);
+  // The .lcc may state the finest level's alone.
+  const Files stated = edited(files, "a.lcc", [](json& meta) { meta["splats"] = {14}; });
+  const auto counted = open(stated);
+  REQUIRE(counted);
+  CHECK(counted->nodes.size() == tree->nodes.size());
+  // The second cell has no finest level: its Gaussians have no place, and are counted.
+  Files without = stated;
+  put(without.at("index.bin"), kCell + 4 + 16, 2U);
+  put(without.at("index.bin"), kCell + 4 + 16 + 12, 64U);
+  CHECK(open(without)->file.unused == std::vector<std::string>{"2 Gaussians of cells without a finest level"});
 }
 
 TEST_CASE("LCC is right, forward, up, and comes in 3DGS's frame") {
