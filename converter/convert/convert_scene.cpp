@@ -51,8 +51,8 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   const FormatInfo::Keeps keeps = keeps_of(format, write);
   summary.origin = keeps.origin ? scene.origin : kNoOrigin;
   if (format == SplatFormat::tileset) {
-    const auto tile =
-        write_tileset(scene.cloud.view(), write, [&](const auto&... file) { return output.put(file...); });
+    const auto tile = write_tileset(scene.cloud.view(), write, folder_of_tiles(output_path),
+                                    [&](const auto&... file) { return output.put(file...); });
     if (!tile) return tl::unexpected(tile.error());
     summary.clamped = tile->clamped;
   } else {

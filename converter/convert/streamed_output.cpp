@@ -4,10 +4,12 @@
 
 #include <zlib.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstdlib>
 #include <filesystem>
 #include <initializer_list>
+#include <string_view>
 #include <system_error>
 
 namespace rgs {
@@ -31,6 +33,17 @@ void append(std::vector<std::byte>& to, std::initializer_list<std::uint64_t> val
 }
 
 }  // namespace
+
+std::string folder_of_tiles(const std::string& path) {
+  std::string name = fs::path(follow_links(path)).filename().string();
+  if (name == "tileset.json") return "tiles";
+  for (const std::string_view ending : {".json", ".tileset"})
+    if (name.ends_with(ending)) name.resize(name.size() - ending.size());
+  // A URI's path has neither, and "." and ".." are other folders.
+  std::ranges::replace_if(
+      name, [](char c) { return c == '\\' || c == ':'; }, '_');
+  return name.find_first_not_of('.') == name.npos ? "tiles" : name;
+}
 
 Result<StreamedOutput> StreamedOutput::create(const std::string& path, const AtomicFile::Options& options) {
   StreamedOutput output;

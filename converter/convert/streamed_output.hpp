@@ -16,6 +16,10 @@
 
 namespace rgs {
 
+/// The folder, beside a tileset's JSON, of its tiles: "tiles" of tileset.json, "b" of b.tileset.json and b.json, so that
+/// tilesets of one folder have folders of their own.
+std::string folder_of_tiles(const std::string& path);
+
 /// A path that ends with ".json" is the last file put, and the others lie in folders beside it; any other is a zip
 /// archive of all, stored. Nothing is seen before commit(). Files of a folder are first written below `PATH.tmp-XXXXXX`, which
 /// destruction removes and a killed program leaves behind; commit() renames one by one, and that at the path last: a
