@@ -295,6 +295,15 @@ TEST_CASE("tilesets that are not read are refused with what is wrong") {
         Errc::unsupported_feature);
   CHECK(refused(with("/root/transform", {-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1})) ==
         Errc::unsupported_feature);
+  // Each is a similarity, but not their product.
+  for (const double x : {1e200, 1e-200}) {
+    const json scales{x, 0, 0, 0, 0, x, 0, 0, 0, 0, x, 0, 0, 0, 0, 1};
+    json inner = tile("a.glb");
+    inner["transform"] = scales;
+    json outer = tile("", {inner});
+    outer["transform"] = scales;
+    CHECK(refused(json::parse(text_of(tileset(outer)))) == Errc::bad_value);
+  }
   // From memory there are no contents; an archive is named.
   CHECK(read_splats(tileset(tile("a.glb"))).error().code == Errc::unsupported_feature);
   const Bytes archive = zipped({{"tileset.json", tileset(tile("a.glb"))}, {"@3dtilesIndex1@", bytes_of("x")}});
