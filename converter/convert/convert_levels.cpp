@@ -13,7 +13,8 @@ Result<ConvertSummary> convert_levels(const PagedFile& source, SplatFormat forma
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
   SceneOutput output;
-  if (const Status s = output.create(format, output_path, options.output); !s) return tl::unexpected(s.error());
+  if (const Status s = output.create(format, output_path, options.output, options.is_input); !s)
+    return tl::unexpected(s.error());
   const EncodeOptions& encode = options.encode;
   WriteOptions write = write_options(options);
   write.origin = source.head().declarations().origin;

@@ -34,7 +34,8 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
   SceneOutput output;
-  if (Status s = output.create(format, output_path, options.output); !s) return tl::unexpected(s.error());
+  if (Status s = output.create(format, output_path, options.output, options.is_input); !s)
+    return tl::unexpected(s.error());
   strip_sh(scene.cloud, options.encode.sh_degree);
   clock.begin("encode", 0, "");
   if (format != SplatFormat::ply) {

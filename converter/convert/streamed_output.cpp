@@ -45,10 +45,12 @@ std::string folder_of_tiles(const std::string& path) {
   return name.find_first_not_of('.') == name.npos ? "tiles" : name;
 }
 
-Result<StreamedOutput> StreamedOutput::create(const std::string& path, const AtomicFile::Options& options) {
+Result<StreamedOutput> StreamedOutput::create(const std::string& path, const AtomicFile::Options& options,
+                                              const IsInput& is_input) {
   StreamedOutput output;
   output.path_ = path == "-" ? path : follow_links(path);  // the SOGs lie beside the file itself
   output.options_ = options;
+  output.is_input_ = is_input;
   std::error_code failed;
   if (path != "-") output.made_folder_ = fs::create_directories(folder_of(output.path_), failed);
   if (failed) return cannot("cannot make the output's folder", failed.value());
@@ -80,6 +82,9 @@ Status StreamedOutput::check_free(const std::string& path) const {
                       "a file of the output's folder exists already; pass --overwrite to replace it");
   if (fs::is_directory(path, ignored))
     return make_error(Errc::output_unusable, Error::kNone, "a file of the output's folder is a directory");
+  if (is_input_ && is_input_(path))
+    return make_error(Errc::output_unusable, Error::kNone,
+                      "a file of the output's folder is one that is read: name another folder");
   return {};
 }
 

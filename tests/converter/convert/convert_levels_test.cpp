@@ -604,6 +604,24 @@ TEST_CASE("tilesets of one folder have tiles of their own") {
   }
 }
 
+TEST_CASE("no tile replaces a file that is read") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(10, 1, 9)),
+                    tiles = folder.file("e/tileset.json"), tile = folder.file("e/tiles/0_0.glb");
+  REQUIRE(rgs_convert({ply, tiles}).exit_code == 0);
+  std::filesystem::create_directory_symlink("e", folder.path() / "link");
+  const auto before = files_below(folder.file("e"));
+  for (const std::string& output : {tiles, folder.file("link/tileset.json")}) {
+    const ProgramResult run = rgs_convert({"--crop", "-100,-100,-100,0,100,100", tile, output});
+    CAPTURE(run.err);
+    CHECK(run.exit_code == 3);
+    CHECK(run.err.find("is one that is read") != std::string::npos);
+  }
+  CHECK(files_below(folder.file("e")) == before);
+  REQUIRE(rgs_convert({tiles, folder.file("back.rgs")}).exit_code == 0);
+  CHECK(size_of(folder.file("back.rgs")) == 10);
+}
+
 TEST_CASE("levels become a tileset, a scene without levels one tile, and both come back") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(5000, 1, 9)),
