@@ -431,8 +431,13 @@ Outcome<OpenInputs> open_inputs(ConvertArguments& arguments) {
     struct stat info {};
     return ::stat(path.c_str(), &info) == 0 && read.contains({info.st_dev, info.st_ino});
   };
+  // A tileset may have more files than may be open, often 1,024: later ones are not watched for changes.
+  constexpr std::size_t kMostBeside = 900;
+  const bool of_tileset = std::ranges::any_of(
+      inputs.scenes, [](const SceneInput& input) { return detect_format(input.bytes()) == SplatFormat::tileset; });
   for (const std::string& path : scenes.paths()) {
     if (std::ranges::find(paths, path) != paths.end()) continue;
+    if (of_tileset && inputs.beside.size() == kMostBeside) break;
     auto file = MappedFile::open(path);
     if (!file) return failed(path, file.error());
     unchanged.push_back(&inputs.beside.emplace_back(std::move(*file)));
