@@ -48,6 +48,8 @@ struct ConvertOptions {
       false;  ///< fail with bad_value, writing nothing, if values would be clamped or flushed to the output's range
   bool allow_rounding = false;  ///< write means that their origin holds to no millimetre
   AtomicFile::Options output;
+  /// Whether a path leads to a file that is read, which no file of a folder that is written may replace.
+  std::function<bool(const std::string& path)> is_input = [](const std::string&) { return false; };
 };
 
 struct ConvertSummary {

@@ -13,7 +13,8 @@ Result<ConvertSummary> convert_levels(const PagedFile& source, SplatFormat forma
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
   SceneOutput output;
-  if (const Status s = output.create(format, output_path, options.output); !s) return tl::unexpected(s.error());
+  if (const Status s = output.create(format, output_path, options.output, options.is_input); !s)
+    return tl::unexpected(s.error());
   const EncodeOptions& encode = options.encode;
   WriteOptions write = write_options(options);
   write.origin = source.head().declarations().origin;
@@ -21,9 +22,10 @@ Result<ConvertSummary> convert_levels(const PagedFile& source, SplatFormat forma
   const PutFile put = [&](const std::string& name, std::span<const std::byte> bytes) {
     return output.put(name, bytes);
   };
-  const auto written = format == SplatFormat::ssog  ? write_streamed_sog(source, write, encode.sh_degree, put)
-                       : format == SplatFormat::rad ? write_rad(source, write, encode.sh_degree, put)
-                                                    : write_tileset(source, write, encode.sh_degree, put);
+  const auto written = format == SplatFormat::ssog ? write_streamed_sog(source, write, encode.sh_degree, put)
+                       : format == SplatFormat::rad
+                           ? write_rad(source, write, encode.sh_degree, put)
+                           : write_tileset(source, write, encode.sh_degree, folder_of_tiles(output_path), put);
   if (!written) return tl::unexpected(written.error());
   clock.begin("commit", 0, "");
   const auto synced = output.commit();

@@ -34,7 +34,8 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
   SceneOutput output;
-  if (Status s = output.create(format, output_path, options.output); !s) return tl::unexpected(s.error());
+  if (Status s = output.create(format, output_path, options.output, options.is_input); !s)
+    return tl::unexpected(s.error());
   strip_sh(scene.cloud, options.encode.sh_degree);
   clock.begin("encode", 0, "");
   if (format != SplatFormat::ply) {
@@ -51,8 +52,8 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   const FormatInfo::Keeps keeps = keeps_of(format, write);
   summary.origin = keeps.origin ? scene.origin : kNoOrigin;
   if (format == SplatFormat::tileset) {
-    const auto tile =
-        write_tileset(scene.cloud.view(), write, [&](const auto&... file) { return output.put(file...); });
+    const auto tile = write_tileset(scene.cloud.view(), write, folder_of_tiles(output_path),
+                                    [&](const auto&... file) { return output.put(file...); });
     if (!tile) return tl::unexpected(tile.error());
     summary.clamped = tile->clamped;
   } else {

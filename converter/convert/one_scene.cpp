@@ -1,11 +1,13 @@
 // one_scene.cpp - the options of what is written, and how one scene is converted: row by row, tile by tile or in memory.
 // SPDX-License-Identifier: Apache-2.0
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <tbb/global_control.h>
 
 #include <algorithm>
 #include <array>
 #include <filesystem>
+#include <set>
 #include <thread>
 #include <utility>
 
@@ -425,8 +427,22 @@ Outcome<OpenInputs> open_inputs(ConvertArguments& arguments) {
     if (const Status s = inputs.scenes.emplace_back().open(path); !s) return failed(path, s.error());
     unchanged.push_back(&inputs.scenes.back().file());
   }
+  std::set<std::pair<dev_t, ino_t>> identities;
+  for (const std::string& path : scenes.paths()) {
+    struct stat info {};
+    if (path != "-" && ::stat(path.c_str(), &info) == 0) identities.emplace(info.st_dev, info.st_ino);
+  }
+  arguments.output.convert.is_input = [read = std::move(identities)](const std::string& path) {
+    struct stat info {};
+    return ::stat(path.c_str(), &info) == 0 && read.contains({info.st_dev, info.st_ino});
+  };
+  // A tileset may have more files than may be open, often 1,024: later ones are not watched for changes.
+  constexpr std::size_t kMostBeside = 900;
+  const bool of_tileset = std::ranges::any_of(
+      inputs.scenes, [](const SceneInput& input) { return detect_format(input.bytes()) == SplatFormat::tileset; });
   for (const std::string& path : scenes.paths()) {
     if (std::ranges::find(paths, path) != paths.end()) continue;
+    if (of_tileset && inputs.beside.size() == kMostBeside) break;
     auto file = MappedFile::open(path);
     if (!file) return failed(path, file.error());
     unchanged.push_back(&inputs.beside.emplace_back(std::move(*file)));

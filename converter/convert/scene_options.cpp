@@ -172,12 +172,12 @@ void SceneOptions::add_to(CLI::App& app) {
   app.add_option("--min-opacity", filter.min_opacity, "Keep Gaussians of at least this opacity")
       ->check(CLI::Range(0.0, 1.0));
   add_parsed(app, "--max-count", filter.max_n, parse_max_count,
-             "Keep at most this many (200k, 1.5M) after --crop and --min-opacity: of a file with levels of "
+             "Keep at most this many (200k, 1.5M) after --crop and --min-opacity: of an .rgs with levels of "
              "detail the finest cut with no more, of others those with the largest opacity times "
              "area");
   app.add_option("--level-of-detail", level_of_detail,
-                 "Level to read of .rgs, streamed SOG and 3D Tiles with levels of detail; 0, the default: the scene's "
-                 "own Gaussians");
+                 "Level to read of .rgs, streamed SOG, .rad and tilesets (3D Tiles) with levels of detail; 0, the "
+                 "default: the scene's own Gaussians");
   app.add_option("--aa,--aa-mode", asked.aa_mode,
                  "Anti-aliasing that the scene was trained with [the input's, else classic]")
       ->transform(tool::one_of<AaMode>({{"undeclared", AaMode::undeclared},

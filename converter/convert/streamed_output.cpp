@@ -4,10 +4,12 @@
 
 #include <zlib.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <cstdlib>
 #include <filesystem>
 #include <initializer_list>
+#include <string_view>
 #include <system_error>
 
 namespace rgs {
@@ -32,10 +34,23 @@ void append(std::vector<std::byte>& to, std::initializer_list<std::uint64_t> val
 
 }  // namespace
 
-Result<StreamedOutput> StreamedOutput::create(const std::string& path, const AtomicFile::Options& options) {
+std::string folder_of_tiles(const std::string& path) {
+  std::string name = fs::path(follow_links(path)).filename().string();
+  if (name == "tileset.json") return "tiles";
+  for (const std::string_view ending : {".json", ".tileset"})
+    if (name.ends_with(ending)) name.resize(name.size() - ending.size());
+  // A URI's path has neither, and "." and ".." are other folders.
+  std::ranges::replace_if(
+      name, [](char c) { return c == '\\' || c == ':'; }, '_');
+  return name.find_first_not_of('.') == name.npos ? "tiles" : name;
+}
+
+Result<StreamedOutput> StreamedOutput::create(const std::string& path, const AtomicFile::Options& options,
+                                              const IsInput& is_input) {
   StreamedOutput output;
   output.path_ = path == "-" ? path : follow_links(path);  // the SOGs lie beside the file itself
   output.options_ = options;
+  output.is_input_ = is_input;
   std::error_code failed;
   if (path != "-") output.made_folder_ = fs::create_directories(folder_of(output.path_), failed);
   if (failed) return cannot("cannot make the output's folder", failed.value());
@@ -67,6 +82,9 @@ Status StreamedOutput::check_free(const std::string& path) const {
                       "a file of the output's folder exists already; pass --overwrite to replace it");
   if (fs::is_directory(path, ignored))
     return make_error(Errc::output_unusable, Error::kNone, "a file of the output's folder is a directory");
+  if (is_input_ && is_input_(path))
+    return make_error(Errc::output_unusable, Error::kNone,
+                      "a file of the output's folder is one that is read: name another folder");
   return {};
 }
 

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <span>
 #include <string>
@@ -16,14 +17,21 @@
 
 namespace rgs {
 
+/// The folder, beside a tileset's JSON, of its tiles: "tiles" of tileset.json, "b" of b.tileset.json and b.json, so
+/// that tilesets of one folder have folders of their own.
+std::string folder_of_tiles(const std::string& path);
+
 /// A path that ends with ".json" is the last file put, and the others lie in folders beside it; any other is a zip
 /// archive of all, stored. Nothing is seen before commit(). Files of a folder are first written below `PATH.tmp-XXXXXX`, which
 /// destruction removes and a killed program leaves behind; commit() renames one by one, and that at the path last: a
 /// program killed meanwhile leaves no file at the path.
 class StreamedOutput {
  public:
+  /// Whether a path leads to a file that is read.
+  using IsInput = std::function<bool(const std::string& path)>;
   /// Makes the folder of the path. Errors: AtomicFile::create()'s, write_failed.
-  static Result<StreamedOutput> create(const std::string& path, const AtomicFile::Options& options);
+  static Result<StreamedOutput> create(const std::string& path, const AtomicFile::Options& options,
+                                       const IsInput& is_input = {});
   StreamedOutput(StreamedOutput&& other) noexcept = default;
   StreamedOutput& operator=(StreamedOutput&& other) = delete;
   ~StreamedOutput();
@@ -42,6 +50,7 @@ class StreamedOutput {
   Status check_free(const std::string& path) const;
   Status put_in_folder(const std::string& name, std::span<const std::byte> bytes);
   AtomicFile::Options options_;
+  IsInput is_input_;
   AtomicFile file_;             // at the path
   std::string path_, staging_;  // staging_: a folder beside the path; empty: none
   std::vector<std::string> names_;
@@ -55,9 +64,10 @@ class StreamedOutput {
 class SceneOutput {
  public:
   /// Errors: those of StreamedOutput and AtomicFile.
-  Status create(SplatFormat format, const std::string& path, const AtomicFile::Options& options) {
+  Status create(SplatFormat format, const std::string& path, const AtomicFile::Options& options,
+                const StreamedOutput::IsInput& is_input) {
     if (format == SplatFormat::tileset || format == SplatFormat::ssog) {
-      auto folder = StreamedOutput::create(path, options);
+      auto folder = StreamedOutput::create(path, options, is_input);
       if (!folder) return tl::unexpected(folder.error());
       folder_.emplace(std::move(*folder));
       return {};

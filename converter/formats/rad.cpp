@@ -509,6 +509,11 @@ class Reader {
       return make_error(Errc::limit_exceeded, 0, "the file is larger than the caller allows",
                         options_.limits.max_file_bytes, stored_);
     for (const auto& property : chunk.properties) decoded_ += property ? property->decoded_bytes() : 0;
+    // A label takes two bytes, but stands for a row of each palette.
+    for (int d = 0; d < meta_.sh_degree; ++d) {
+      const auto degree = static_cast<std::size_t>(sh1 + d);
+      if (!chunk.properties[degree]) decoded_ += chunk.n * kPropertyKinds[degree].dimensions;
+    }
     if (Status s = check_expansion(decoded_, stored_, kBeforeJson, options_.limits); !s) return s;
     if (!meta_.tree) return {};
     const auto count = read_values(file, *chunk.properties[child_count]);

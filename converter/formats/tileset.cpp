@@ -136,6 +136,9 @@ class Tree {
       const auto own = similarity(*transform);
       if (!own) return tl::unexpected(own.error());
       tile.similarity = compose(tile.similarity, *own);
+      const auto& [rotation, scale, move] = tile.similarity;
+      if (!(scale > 0) || !std::isfinite(scale) || !std::isfinite(move.x + move.y + move.z))
+        return bad("transforms of nested tiles overflow or vanish", Errc::bad_value);
     }
     if (const json* refine = json_member(stated, "refine")) {
       if (*refine != "ADD" && *refine != "REPLACE") return bad("refine of a tile is neither ADD nor REPLACE");

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -40,10 +41,26 @@ Axes tile_axes(const WriteOptions& options) {
   return options.crs.axes[0] == Axis::undeclared ? options.axes : options.crs.axes;
 }
 
+// As a reference of a JSON: all but unreserved characters are escaped (RFC 3986).
+std::string escaped(const std::string& name) {
+  constexpr std::string_view kUnreserved = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789-._~";
+  constexpr std::string_view kDigits = "0123456789ABCDEF";
+  std::string uri;
+  for (const char c : name) {
+    const auto code = static_cast<unsigned char>(c);
+    if (kUnreserved.find(c) != kUnreserved.npos) {
+      uri += c;
+    } else {
+      uri += {'%', kDigits[code >> 4], kDigits[code & 15]};
+    }
+  }
+  return uri;
+}
+
 class Writer {
  public:
-  Writer(const WriteOptions& options, const PutFile& put)
-      : from_(options.axes), tile_(tile_axes(options)), content_options_(options), put_(put) {
+  Writer(const WriteOptions& options, const std::string& folder, const PutFile& put)
+      : from_(options.axes), tile_(tile_axes(options)), content_options_(options), folder_(folder), put_(put) {
     const bool is_declared = from_[0] != Axis::undeclared;
     if (!is_declared) from_ = tile_;  // coordinates stay as they are
     // A viewer turns the y-up contents: x, -z, y of these are x, y, z of tiles.
@@ -68,7 +85,7 @@ class Writer {
     WriteReport clamped;
     const auto glb = encode_splats(cloud.view(), SplatFormat::spz_glb, content_options_, &clamped);
     if (!glb) return tl::unexpected(glb.error());
-    if (Status s = put_(name, *glb); !s) return tl::unexpected(s.error());
+    if (Status s = put_(folder_ + "/" + name, *glb); !s) return tl::unexpected(s.error());
     report.position_rounding = std::max(report.position_rounding, *rounding);
     detail::add_report(report.clamped, clamped);
     report.n_stored += cloud.size();
@@ -82,7 +99,7 @@ class Writer {
     Json json;
     json["boundingVolume"]["box"] = volume;
     json["geometricError"] = kScreenErrorPx * error;
-    json["content"]["uri"] = name;
+    json["content"]["uri"] = escaped(folder_) + "/" + name;
     return json;
   }
 
@@ -114,6 +131,7 @@ class Writer {
   Origin origin_ = kNoOrigin;
   WriteOptions content_options_;
   Json extras_;
+  const std::string& folder_;
   const PutFile& put_;
 };
 
@@ -132,8 +150,13 @@ std::uint32_t choose_depth(const std::vector<lod::Page>& pages) {
 
 class LevelsWriter {
  public:
-  LevelsWriter(const PagedFile& file, const WriteOptions& options, int sh_degree, const PutFile& put)
-      : file_(file), pages_(file.pages()), sh_degree_(sh_degree), depth_(choose_depth(pages_)), writer_(options, put) {}
+  LevelsWriter(const PagedFile& file, const WriteOptions& options, int sh_degree, const std::string& folder,
+               const PutFile& put)
+      : file_(file),
+        pages_(file.pages()),
+        sh_degree_(sh_degree),
+        depth_(choose_depth(pages_)),
+        writer_(options, folder, put) {}
 
   Result<LevelsReport> write() {
     writer_.report.n_levels = pages_.front().level - depth_ + 1;
@@ -156,7 +179,7 @@ class LevelsWriter {
     float error = 0;
     for (const std::uint32_t i : run.pages) error = std::max(error, pages_[i].error);
     n_of_level_.resize(std::max<std::size_t>(n_of_level_.size(), level + 1));
-    const std::string name = "tiles/" + std::to_string(level) + "_" + std::to_string(n_of_level_[level]++) + ".glb";
+    const std::string name = std::to_string(level) + "_" + std::to_string(n_of_level_[level]++) + ".glb";
     auto json = writer_.tile(*std::move(cloud), pages_[page].bounds, static_cast<double>(error), name);
     if (!json || level == 0) return json;
     for (std::uint32_t k = 0; k < pages_[page].n_children; ++k) {
@@ -201,19 +224,20 @@ SplatCloud copy_of(const SplatView& splats) {
 }  // namespace
 
 Result<LevelsReport> write_tileset(const PagedFile& file, const WriteOptions& options, int sh_degree,
-                                   const PutFile& put) {
+                                   const std::string& folder, const PutFile& put) {
   return detail::guard_memory([&]() -> Result<LevelsReport> {
     if (!file.complete())
       return make_error(Errc::pages_missing, Error::kNone, "the end of the file is missing, and pages with it");
-    return LevelsWriter(file, options, sh_degree, put).write();
+    return LevelsWriter(file, options, sh_degree, folder, put).write();
   });
 }
 
-Result<LevelsReport> write_tileset(const SplatView& splats, const WriteOptions& options, const PutFile& put) {
+Result<LevelsReport> write_tileset(const SplatView& splats, const WriteOptions& options, const std::string& folder,
+                                   const PutFile& put) {
   return detail::guard_memory([&]() -> Result<LevelsReport> {
-    Writer writer(options, put);
+    Writer writer(options, folder, put);
     const Box bounds = bounds_of(splats);
-    auto root = writer.tile(copy_of(splats), bounds, 0, "tiles/0_0.glb");
+    auto root = writer.tile(copy_of(splats), bounds, 0, "0_0.glb");
     if (!root) return tl::unexpected(root.error());
     if (Status s = writer.write_tree(*std::move(root), bounds, 0); !s) return tl::unexpected(s.error());
     writer.report.n_levels = 1;

@@ -7,11 +7,16 @@
 
 #include <algorithm>
 #include <array>
+#include <charconv>
 #include <filesystem>
 #include <map>
+#include <nlohmann/json.hpp>
+#include <set>
 #include <string_view>
 #include <system_error>
 #include <tuple>
+#include <utility>
+#include <vector>
 
 #include "console.hpp"
 #include "rgs/file.hpp"
@@ -39,6 +44,55 @@ std::vector<std::string> files_of(const fs::path& folder, const std::array<std::
   }
   std::ranges::sort(paths);
   return paths;
+}
+
+// Values of "uri" and, of drafts before 1.0, "url" in a text of JSON, as paths that stay below its folder.
+std::vector<fs::path> named_by(const std::string& path) {
+  constexpr std::size_t kMaxBytes = std::size_t{1} << 25;  // of a tileset; a longer .gltf embeds its buffers
+  std::vector<fs::path> named;
+  const auto file = MappedFile::open(path);
+  if (!file || file->bytes().size() > kMaxBytes) return named;
+  const std::string_view text(reinterpret_cast<const char*>(file->bytes().data()), file->bytes().size());
+  std::string key;
+  const auto visit = [&](int, nlohmann::json::parse_event_t event, const nlohmann::json& value) {
+    if (event == nlohmann::json::parse_event_t::key) key = value.get_ref<const std::string&>();
+    if (event != nlohmann::json::parse_event_t::value || !value.is_string() || (key != "uri" && key != "url"))
+      return true;
+    std::string uri = value.get_ref<const std::string&>();
+    for (std::size_t at = 0; (at = uri.find('%', at)) < uri.size() - std::min<std::size_t>(uri.size(), 2); ++at) {
+      unsigned code = 0;
+      const char* digits = uri.data() + at + 1;
+      if (std::from_chars(digits, digits + 2, code, 16).ptr == digits + 2)
+        uri.replace(at, 3, 1, static_cast<char>(code));
+    }
+    const fs::path inside = fs::path(uri).lexically_normal();
+    if (!uri.starts_with("data:") && !inside.empty() && inside.is_relative() && *inside.begin() != "..")
+      named.push_back(inside);
+    return true;
+  };
+  const auto parsed = nlohmann::json::parse(text, visit, false);
+  return parsed.is_discarded() ? std::vector<fs::path>() : named;
+}
+
+// The files that a tileset, its external ones and the .gltf of both name, each once, sorted.
+std::set<std::string> contents_of(const std::string& path, const fs::path& folder) {
+  constexpr std::size_t kMost = std::size_t{1} << 20;  // more tiles are not read
+  std::set<std::string> contents;
+  std::vector<std::pair<std::string, fs::path>> texts{{path, folder}};
+  while (!texts.empty()) {
+    const auto [text, base] = texts.back();
+    texts.pop_back();
+    for (const fs::path& name : named_by(text)) {
+      const fs::path file = (base / name).lexically_normal();
+      std::error_code ignored;
+      if (contents.size() == kMost) return contents;
+      if (!fs::is_regular_file(file, ignored) || !contents.insert(file.string()).second) continue;
+      const std::string ending = lower_case(file.extension().string());
+      if (ending == ".json" || ending == ".gltf") texts.emplace_back(file.string(), file.parent_path());
+    }
+  }
+  contents.erase(fs::path(path).lexically_normal().string());
+  return contents;
 }
 
 }  // namespace
@@ -94,18 +148,7 @@ void InputFiles::add_scene(const std::string& path) {
   if (ending == ".rad") add_all(folder, ".radc");
   if (ending == ".lcc2") add_all(folder / "data" / "3dgs", ".sog", ".spz");
   if (ending == ".json" && place.filename() != "meta.json" && place.filename() != "lod-meta.json") {  // a tileset
-    std::vector<std::string> contents;
-    std::error_code failed;
-    for (fs::recursive_directory_iterator it(folder, fs::directory_options::skip_permission_denied, failed), end;
-         !failed && it != end; it.increment(failed)) {
-      const std::string its = lower_case(it->path().extension().string());
-      std::error_code ignored;
-      if ((its == ".glb" || its == ".gltf" || its == ".bin" || its == ".json") && it->is_regular_file(ignored) &&
-          it->path() != place)
-        contents.push_back(it->path().string());
-    }
-    std::ranges::sort(contents);
-    for (const std::string& content : contents) add(content);
+    for (const std::string& content : contents_of(path, folder)) add(content);
   }
   if (place.filename() != "lod-meta.json") return;
   std::vector<fs::path> sogs;

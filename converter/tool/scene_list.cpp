@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <memory>
+#include <set>
 #include <string_view>
 #include <utility>
 
@@ -18,8 +19,8 @@
 namespace rgs::tool {
 namespace {
 
-// The files of a folder that is one scene.
-const std::string kScenes[] = {"lod-meta.json", "tileset.json"};
+// The file of a folder that is one scene.
+const std::string kScene = "lod-meta.json";
 constexpr std::string_view kGltfText = ".gltf";  // never an output, so unknown to format_of_name()
 
 using Identity = std::pair<std::uint64_t, std::uint64_t>;  // device and inode
@@ -86,10 +87,9 @@ class Walk {
                              Error::kNone, errno);
     std::ranges::sort(names);
     const std::string inside = path + "/";
-    // The SOGs and tiles below are parts of it at several levels, and no scenes.
-    for (const std::string& name : kScenes) {
-      if (!std::ranges::binary_search(names, name)) continue;
-      ListedScene scene{prefix + name, inside + name, format_of_name(name), 0, {}};
+    // The SOGs below are parts of it at several levels, and no scenes.
+    if (std::ranges::binary_search(names, kScene)) {
+      ListedScene scene{prefix + kScene, inside + kScene, format_of_name(kScene), 0, {}};
       const auto file = MappedFile::open(scene.path);
       if (file && detect_format(file->bytes()) == scene.format) {
         for (const std::string& part : files_of_scene(scene.path))
@@ -97,6 +97,14 @@ class Walk {
         list_.scenes.push_back(std::move(scene));
         return {};
       }
+    }
+    // So are the files that a tileset names.
+    for (const std::string& name : names) {
+      if (format_of_name(name) != SplatFormat::tileset) continue;
+      const auto file = MappedFile::open(inside + name);
+      if (!file || detect_format(file->bytes()) != SplatFormat::tileset) continue;
+      for (const std::string& part : files_of_scene(inside + name))
+        if (part != inside + name && ::stat(part.c_str(), &info) == 0) parts_.emplace(info.st_dev, info.st_ino);
     }
     above_.push_back(self);
     // So are the chunks that an .lcc2 names.
@@ -139,6 +147,7 @@ class Walk {
       if (!scene.readable) list_.scenes.push_back(std::move(scene));
       return;
     }
+    if (parts_.contains({info.st_dev, info.st_ino})) return;
     if (!S_ISREG(info.st_mode) || is_unfinished(name)) return void(++list_.n_others);
     scene.bytes = static_cast<std::uint64_t>(info.st_size);
     const auto file = MappedFile::open(path);
@@ -154,7 +163,7 @@ class Walk {
       for (const std::string& file_of_it : files_of_scene(path)) {
         if (file_of_it == path || ::stat(file_of_it.c_str(), &info) != 0) continue;
         scene.bytes += static_cast<std::uint64_t>(info.st_size);
-        n_beside_ += scene.format == SplatFormat::lcc2 ? 0 : 1;
+        n_beside_ += scene.format == SplatFormat::lcc2 || scene.format == SplatFormat::tileset ? 0 : 1;
       }
     }
     list_.scenes.push_back(std::move(scene));
@@ -162,6 +171,7 @@ class Walk {
 
   SceneList list_;
   std::vector<Identity> without_, above_;
+  std::set<Identity> parts_;  // of tilesets
   std::uint64_t n_beside_ = 0;
   bool hidden_ = false;
 };

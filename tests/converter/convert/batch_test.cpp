@@ -731,6 +731,15 @@ TEST_CASE("a tileset is one scene, and its tiles are none") {
   CHECK(run.n_lines == 2);
   CHECK(run.lines.at("tree/tileset.json")["status"] == "converted");
   CHECK(fs::exists(f.out + "/tree/tileset.rgs"));
+  // Others beside and below it are scenes too.
+  for (const char* name : {"/tree/b.ply", "/tree/tiles/c.ply"}) fs::copy_file(f.in + "/a.ply", f.in + name);
+  REQUIRE(run_program({built("rgs-convert"), "--no-sync", f.in + "/a.ply", f.in + "/tree/d.tileset.json"}).exit_code ==
+          0);
+  const Batch more = convert_all(f.command());
+  CHECK(more.exit_code == 0);
+  CHECK(more.n_lines == 5);
+  for (const char* name : {"tree/b.ply", "tree/tiles/c.ply", "tree/d.tileset.json"})
+    CHECK(more.lines.at(name)["status"] == "converted");
   CHECK(run_program({built("rgs-convert"), "--to", "tileset.json", f.in, f.out}).exit_code == 2);
 }
 

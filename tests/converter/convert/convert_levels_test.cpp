@@ -581,6 +581,47 @@ TEST_CASE("the SOGs of a streamed SOG lie beside its file, where a link leads") 
   CHECK(read_bytes(folder.file("scene/lod-meta.json")) == bytes_of("new"));
 }
 
+TEST_CASE("tilesets of one folder have tiles of their own") {
+  const TemporaryFolder folder;
+  std::vector<std::string> tilesets;
+  for (const char* name : {"tileset.json", "a.tileset.json", "b %:.tileset.json", "c.json"}) {
+    const std::string ply = folder.file("scene.ply");
+    tilesets.push_back(folder.file(name));
+    write_scene(ply, ordinary_cloud(10 * tilesets.size(), 1, 9));
+    const ProgramResult run = rgs_convert({"--overwrite", "--to", "tileset.json", ply, tilesets.back()});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+  }
+  for (const char* tile : {"tiles/0_0.glb", "a/0_0.glb", "b %_/0_0.glb", "c/0_0.glb"})
+    CHECK(std::filesystem::exists(folder.file(tile)));
+  // An input stays as it is.
+  REQUIRE(rgs_convert({"--crop", "-100,-100,-100,0,100,100", tilesets[1], folder.file("d.tileset.json")}).exit_code ==
+          0);
+  for (std::size_t i = 0; i < tilesets.size(); ++i) {
+    const std::string back = folder.file("back.rgs");
+    REQUIRE(rgs_convert({"--overwrite", tilesets[i], back}).exit_code == 0);
+    CHECK(size_of(back) == 10 * (i + 1));
+  }
+}
+
+TEST_CASE("no tile replaces a file that is read") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(10, 1, 9)),
+                    tiles = folder.file("e/tileset.json"), tile = folder.file("e/tiles/0_0.glb");
+  REQUIRE(rgs_convert({ply, tiles}).exit_code == 0);
+  std::filesystem::create_directory_symlink("e", folder.path() / "link");
+  const auto before = files_below(folder.file("e"));
+  for (const std::string& output : {tiles, folder.file("link/tileset.json")}) {
+    const ProgramResult run = rgs_convert({"--crop", "-100,-100,-100,0,100,100", tile, output});
+    CAPTURE(run.err);
+    CHECK(run.exit_code == 3);
+    CHECK(run.err.find("is one that is read") != std::string::npos);
+  }
+  CHECK(files_below(folder.file("e")) == before);
+  REQUIRE(rgs_convert({tiles, folder.file("back.rgs")}).exit_code == 0);
+  CHECK(size_of(folder.file("back.rgs")) == 10);
+}
+
 TEST_CASE("levels become a tileset, a scene without levels one tile, and both come back") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(5000, 1, 9)),

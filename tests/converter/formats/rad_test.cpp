@@ -544,6 +544,16 @@ TEST_CASE("a .rad that contradicts itself is refused, with the offset") {
   REQUIRE_FALSE(promised);
   CHECK(promised.error().code == Errc::limit_exceeded);
   CHECK(promised.error().offset == 8);
+  // Labels count as what they stand for: 66 bytes without harmonics, 6 of labels, 27 of the palette, 27 of its rows.
+  properties = three("f16", "r8", "r8", "ln_f16", "f16");
+  properties.push_back({"sh1_code", "s8", Bytes(27), kBounds});
+  properties.push_back({"sh_label", "u16", Bytes(6)});
+  const Bytes labelled = rad(3, properties, {{"maxSh", 1}});
+  ReadOptions options;
+  options.limits.max_decoded_bytes = 126;
+  CHECK(read_splats(labelled, options));
+  options.limits.max_decoded_bytes = 125;
+  CHECK(read_splats(labelled, options).error().code == Errc::limit_exceeded);
   properties = three();
   properties.push_back({"sh1_code", "s8", Bytes(27), kBounds});
   properties.push_back({"sh_label", "u16", Bytes(6, std::byte{3})});

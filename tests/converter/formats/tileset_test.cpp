@@ -108,9 +108,9 @@ TEST_CASE("levels become tiles that replace their parents, and come back level b
   REQUIRE(file);
   REQUIRE(file->n_levels() == 4);
   Files files, again;
-  const auto report = write_tileset(*file, {.threads = 1}, 0, into(files));
+  const auto report = write_tileset(*file, {.threads = 1}, 0, "tiles", into(files));
   REQUIRE(report);
-  REQUIRE(write_tileset(*file, {.threads = 3}, 0, into(again)));
+  REQUIRE(write_tileset(*file, {.threads = 3}, 0, "tiles", into(again)));
   CHECK(files == again);
   CHECK(report->n_levels == 3);  // a tile holds at most 32 Ki Gaussians, here those of four pages
   CHECK(report->n_regions + 1 == files.size());
@@ -168,9 +168,9 @@ TEST_CASE("a tileset holds millimetres at ECEF, with the coordinates of the CRS,
           direct.chunk_size = 32;
           Bytes rgs;
           REQUIRE(write_levels(trivial_levels(cloud, {.chunk_size = 32}), direct, rgs));
-          REQUIRE(write_tileset(*PagedFile::open(rgs), options, 3, into(files)));
+          REQUIRE(write_tileset(*PagedFile::open(rgs), options, 3, "a b%", into(files)));
         } else {
-          REQUIRE(write_tileset(cloud.view(), options, into(files)));
+          REQUIRE(write_tileset(cloud.view(), options, "a b%", into(files)));
         }
         const json transform = tree_of(files)["root"]["transform"];
         const bool is_declared = axes[0] != Axis::undeclared;
@@ -295,6 +295,15 @@ TEST_CASE("tilesets that are not read are refused with what is wrong") {
         Errc::unsupported_feature);
   CHECK(refused(with("/root/transform", {-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1})) ==
         Errc::unsupported_feature);
+  // Each is a similarity, but not their product.
+  for (const double x : {1e200, 1e-200}) {
+    const json scales{x, 0, 0, 0, 0, x, 0, 0, 0, 0, x, 0, 0, 0, 0, 1};
+    json inner = tile("a.glb");
+    inner["transform"] = scales;
+    json outer = tile("", {inner});
+    outer["transform"] = scales;
+    CHECK(refused(json::parse(text_of(tileset(outer)))) == Errc::bad_value);
+  }
   // From memory there are no contents; an archive is named.
   CHECK(read_splats(tileset(tile("a.glb"))).error().code == Errc::unsupported_feature);
   const Bytes archive = zipped({{"tileset.json", tileset(tile("a.glb"))}, {"@3dtilesIndex1@", bytes_of("x")}});

@@ -228,11 +228,13 @@ Result<LevelsReport> write_streamed_sog(const PagedFile& file, const WriteOption
 
 /// Writes an .rgs with levels as an explicit tileset of 3D Tiles 1.1: tile after tile, each an SPZ inside a .glb, then
 /// tileset.json. A tile holds the pages some levels below one page: as many levels as keep it at most at 32 Ki Gaussians.
-/// Coarser levels are left out. Otherwise as write_streamed_sog(). Memory: that of one tile.
+/// Coarser levels are left out. `folder`, a name: of the tiles. Otherwise as write_streamed_sog(). Memory: that of one
+/// tile.
 Result<LevelsReport> write_tileset(const PagedFile& file, const WriteOptions& options, int sh_degree,
-                                   const PutFile& put);
+                                   const std::string& folder, const PutFile& put);
 /// The same of a scene without levels, as one tile. `splats` are in kAxes3dTiles or of undeclared axes.
-Result<LevelsReport> write_tileset(const SplatView& splats, const WriteOptions& options, const PutFile& put);
+Result<LevelsReport> write_tileset(const SplatView& splats, const WriteOptions& options, const std::string& folder,
+                                   const PutFile& put);
 
 /// Writes an .rgs with levels as a .rad with a tree, one file without a name: each level, and one Gaussian above the
 /// coarsest. Each Gaussian is below one of its page's parent; coarser ones without any below are left out. Otherwise as
