@@ -214,7 +214,7 @@ TEST_CASE("of tiles that replace each other the finest are read or those some le
   CHECK(xs_of(read_files(files, level(1))) == Xs{1, 2, 5});
   // Several contents, some of which are no splats; a tile below which there are none is not replaced.
   json several = tile("");
-  several["contents"] = {{{"uri", "a.glb"}}, {{"uri", "b.glb"}}, {{"uri", "x.b3dm"}}};
+  for (const char* uri : {"a.glb", "b.glb", "x.b3dm"}) several["contents"].push_back(json::object({{"uri", uri}}));
   several["children"] = {tile("")};
   files["x.b3dm"] = bytes_of("b3dm....");
   files["mesh.gltf"] = bytes_of(R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[]}],"buffers":[]})");
