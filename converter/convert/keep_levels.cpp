@@ -372,7 +372,7 @@ Result<KeptLevels> KeptLevels::open(LevelTree tree, const Axes& from, const Enco
     kept.coarser_ = SceneScan(encode.sh_degree, encode.on_bad);
     kept.tree_ = std::move(tree);
     bool first = true;
-    const Status status = kept.read([&](std::uint32_t node, SplatFile piece) -> Status {
+    const Status status = kept.read([&](std::uint32_t node, const SplatFile& piece) -> Status {
       if (first) kept.tree_.file.aa_mode = piece.aa_mode;
       first = false;
       kept.tree_.file.bytes += piece.bytes;

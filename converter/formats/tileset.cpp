@@ -10,6 +10,7 @@
 #include <array>
 #include <cmath>
 #include <deque>
+#include <filesystem>
 #include <glm/gtc/type_ptr.hpp>
 #include <glm/mat4x4.hpp>
 #include <nlohmann/json.hpp>
@@ -275,7 +276,7 @@ Result<SplatFile> decode_tileset_folder(std::span<const std::byte> bytes, const 
     for (const std::string& name : tree.tiles[i].contents) {
       ReadOptions rest = options;
       rest.limits.max_gaussians -= file.cloud.size();
-      auto part = read_content(folder + "/" + name, rest, tree.tiles[i].similarity);
+      auto part = read_content((std::filesystem::path(folder) / name).string(), rest, tree.tiles[i].similarity);
       if (!part) return tl::unexpected(part.error());
       if (!*part) {
         ++n_other;
