@@ -215,7 +215,7 @@ TEST_CASE("of tiles that replace each other the finest are read or those some le
   // Several contents, some of which are no splats; a tile below which there are none is not replaced.
   json several = tile("");
   for (const char* uri : {"a.glb", "b.glb", "x.b3dm"}) several["contents"].push_back(json::object({{"uri", uri}}));
-  several["children"] = {tile("")};
+  several["children"].push_back(tile(""));
   files["x.b3dm"] = bytes_of("b3dm....");
   files["mesh.gltf"] = bytes_of(R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[]}],"buffers":[]})");
   files["tileset.json"] = tileset(tile("", {several, tile("mesh.gltf")}));
