@@ -86,6 +86,9 @@ Status check_count(std::uint64_t n);
 double max_rounding(const EncodeOptions& encode, bool allowed);
 /// Errors: unsupported_feature, found in micrometres.
 Status check_rounding(double position_rounding, double max_rounding);
+/// Gives pages origins of their own if means in FP32 are rounded by more than a quarter of max_rounding(), and
+/// `position_rounding` is then what these leave of it. Errors: check_rounding()'s, of Profile::archive.
+Status choose_page_origins(EncodeOptions& encode, double& position_rounding, bool allow_rounding);
 /// Adds to `notes` that positions are rounded by more than max_rounding().
 void note_rounding(ConvertSummary& summary);
 
@@ -101,6 +104,8 @@ struct StreamFacts {
   std::uint64_t bytes = 0;
   Origin origin = kNoOrigin;            ///< of the means
   std::function<std::uint64_t()> hash;  ///< XXH3-64 of the bytes
+  /// Largest rounding of a mean to FP32, once the stream was read, world units.
+  std::function<double()> rounding = [] { return 0.; };
   /// Byte at which Gaussian i starts; Error::kNone if unknown.
   std::function<std::uint64_t(std::uint64_t i)> row_offset = [](std::uint64_t) { return Error::kNone; };
   /// Absent: order_leaves() and build_upper().

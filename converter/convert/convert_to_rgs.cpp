@@ -168,9 +168,8 @@ class ReadOnce {
   const MappedFile* file_ = nullptr;
 };
 
-lod::SplatStream stream_of(const SplatSource& source, const ReadOnce& memory, double max_rounding) {
-  return {source.size(), source.sh_degree(),
-          [&source, memory, max_rounding](const lod::SplatStream::Visit& visit) -> Status {
+lod::SplatStream stream_of(const SplatSource& source, const ReadOnce& memory) {
+  return {source.size(), source.sh_degree(), [&source, memory](const lod::SplatStream::Visit& visit) -> Status {
             constexpr std::uint64_t kRows = 65536, kPart = 1024;
             std::vector<Splat> rows;
             for (std::uint64_t first = 0; first < source.size(); first += kRows) {
@@ -180,7 +179,6 @@ lod::SplatStream stream_of(const SplatSource& source, const ReadOnce& memory, do
                 source.read(first + part * kPart, std::span(rows).subspan(part * kPart, n));
               });
               memory.done(source.row_offset(first), source.row_offset(first + rows.size() - 1));
-              if (Status s = check_rounding(source.position_rounding(), max_rounding); !s) return s;
               if (Status s = visit(first, rows); !s) return s;
             }
             return {};
@@ -202,6 +200,7 @@ StreamFacts facts_of(const SplatSource& source, const ReadOnce& memory) {
   return {source.bytes(),
           source.origin(),
           [&source, memory] { return source.source().empty() ? source.hash() : hash_once(source.source(), memory); },
+          [&source] { return source.position_rounding(); },
           [&source](std::uint64_t i) { return source.row_offset(i); },
           {}};
 }
@@ -221,11 +220,18 @@ double max_rounding(const EncodeOptions& encode, bool allowed) {
 
 Status check_rounding(double position_rounding, double max_rounding) {
   if (position_rounding <= max_rounding) return {};
-  return make_error(Errc::unsupported_feature, Error::kNone,
-                    "FP32 rounds positions this far from the scene's one origin too much, in micrometres; split the "
-                    "scene, or pass --allow-rounding",
-                    1000,
-                    static_cast<std::uint64_t>(std::ceil(std::min(1e3 * position_rounding / max_rounding, 1e18))));
+  return make_error(
+      Errc::unsupported_feature, Error::kNone,
+      "FP32 rounds positions this far from the scene's one origin too much, in micrometres; pass --lod, split "
+      "the scene, or pass --allow-rounding",
+      1000, static_cast<std::uint64_t>(std::ceil(std::min(1e3 * position_rounding / max_rounding, 1e18))));
+}
+
+Status choose_page_origins(EncodeOptions& encode, double& position_rounding, bool allow_rounding) {
+  const double most = max_rounding(encode, allow_rounding);
+  encode.page_origins = encode.profile != Profile::archive && position_rounding > most / 4;
+  if (encode.page_origins) position_rounding = most / 4;
+  return check_rounding(position_rounding, most);
 }
 
 Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const SceneScan& scan,
@@ -309,13 +315,9 @@ void summarise(ConvertSummary& summary, const SceneScan& scan, WrittenScene&& wr
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer) {
   if (const Status s = check_count(source.size()); !s) return tl::unexpected(s.error());
-  const double most = max_rounding(options.encode, options.allow_rounding);
   if (options.levels) {
     const ReadOnce memory(source.source(), options.output.inputs);
-    auto summary =
-        convert_to_levels(stream_of(source, memory, most), facts_of(source, memory), output_path, options, observer);
-    if (summary) summary->position_rounding = source.position_rounding();
-    return summary;
+    return convert_to_levels(stream_of(source, memory), facts_of(source, memory), output_path, options, observer);
   }
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
@@ -339,6 +341,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   if (encode.on_bad == BadPolicy::refuse && scanned.scan.n_kept() != scanned.scan.n_source()) {
     return damaged_gaussian(source.row_offset(first_damaged(source, scanned.scan.sh_degree())), scanned.scan);
   }
+  const double most = max_rounding(options.encode, options.allow_rounding);
   if (Status s = check_rounding(source.position_rounding(), most); !s) return tl::unexpected(s.error());
   clock.begin("sort", 0, "");
   std::vector<std::uint32_t> indices = kept_indices(scanned);
@@ -400,6 +403,9 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   if (scan.n_kept() == 0) {
     return nothing_for_levels();
   }
+  summary.position_rounding = facts.rounding();
+  if (const Status s = choose_page_origins(encode, summary.position_rounding, options.allow_rounding); !s)
+    return tl::unexpected(s.error());
   if (const Status s = check_archive_memory(encode, scan.n_kept(), options.memory_bytes); !s)
     return tl::unexpected(s.error());
   std::vector<float> sample;

@@ -216,6 +216,7 @@ void restore_order(SplatFile& file) {
   std::ranges::sort(order, {}, [&file](std::uint64_t i) { return file.source_index[i]; });
   SplatCloud ordered;
   ordered.resize(file.cloud.size(), file.cloud.sh_degree);
+  ordered.mean_rest.resize(file.cloud.mean_rest.size());
   for (std::uint64_t i = 0; i < order.size(); ++i) ordered.set(i, file.cloud.view().splat(order[i]));
   file.cloud = std::move(ordered);
   std::ranges::sort(file.source_index);

@@ -431,8 +431,8 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
       std::uint64_t first = 0;
     };
     std::vector<std::vector<Place>> places(tree_.nodes.size());
-    const auto of_leaves =
-        encode.keep_permutation ? lod::LevelRows::Kind::leaves_with_positions : lod::LevelRows::Kind::leaves;
+    using Kind = lod::LevelRows::Kind;
+    const Kind of_leaves = Kind::of_leaves(encode);
     out = {};
     std::uint64_t bytes = 0, n_all = 0;
     std::vector<std::uint64_t> level_bytes;
@@ -444,7 +444,7 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
           first += n_kept_[node];
         }
       }
-      const auto kind = level == 0 ? of_leaves : lod::LevelRows::Kind::upper;
+      const Kind kind = level == 0 ? of_leaves : Kind::of_upper();
       level_bytes.push_back(first * lod::LevelRows({}, scan.sh_degree(), kind).row_bytes());
       bytes += level_bytes.back();
       n_all += first;
@@ -466,7 +466,7 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
       if (!out.on_disk) {  // allocate at once, do not grow
         if (Status s = file->write(level_bytes[level] - 1, std::array<std::byte, 1>{}); !s) return s;
       }
-      out.rows.emplace_back(std::move(*file), scan.sh_degree(), level == 0 ? of_leaves : lod::LevelRows::Kind::upper);
+      out.rows.emplace_back(std::move(*file), scan.sh_degree(), level == 0 ? of_leaves : Kind::of_upper());
     }
     if (encode.keep_permutation) out.positions.resize(out.n_leaves);
     options.begin("place", n_all, "Gaussians");

@@ -89,11 +89,10 @@ Outcome<ConvertSummary> convert_tiles(ConvertArguments& arguments, const std::de
     std::ranges::transform(inputs, hashes.begin(), &SceneInput::hash);
     return hash_of_sources(hashes);
   };
-  auto summary = convert_to_levels(scene->stream(max_rounding(encode, convert.allow_rounding)), facts, options.output(),
-                                   convert, observer);
+  facts.rounding = [&scene] { return scene->position_rounding(); };
+  auto summary = convert_to_levels(scene->stream(), facts, options.output(), convert, observer);
   if (!summary) return failed(concerned(arguments, inputs[scene->reading()], summary.error()), summary.error());
   summary->source_format = inputs.size() == 1 ? format_name(first_format) : "merged";
-  summary->position_rounding = scene->position_rounding();
   summary->unused = std::move(unused);
   summary->notes = std::move(loss.notes);
   return std::move(*summary);

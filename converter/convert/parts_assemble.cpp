@@ -106,11 +106,11 @@ class Assembler {
         for (const lod::Page& page : stretch.levels.back().pages) n_tops += page.count;
       }
     }
-    tops_.on_disk = n_tops * lod::LevelRows({}, plan_.scan.sh_degree(), lod::LevelRows::Kind::upper).row_bytes() >
+    tops_.on_disk = n_tops * lod::LevelRows({}, plan_.scan.sh_degree(), lod::LevelRows::Kind::of_upper()).row_bytes() >
                     options_.memory_bytes / 8;
     auto scratch = lod::scratch_file(tops_.on_disk, options_);
     if (!scratch) return failed(run_.scratch, scratch.error());
-    lod::LevelRows rows(std::move(*scratch), plan_.scan.sh_degree(), lod::LevelRows::Kind::upper);
+    lod::LevelRows rows(std::move(*scratch), plan_.scan.sh_degree(), lod::LevelRows::Kind::of_upper());
     std::uint64_t n_rows = 0;
     for (OpenRange& range : ranges_) {
       for (const BuiltStretch& stretch : range.built) {
@@ -272,6 +272,8 @@ Outcome<ConvertSummary> assemble_parts(const PartsRun& run, const PartsJob& job,
     if (const auto scanned = find_scan(run, job, i); scanned && *scanned)
       summary.position_rounding = std::max(summary.position_rounding, (*scanned)->position_rounding);
   }
+  EncodeOptions encode = plan.encode;
+  (void)choose_page_origins(encode, summary.position_rounding, job.allow_rounding);  // the plan has passed it
   note_rounding(summary);
   return summary;
 }

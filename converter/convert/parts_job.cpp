@@ -77,6 +77,7 @@ json encode_json(const EncodeOptions& o) {
          {"chunk_step_sets", o.chunk_step_sets},
          {"order", enum_json(o.order)},
          {"keep_permutation", o.keep_permutation},
+         {"page_origins", o.page_origins},
          {"sh_degree", o.sh_degree},
          {"on_bad", enum_json(o.on_bad)},
          {"max_bad_fraction", o.max_bad_fraction},
@@ -122,6 +123,7 @@ EncodeOptions encode_of(const json& j) {
   o.chunk_step_sets = j.at("chunk_step_sets");
   o.order = enum_of<Order>(j.at("order"));
   o.keep_permutation = j.at("keep_permutation");
+  o.page_origins = j.at("page_origins");
   o.sh_degree = j.at("sh_degree");
   o.on_bad = enum_of<BadPolicy>(j.at("on_bad"));
   o.max_bad_fraction = j.at("max_bad_fraction");
@@ -311,8 +313,7 @@ lod::StreamOptions PartsRun::stream_options(lod::Quality quality) const {
 }
 
 std::uint64_t choose_bin_rows(const EncodeOptions& encode, int sh_degree, std::uint64_t memory_bytes) {
-  const auto kind =
-      encode.keep_permutation ? lod::LevelRows::Kind::leaves_with_positions : lod::LevelRows::Kind::leaves;
+  const auto kind = lod::LevelRows::Kind::of_leaves(encode);
   const std::uint64_t row_bytes = lod::LevelRows({}, sh_degree, kind).row_bytes();
   // A quarter of the memory; bins may be three times as large as planned.
   return std::clamp<std::uint64_t>(memory_bytes / 4 / lod::sorting_bytes(row_bytes) / 3, 1024, 400'000);

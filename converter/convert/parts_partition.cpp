@@ -189,7 +189,7 @@ Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
   SceneScan scan(job.output_degree(), job.encode.on_bad);
   std::vector<float> means;
   const std::uint64_t stride = std::max<std::uint64_t>(1, job.bin_rows / kSampleOfBin);
-  lod::SplatStream stream = open.tiles().stream(max_rounding(job.encode, job.allow_rounding));
+  lod::SplatStream stream = open.tiles().stream();
   stream.read = [&, read = stream.read](const lod::SplatStream::Visit& visit) {
     return read([&](std::uint64_t first, std::span<const Splat> rows) -> Status {
       if (Status s = sample_rows(part.first + first, rows, stride, means); !s) return s;
@@ -201,6 +201,10 @@ Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
   if (const Status s = lod::scan_stream(stream, run.stream_options(job.quality), scan, first_damaged); !s)
     return failed(part.path, s.error());
   if (scan.n_source() != part.facts.n) return failed(part.path, kInputChanged);
+  EncodeOptions encode = job.encode;
+  double rounding = open.tiles().position_rounding();
+  if (const Status s = choose_page_origins(encode, rounding, job.allow_rounding); !s)
+    return failed(part.path, s.error());
   scanned.xxh3 = open.input().hash();
   if (const Status s = open.input().file().check_unchanged(); !s) return failed(part.path, s.error());
   run.observer.finish();
@@ -232,6 +236,7 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
   std::vector<ScannedInput> scans;
   std::vector<std::uint64_t> hashes;
   Failure damage{"", {}};
+  double rounding = 0;
   for (std::size_t i = 0; i < job.inputs.size(); ++i) {
     auto scanned = find_scan(run, job, i);
     if (!scanned) return tl::unexpected(scanned.error());
@@ -245,6 +250,7 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
     if (scan->sh_degree() != plan.scan.sh_degree()) return failed(run.scan_path(i), unreadable().error());
     plan.scan.merge(*scan);
     hashes.push_back((*scanned)->xxh3);
+    rounding = std::max(rounding, (*scanned)->position_rounding);
     if (damage.file.empty() && scan->n_kept() != scan->n_source())
       damage = {job.inputs[i].path, damaged_gaussian((*scanned)->first_damaged, *scan).value()};
     scans.push_back(std::move(**scanned));
@@ -253,6 +259,8 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
   if (job.encode.on_bad == BadPolicy::refuse && !damage.file.empty()) return tl::unexpected(damage);
   if (const Status s = check_encodable(plan.scan, plan.encode); !s) return failed(first_path, s.error());
   if (plan.scan.n_kept() == 0) return failed(first_path, nothing_for_levels().value());
+  if (const Status s = choose_page_origins(plan.encode, rounding, job.allow_rounding); !s)
+    return failed(first_path, s.error());
   if (plan.encode.provenance) plan.encode.provenance->source_xxh3 = hash_of_sources(hashes);
   ConvertOptions depth;
   depth.z_near = job.z_near;

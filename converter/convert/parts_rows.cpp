@@ -26,8 +26,7 @@ Error not_as_written() {
 }  // namespace
 
 lod::LevelRows leaf_rows(const PartsPlan& plan) {
-  using Kind = lod::LevelRows::Kind;
-  return {{}, plan.scan.sh_degree(), plan.encode.keep_permutation ? Kind::leaves_with_positions : Kind::leaves};
+  return {{}, plan.scan.sh_degree(), lod::LevelRows::Kind::of_leaves(plan.encode)};
 }
 
 RowsWriter::RowsWriter(WorkWriter& file, const PartsPlan& plan, std::uint64_t memory_bytes)

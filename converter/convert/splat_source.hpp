@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cassert>
+#include <cmath>
 #include <cstdint>
 #include <span>
 
@@ -25,8 +26,13 @@ class SplatSource {
   int sh_degree() const { return ply_ != nullptr ? ply_->sh_degree() : cloud_.sh_degree; }
   /// The origin of the means.
   const Origin& origin() const { return ply_ != nullptr ? ply_->origin() : origin_; }
-  /// Largest rounding of a coordinate in what was read so far, world units; 0 for a cloud.
-  double position_rounding() const { return ply_ != nullptr ? ply_->position_rounding() : 0; }
+  /// Largest rounding of a coordinate in what was read so far, world units; of a cloud the largest rest.
+  double position_rounding() const {
+    if (ply_ != nullptr) return ply_->position_rounding();
+    float largest = 0;
+    for (const float x : cloud_.mean_rest) largest = std::max(largest, std::fabs(x));
+    return static_cast<double>(largest);
+  }
   std::uint64_t bytes() const { return ply_ != nullptr ? ply_->bytes() : bytes_; }
   /// XXH3-64 of the source's bytes; reads a PLY file to its end.
   std::uint64_t hash() const { return ply_ != nullptr ? xxh3(ply_->source()) : xxh3_; }

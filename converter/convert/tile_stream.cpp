@@ -5,6 +5,7 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -15,24 +16,34 @@ namespace {
 
 constexpr std::uint64_t kRows = 65536;
 
-// `rounding`: the largest of a coordinate by reading, so far.
-Status read_tile(const Tile& tile, const std::function<Status(SplatCloud& block, double rounding)>& visit) {
-  if (!tile.ply) {
-    const auto read = tile.read([&](SplatFile& piece) { return visit(piece.cloud, piece.position_rounding); });
-    return read.map([](const SplatFile&) {});
-  }
-  SplatCloud block;
+// Of a PLY a piece has Gaussians, origin and rounding alone.
+Status read_tile(const Tile& tile, const std::function<Status(SplatFile& piece)>& visit) {
+  if (!tile.ply) return tile.read(visit).map([](const SplatFile&) {});
+  SplatFile piece;
+  piece.origin = tile.ply->origin();
+  SplatCloud& block = piece.cloud;
+  const bool has_rests = tile.ply->has_rests();
   std::vector<Splat> rows;
   for (std::uint64_t first = 0; first < tile.ply->size(); first += kRows) {
     rows.resize(std::min(kRows, tile.ply->size() - first));
     tile.ply->read(first, rows);
     block.resize(rows.size(), tile.ply->sh_degree());
+    if (has_rests) block.mean_rest.resize(3 * rows.size());
     for (std::size_t k = 0; k < rows.size(); ++k) block.set(k, rows[k]);
     const std::uint64_t begin = tile.ply->row_offset(first), end = tile.ply->row_offset(first + rows.size() - 1);
     if (tile.file != nullptr && end != Error::kNone) tile.file->advise(MappedFile::Access::done, begin, end - begin);
-    if (Status s = visit(block, tile.ply->position_rounding()); !s) return s;
+    piece.position_rounding = tile.ply->position_rounding();
+    if (Status s = visit(piece); !s) return s;
   }
   return {};
+}
+
+// Where an origin of the tile's file lies in the whole, if there are origins.
+Origin placed_origin(const Tile& tile, Origin origin, const Axes& axes) {
+  convert_axes(origin, tile.axes, axes);
+  const Similarity& far = tile.placed;
+  const glm::dvec3 at = far.rotation * glm::dvec3(origin[0], origin[1], origin[2]) * far.scale + far.translation;
+  return {at.x + 0.0, at.y + 0.0, at.z + 0.0};
 }
 
 }  // namespace
@@ -43,14 +54,16 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
   if (tile.ply) {
     facts = {tile.ply->size(), tile.ply->sh_degree(), false, tile.ply->origin()};
     if (tile.placed.translation != glm::dvec3(0) && facts.origin == kNoOrigin) {
-      const auto add = [&move](SplatCloud& block, double) {
-        move.add(block.mean);
+      const auto add = [&move](SplatFile& piece) {
+        move.add(piece.cloud.mean);
         return Status();
       };
       if (Status s = read_tile(tile, add); !s) return tl::unexpected(s.error());
     }
   } else {
+    bool has_origins = false;  // of pieces
     const auto file = tile.read([&](SplatFile& piece) -> Status {
+      has_origins = has_origins || piece.origin != kNoOrigin;
       facts.n += piece.cloud.size();
       facts.sh_degree = std::max(facts.sh_degree, piece.cloud.sh_degree);
       move.add(piece.cloud.mean);
@@ -59,25 +72,29 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
     if (!file) return tl::unexpected(file.error());
     facts.sh_degree = std::max(facts.sh_degree, file->cloud.sh_degree);
     facts.origin = file->origin;
+    facts.gets_origin = has_origins;
   }
   // As transform_splats() of a scene with an origin.
-  convert_axes(facts.origin, tile.axes, axes);
-  facts.gets_origin = facts.origin != kNoOrigin || move.is_far();
-  if (facts.gets_origin) {
-    const Similarity& far = tile.placed;
-    const glm::dvec3 at =
-        far.rotation * glm::dvec3(facts.origin[0], facts.origin[1], facts.origin[2]) * far.scale + far.translation;
-    facts.origin = {at.x + 0.0, at.y + 0.0, at.z + 0.0};
-  }
+  facts.gets_origin = facts.gets_origin || facts.origin != kNoOrigin || move.is_far();
+  if (facts.gets_origin) facts.origin = placed_origin(tile, facts.origin, axes);
   return facts;
 }
 
-void TileStream::place(std::size_t i, SplatCloud& block, double rounding) const {
+void TileStream::place(std::size_t i, SplatFile& piece) const {
+  SplatCloud& cloud = piece.cloud;
   Similarity moved = tiles_[i].placed;
-  convert_axes(block, tiles_[i].axes, axes_);
-  if (facts_[i].gets_origin) moved.translation = {0, 0, 0};
-  transform_splats(block, moved);
-  rounding = rounding * moved.scale + rebase_means(block.mean, facts_[i].origin, origin_);
+  convert_axes(cloud, tiles_[i].axes, axes_);
+  Origin from = kNoOrigin;
+  if (facts_[i].gets_origin) {
+    moved.translation = {0, 0, 0};
+    from = placed_origin(tiles_[i], piece.origin, axes_);
+  }
+  transform_splats(cloud, moved);
+  // Of the file's own rounding, what is known is a rest.
+  double rounding = cloud.mean_rest.empty() ? piece.position_rounding * moved.scale : 0;
+  if (from != origin_) cloud.mean_rest.resize(cloud.mean.size());
+  rebase_exactly(cloud.mean, cloud.mean_rest, from, origin_);
+  for (const float rest : cloud.mean_rest) rounding = std::max(rounding, std::fabs(static_cast<double>(rest)));
   rounding_ = std::max(rounding_, rounding);
 }
 
@@ -115,15 +132,14 @@ TileStream TileStream::of_one(Tile tile, const TileFacts& facts, const Axes& axe
   return out;
 }
 
-lod::SplatStream TileStream::stream(double max_rounding) const {
-  return {n_, sh_degree_, [this, max_rounding](const lod::SplatStream::Visit& visit) -> Status {
+lod::SplatStream TileStream::stream() const {
+  return {n_, sh_degree_, [this](const lod::SplatStream::Visit& visit) -> Status {
             std::uint64_t first = 0;
             std::vector<Splat> rows;
             for (reading_ = 0; reading_ < tiles_.size(); ++reading_) {
-              const Status read = read_tile(tiles_[reading_], [&](SplatCloud& block, double rounding) -> Status {
-                place(reading_, block, rounding);
-                if (Status s = check_rounding(rounding_, max_rounding); !s) return s;
-                const SplatView view = block.view();
+              const Status read = read_tile(tiles_[reading_], [&](SplatFile& piece) -> Status {
+                place(reading_, piece);
+                const SplatView view = piece.cloud.view();
                 for (std::uint64_t at = 0; at < view.n; at += kRows) {
                   rows.resize(std::min(kRows, view.n - at));
                   tbb::parallel_for(std::size_t{0}, rows.size(), [&](std::size_t k) { rows[k] = view.splat(at + k); });

@@ -4,7 +4,6 @@
 
 #include <cstdint>
 #include <functional>
-#include <limits>
 #include <optional>
 #include <vector>
 
@@ -42,19 +41,20 @@ class TileStream {
   /// One tile of a whole with this origin and degree.
   static TileStream of_one(Tile tile, const TileFacts& facts, const Axes& axes, const Origin& origin, int sh_degree);
 
-  /// A view: the TileStream must outlive it. Errors of reading: those of read; check_rounding()'s.
-  lod::SplatStream stream(double max_rounding = std::numeric_limits<double>::infinity()) const;
+  /// A view: the TileStream must outlive it. Gaussians have a Splat::mean_rest where FP32 rounds. Errors of reading:
+  /// those of read.
+  lod::SplatStream stream() const;
   /// The tile whose reading goes on or failed; else 0.
   std::size_t reading() const { return reading_; }
   const Origin& origin() const { return origin_; }
   std::uint64_t size() const { return n_; }
   int sh_degree() const { return sh_degree_; }
   const std::vector<Tile>& tiles() const { return tiles_; }
-  /// Largest rounding of a coordinate so far, world units.
+  /// Largest rounding of a mean to FP32 so far, world units.
   double position_rounding() const { return rounding_; }
 
  private:
-  void place(std::size_t i, SplatCloud& block, double rounding) const;
+  void place(std::size_t i, SplatFile& piece) const;
 
   std::vector<Tile> tiles_;
   std::vector<TileFacts> facts_;

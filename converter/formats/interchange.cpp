@@ -186,9 +186,9 @@ Result<SplatFile> decode_levels(Bytes bytes, const ReadOptions& options) {
                 "are present (--max-count reads them)",
           paged->head().header().file_bytes, bytes.size());
     }
-    if (options.visit) pages = lod::pages_of_level(paged->pages(), 0);
+    pages = lod::pages_of_level(paged->pages(), 0);
   }
-  if (leaves && !options.visit) {
+  if (leaves && !options.visit && paged->n_pages_with_origins() == 0) {
     // The leaves get all checks of a file without levels.
     const auto plain = leaves_as_file(*paged, {.validate = false});
     if (!plain) return tl::unexpected(plain.error());
@@ -210,6 +210,10 @@ Result<SplatFile> decode_levels(Bytes bytes, const ReadOptions& options) {
     if (!cloud) return tl::unexpected(cloud.error());
     file.cloud = std::move(*cloud);
     if (const Status s = detail::hand_over(file, options); !s) return tl::unexpected(s.error());
+  }
+  if (leaves && !options.visit && paged->has_source_index() && file.declarations->n_source >> 32 == 0) {
+    for (std::uint64_t i = 0; i < file.cloud.size(); ++i)
+      file.source_index.push_back(static_cast<std::uint32_t>(paged->source_index(i)));
   }
   return file;
 }
@@ -583,7 +587,9 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
   return detail::guard_memory([&]() -> Result<double> {
     const Origin origin = keeps_of(format, options).origin ? kNoOrigin : options.origin;
     const bool is_spz = detail::holds_spz(format);
-    if (origin == kNoOrigin && !is_spz) return 0.0;
+    // Of what FP32 rounds, a PLY alone holds the rest.
+    const bool has_rests = !splats.mean_rest.empty() && (format != SplatFormat::ply || options.origin == kNoOrigin);
+    if (origin == kNoOrigin && !is_spz && !has_rests) return 0.0;
     const std::vector<float> positions = positions_of(splats, origin);
     int bits = 0;
     if (is_spz) {
@@ -597,7 +603,8 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
     for (std::size_t i = 0; i < positions.size(); ++i) {
       double held = static_cast<double>(positions[i]);
       if (is_spz) held = std::ldexp(std::floor(std::ldexp(held, bits) + 0.5), -bits);
-      const double error = std::fabs(held - (origin[i % 3] + static_cast<double>(splats.mean[i])));
+      const double rest = has_rests ? static_cast<double>(splats.mean_rest[i]) : 0;
+      const double error = std::fabs(held - (origin[i % 3] + static_cast<double>(splats.mean[i]) + rest));
       if (std::isfinite(error)) largest = std::max(largest, error);
     }
     return largest;

@@ -55,9 +55,9 @@ inline constexpr std::uint64_t kMaxPlyHeaderBytes = std::uint64_t{1} << 20;
 /// end_header).
 Result<PlyHeader> parse_ply_header(std::span<const std::byte> bytes);
 
-/// A Splat seen as 59 floats: mean 0..2, log_scale 3..5, rotation 6..9, opacity_logit 10, sh 11..58.
+/// The beginning of a Splat as 59 floats: mean 0..2, log_scale 3..5, rotation 6..9, opacity_logit 10, sh 11..58.
 inline constexpr int kSplatFloats = 59;
-static_assert(sizeof(Splat) == kSplatFloats * sizeof(float));
+static_assert(offsetof(Splat, mean_rest) == kSplatFloats * sizeof(float));
 static_assert(offsetof(Splat, log_scale) == 3 * sizeof(float) && offsetof(Splat, rotation) == 6 * sizeof(float));
 static_assert(offsetof(Splat, opacity_logit) == 10 * sizeof(float) && offsetof(Splat, sh) == 11 * sizeof(float));
 

@@ -264,9 +264,10 @@ struct PlyFile::Impl {
   }
   void decode_rebased(const std::byte* row, Splat& out) const {
     for (std::size_t k = 0; k < 3; ++k) {
-      const auto x = load_as<double>(columns[k].type, row + columns[k].offset, swap);
-      out.mean[k] = static_cast<float>(x - stated.origin[k]);
-      const double error = std::fabs(static_cast<double>(out.mean[k]) - (x - stated.origin[k]));
+      const double x = load_as<double>(columns[k].type, row + columns[k].offset, swap) - stated.origin[k];
+      out.mean[k] = static_cast<float>(x);
+      out.mean_rest[k] = std::isfinite(out.mean[k]) ? static_cast<float>(x - static_cast<double>(out.mean[k])) : 0;
+      const double error = std::fabs(static_cast<double>(out.mean[k]) - x);
       for (double largest = rounding.load(std::memory_order_relaxed);
            error > largest && std::isfinite(error) && !rounding.compare_exchange_weak(largest, error);) {
       }
@@ -565,6 +566,10 @@ int PlyFile::sh_degree() const {
 const Origin& PlyFile::origin() const {
   return impl_->stated.origin;
 }
+bool PlyFile::has_rests() const {
+  return impl_->wide_means || impl_->stated.origin != kNoOrigin;
+}
+
 double PlyFile::position_rounding() const {
   return impl_->rounding;
 }

@@ -41,7 +41,8 @@ void encode_rows(std::span<const Splat> splats, std::byte* out, const Origin& or
     const float* from = row;
     if (has_origin(origin)) {
       double mean[3];
-      for (std::size_t k = 0; k < 3; ++k) mean[k] = origin[k] + static_cast<double>(splat.mean[k]);
+      for (std::size_t k = 0; k < 3; ++k)
+        mean[k] = origin[k] + static_cast<double>(splat.mean[k]) + static_cast<double>(splat.mean_rest[k]);
       std::memcpy(out, mean, sizeof(mean));
       out += sizeof(mean);
       from += 3;

@@ -143,9 +143,13 @@ void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
   const auto log_factor = static_cast<float>(std::log(similarity.scale));
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
     float* mean = &cloud.mean[3 * i];
-    const glm::vec3 moved =
-        similarity.rotation * glm::dvec3(glm::make_vec3(mean)) * similarity.scale + similarity.translation;
-    for (int k = 0; k < 3; ++k) mean[k] = moved[k];
+    float* rest = cloud.mean_rest.empty() ? nullptr : &cloud.mean_rest[3 * i];
+    glm::dvec3 centre(glm::make_vec3(mean));
+    if (rest != nullptr) centre += glm::dvec3(glm::make_vec3(rest));
+    const glm::dvec3 moved = similarity.rotation * centre * similarity.scale + similarity.translation;
+    for (int k = 0; k < 3; ++k) mean[k] = static_cast<float>(moved[k]);
+    for (int k = 0; k < 3 && rest != nullptr; ++k)
+      rest[k] = static_cast<float>(moved[k] - static_cast<double>(mean[k]));
     for (int k = 0; k < 3; ++k) cloud.log_scale[3 * i + static_cast<std::size_t>(k)] += log_factor;
     if (turns) turn_quaternion(turn, &cloud.rotation[4 * i]);
   }
@@ -190,6 +194,15 @@ double rebase_means(std::span<float> means, const Origin& from, const Origin& to
   return largest;
 }
 
+void rebase_exactly(std::span<float> means, std::span<float> rests, const Origin& from, const Origin& to) {
+  assert(rests.size() == means.size());
+  for (std::size_t i = 0; i < means.size() && from != to; ++i) {
+    const double x = static_cast<double>(means[i]) + (from[i % 3] - to[i % 3]) + static_cast<double>(rests[i]);
+    means[i] = static_cast<float>(x);
+    rests[i] = std::isfinite(means[i]) ? static_cast<float>(x - static_cast<double>(means[i])) : 0;
+  }
+}
+
 Origin merged_origin(std::span<const Origin> origins) {
   Origin middle = kNoOrigin;
   for (std::size_t k = 0; k < 3 && !origins.empty(); ++k) {
@@ -231,6 +244,7 @@ void convert_axes(SplatCloud& cloud, const Axes& from, const Axes& to) {
     // vector is axial: a mirror reverses it.
     for (std::size_t k = 0; k < 3; ++k) {
       cloud.mean[3 * i + k] = sign[k] * old.mean[source[k]];
+      if (!cloud.mean_rest.empty()) cloud.mean_rest[3 * i + k] = sign[k] * old.mean_rest[source[k]];
       cloud.log_scale[3 * i + k] = old.log_scale[source[k]];
       cloud.rotation[4 * i + 1 + k] = hand * sign[k] * old.rotation[1 + source[k]];
     }
@@ -267,6 +281,10 @@ void append_splats(SplatCloud& cloud, const SplatCloud& other) {
     to.resize(to.size() + each * n_other);
     std::copy_n(from.begin(), each * n_other, to.end() - static_cast<std::ptrdiff_t>(each * n_other));
   };
+  if (!cloud.mean_rest.empty() || !other.mean_rest.empty()) {
+    cloud.mean_rest.resize(3 * (n + n_other));
+    if (!other.mean_rest.empty()) std::copy_n(other.mean_rest.begin(), 3 * n_other, &cloud.mean_rest[3 * n]);
+  }
   add(cloud.mean, other.mean, 3);
   add(cloud.log_scale, other.log_scale, 3);
   add(cloud.rotation, other.rotation, 4);
@@ -280,7 +298,12 @@ void merge_parts(SplatCloud& cloud, std::span<ScenePart> parts, Origin& origin) 
   origin = merged_origin(origins);
   std::uint64_t first = 0;
   for (ScenePart& part : parts) {
-    part.position_rounding += rebase_means(std::span(cloud.mean).subspan(3 * first, 3 * part.n), part.origin, origin);
+    const auto means = std::span(cloud.mean).subspan(3 * first, 3 * part.n);
+    if (cloud.mean_rest.empty()) {
+      part.position_rounding += rebase_means(means, part.origin, origin);
+    } else {
+      rebase_exactly(means, std::span(cloud.mean_rest).subspan(3 * first, 3 * part.n), part.origin, origin);
+    }
     first += part.n;
   }
 }
@@ -295,6 +318,7 @@ void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
   };
   if (indices.size() == cloud.size()) return;
   pack(cloud.mean, 3);
+  if (!cloud.mean_rest.empty()) pack(cloud.mean_rest, 3);
   pack(cloud.log_scale, 3);
   pack(cloud.rotation, 4);
   pack(cloud.opacity_logit, 1);

@@ -210,12 +210,16 @@ Json levels(const InfoReport& report) {
                      {"min_error", number(level.min_error)},
                      {"max_error", number(level.max_error)}});
   }
-  Json j = {
-      {"n_levels", file.n_levels()},       {"n_pages", file.n_pages()},
-      {"pages_present", file.n_present()}, {"complete", file.complete()},
-      {"page_chunks", file.page_chunks()}, {"n_gaussians", file.n_stored()},
-      {"codec", codec_of_pages(file)},     {"quality_db", file.quality_db() > 0 ? number(file.quality_db()) : Json()},
-      {"levels", std::move(array)}};
+  Json j = {{"n_levels", file.n_levels()},
+            {"n_pages", file.n_pages()},
+            {"pages_present", file.n_present()},
+            {"complete", file.complete()},
+            {"page_chunks", file.page_chunks()},
+            {"n_gaussians", file.n_stored()},
+            {"codec", codec_of_pages(file)},
+            {"quality_db", file.quality_db() > 0 ? number(file.quality_db()) : Json()},
+            {"pages_with_origins", file.n_pages_with_origins()},
+            {"levels", std::move(array)}};
   if (report.levels_check) j["check"] = json(*report.levels_check, file);
   return j;
 }

@@ -221,6 +221,8 @@ class TextReport : private TextLines {
            fmt::format("{:.4g} .. {:.4g}", level.min_error, level.max_error));
     }
     if (report_.levels_check) levels_check(*report_.levels_check);
+    if (const std::uint32_t n = file.n_pages_with_origins(); n != 0)
+      row("far apart", fmt::format("{} pages have origins of their own", format_count(n)));
     if (file.quality_db() > 0) row("quality", fmt::format("{:.4g} dB from a page's error on", file.quality_db()));
   }
 

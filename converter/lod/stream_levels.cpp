@@ -282,7 +282,7 @@ Result<ScratchFile> scratch_file(bool on_disk, const StreamOptions& options) {
 
 std::uint64_t LevelRows::row_bytes() const {
   const auto n_sh = static_cast<std::uint64_t>(3 * sh_coefficients(sh_degree_));
-  return 4 * kValues + (kind_ == Kind::upper ? 2 : 4) * n_sh + (kind_ == Kind::leaves_with_positions ? 4 : 0);
+  return 4 * kValues + (kind_.is_upper ? 2 : 4) * n_sh + (kind_.has_rests ? 12 : 0) + (kind_.has_positions ? 4 : 0);
 }
 
 void LevelRows::pack(const Splat& splat, std::uint32_t position, std::byte* row) const {
@@ -295,7 +295,7 @@ void LevelRows::pack(const Splat& splat, std::uint32_t position, std::byte* row)
   put(splat.rotation, 16);
   put(&splat.opacity_logit, 4);
   const int n_sh = 3 * sh_coefficients(sh_degree_);
-  if (kind_ != Kind::upper) {
+  if (!kind_.is_upper) {
     put(splat.sh, 4 * static_cast<std::size_t>(n_sh));
   } else {
     for (int k = 0; k < n_sh; ++k) {
@@ -303,13 +303,15 @@ void LevelRows::pack(const Splat& splat, std::uint32_t position, std::byte* row)
       put(&half, 2);
     }
   }
-  if (kind_ == Kind::leaves_with_positions) put(&position, 4);
+  if (kind_.has_rests) put(splat.mean_rest, 12);
+  if (kind_.has_positions) put(&position, 4);
 }
 
 void LevelRows::unpack(std::span<const std::byte> rows, SplatCloud& out) const {
   const std::uint64_t n = rows.size() / row_bytes();
   const auto n_sh = static_cast<std::size_t>(3 * sh_coefficients(sh_degree_));
   out.resize(n, sh_degree_);
+  if (kind_.has_rests) out.mean_rest.resize(3 * n);
   for (std::uint64_t i = 0; i < n; ++i) {
     const std::byte* row = &rows[i * row_bytes()];
     const auto take = [&row](void* to, std::size_t bytes) {
@@ -320,7 +322,7 @@ void LevelRows::unpack(std::span<const std::byte> rows, SplatCloud& out) const {
     take(&out.log_scale[3 * i], 12);
     take(&out.rotation[4 * i], 16);
     take(&out.opacity_logit[i], 4);
-    if (kind_ != Kind::upper) {
+    if (!kind_.is_upper) {
       take(&out.sh[n_sh * i], 4 * n_sh);
     } else {
       for (std::size_t k = 0; k < n_sh; ++k) {
@@ -329,6 +331,7 @@ void LevelRows::unpack(std::span<const std::byte> rows, SplatCloud& out) const {
         out.sh[n_sh * i + k] = float_from_half(half);
       }
     }
+    if (kind_.has_rests) take(&out.mean_rest[3 * i], 12);
   }
 }
 
@@ -407,7 +410,7 @@ Status sample_means(const SplatStream& stream, const StreamOptions& options, con
 Status order_leaves(const SplatStream& stream, const SceneScan& scan, const EncodeOptions& encode,
                     const StreamOptions& options, StreamedLevels& out) {
   return detail::guard_memory([&]() -> Status {
-    const auto kind = encode.keep_permutation ? LevelRows::Kind::leaves_with_positions : LevelRows::Kind::leaves;
+    const auto kind = LevelRows::Kind::of_leaves(encode);
     const std::uint64_t row_bytes = LevelRows({}, scan.sh_degree(), kind).row_bytes();
     out = {};
     out.n_leaves = scan.n_kept();
@@ -483,7 +486,7 @@ Status build_above(const EncodeOptions& encode, const StreamOptions& options, st
       std::vector<Page> pages(n_groups);
       auto file = scratch_file(out.on_disk, options);
       if (!file) return tl::unexpected(file.error());
-      LevelRows to(std::move(*file), sh_degree, LevelRows::Kind::upper);
+      LevelRows to(std::move(*file), sh_degree, LevelRows::Kind::of_upper());
       std::uint64_t n_above = 0;
       for (std::uint64_t first = 0; first < n_groups; first += batch) {
         const std::uint64_t n = std::min(batch, n_groups - first);

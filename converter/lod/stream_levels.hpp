@@ -50,7 +50,11 @@ struct StreamOptions {
 /// harmonics of other levels are FP16 numbers (see append()).
 class LevelRows {
  public:
-  enum class Kind : std::uint8_t { leaves, leaves_with_positions, upper };
+  struct Kind {
+    bool is_upper = false, has_positions = false, has_rests = false;  ///< the latter: Splat::mean_rest
+    static Kind of_leaves(const EncodeOptions& encode) { return {false, encode.keep_permutation, encode.page_origins}; }
+    static constexpr Kind of_upper() { return {true, false, false}; }
+  };
   LevelRows(ScratchFile file, int sh_degree, Kind kind) : file_(std::move(file)), sh_degree_(sh_degree), kind_(kind) {}
 
   std::uint64_t row_bytes() const;

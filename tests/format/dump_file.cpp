@@ -23,7 +23,7 @@ using namespace rgs;
 
 static_assert(std::endian::native == std::endian::little);
 constexpr std::uint64_t kSplatFloats = 3 + 4 + 3 + 1 + 48;
-static_assert(sizeof(ActivatedSplat) == 4 * kSplatFloats && sizeof(Splat) == 4 * kSplatFloats);
+static_assert(sizeof(ActivatedSplat) == 4 * kSplatFloats && sizeof(Splat) == 4 * (kSplatFloats + 3));
 static_assert(sizeof(ShStepSet) == 48 && sizeof(Box) == 24);
 
 bool read_file(const char* path, std::vector<std::byte>& bytes) {
@@ -108,7 +108,7 @@ Status put_payload(const FileView& view) {
   if (auto ok = view.read(0, std::span(activated)); !ok) return ok;
   if (auto ok = view.read(0, std::span(trained)); !ok) return ok;
   put<ActivatedSplat>("activated", "f4", kSplatFloats, activated);
-  put<Splat>("trained", "f4", kSplatFloats, trained);
+  put<Splat>("trained", "f4", kSplatFloats + 3, trained);
 
   std::vector<float> chunk_floats;
   std::vector<std::uint64_t> chunk_integers;
@@ -154,17 +154,20 @@ Status put_pages(const PagedFile& file) {
                                      page.first_child, page.level, page.n_children, stored.n_step_sets,
                                      static_cast<std::uint64_t>(std::int64_t{stored.scale_exponent})});
     integers.insert(integers.end(), stored.corner.begin(), stored.corner.end());
+    integers.push_back(stored.n_origins);
     floats.push_back(page.error);
     for (const auto& corner : {page.bounds.min, page.bounds.max, page.core.min, page.core.max}) {
       floats.insert(floats.end(), corner.begin(), corner.end());
     }
-    const auto rows = decoder.decode(i, file.bytes(i), std::span(memory).first(file.decoded_bytes(i)));
+    std::vector<float> rests;
+    const auto rows = decoder.decode(i, file.bytes(i), std::span(memory).first(file.decoded_bytes(i)), &rests);
     if (!rows) return tl::unexpected(rows.error());
     const std::size_t first = activated.size();
     activated.resize(first + rows->n);
     trained.resize(first + rows->n);
     if (auto ok = read_page(file, i, *rows, 0, std::span(activated).subspan(first)); !ok) return ok;
     if (auto ok = read_page(file, i, *rows, 0, std::span(trained).subspan(first)); !ok) return ok;
+    for (std::size_t k = 0; k < rests.size(); ++k) trained[first + k / 3].mean_rest[k % 3] = rests[k];
     for (std::size_t at = 0; at < rows->chunks.size(); at += kChunkEntryBytes) {
       std::array<float, 8> box;  // min, radius, max, max_opacity
       std::uint64_t step_set;
@@ -177,11 +180,11 @@ Status put_pages(const PagedFile& file) {
     }
     steps.insert(steps.end(), rows->steps.begin(), rows->steps.end());
   }
-  put<std::uint64_t>("pages", "u8", 13, integers);
+  put<std::uint64_t>("pages", "u8", 14, integers);
   put<float>("page_floats", "f4", 13, floats);
   put<float>("quality", "f4", 1, std::array{file.quality_db()});
   put<ActivatedSplat>("activated", "f4", kSplatFloats, activated);
-  put<Splat>("trained", "f4", kSplatFloats, trained);
+  put<Splat>("trained", "f4", kSplatFloats + 3, trained);
   put<float>("chunk_floats", "f4", 8, chunk_floats);
   put<std::uint64_t>("chunk_integers", "u8", 2, chunk_integers);
   put<std::byte>("steps", "f4", 12, steps);

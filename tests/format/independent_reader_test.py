@@ -26,7 +26,7 @@ except ImportError as error:
     skip_without_tool(f"{error} (Debian: python3-numpy, python3-xxhash, python3-zstandard)")
 
 SPLAT = {"mean": 3, "rotation": 4, "scale": 3, "opacity": 1, "sh": 48}
-TRAINED = {"mean": 3, "log_scale": 3, "rotation": 4, "logit": 1, "sh": 48}
+TRAINED = {"mean": 3, "log_scale": 3, "rotation": 4, "logit": 1, "sh": 48, "mean_rest": 3}
 
 
 class Refused(Exception):
@@ -103,6 +103,8 @@ def compare(scene: rgs_reader.Scene, library: dict[str, NDArray[Any]]) -> None:
     close("rotation", activated["rotation"], scene.rotations, 2e-7)
     for name, values in {"mean": scene.means, "rotation": scene.rotations_stored, "sh": sh}.items():
         same_bits("trained " + name, trained[name], values)
+    rests = np.zeros((n, 3), np.float32) if scene.mean_rests is None else scene.mean_rests
+    same_bits("mean_rest", trained["mean_rest"], rests)
     for name, values in {"log_scale": scene.log_scales(), "logit": scene.opacity_logits()}.items():
         close(name, trained[name], values, 2 * np.spacing(np.abs(trained[name])) + 1e-6)
 
@@ -116,7 +118,7 @@ def compare(scene: rgs_reader.Scene, library: dict[str, NDArray[Any]]) -> None:
     assert (scene.levels is None) == ("pages" not in library), "levels"
     if scene.levels:
         integers = ("offset", "xxh3", "stored_bytes", "n", "parent", "first_child", "level", "n_children", "n_step_sets")
-        pages = [[*(p[name] for name in integers), p["scale_exponent"] % 2**64, *p["corner"]]
+        pages = [[*(p[name] for name in integers), p["scale_exponent"] % 2**64, *p["corner"], p["n_origins"]]
                  for p in scene.levels["pages"]]
         same_bits("pages", library["pages"], np.array(pages, np.uint64))
         same_bits("page_floats", library["page_floats"],

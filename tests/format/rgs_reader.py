@@ -85,7 +85,8 @@ PAGE = np.dtype([
     ("offset", "<u8"), ("xxh3", "<u8"), ("stored_bytes", "<u4"), ("n", "<u4"), ("parent", "<u4"), ("first_child", "<u4"),
     ("level", "u1"), ("n_children", "u1"), ("scale_exponent", "<i2"), ("error", "<f4"), ("min", "<f4", 3),
     ("max", "<f4", 3), ("corner", "<u4", 3), ("n_step_sets", "<u4"), ("core_min", "<f4", 3),
-    ("core_max", "<f4", 3), ("reserved", "u1", 8)])
+    ("core_max", "<f4", 3), ("n_origins", "<u2"), ("reserved", "u1", 6)])
+ORIGIN = np.dtype([("first", "<u4"), ("offset", "<f4", 3)])
 ENUMERATORS = {"colour_space": (0, 1, 2), "sh_basis": (1,), "kernel": (1,), "aa_mode": (0, 1, 2), "sort_metric": (1,),
                "depth_mapping": (1, 2), "depth_source": (1, 2, 3), "order": (1, 2)}
 NOT_NEGATIVE = ("z_near", "z_far", "metres_per_unit", "cutoff_sigma", "alpha_threshold", "alpha_max", "low_pass_px2",
@@ -130,6 +131,7 @@ class Scene:
     source_index: NDArray[np.uint64] | None  # [N] position in the source file
     exponents: NDArray[np.int64]       # [N] scale_exponent of each Gaussian
     levels: Record | None = None       # LODS with its page records, if there are pages
+    mean_rests: NDArray[np.float32] | None = None  # [N, 3] what FP32 rounds off the means, if there are pages
 
     def log_scales(self) -> NDArray[np.float32]:
         """[N, 3] as a 3DGS PLY stores them, at most 60."""
@@ -615,7 +617,9 @@ def read_levels(data: memoryview, h: Record, sections: dict[str, Record], max_ga
     records = []
     for at in range(base + LODS.itemsize, base + size, PAGE.itemsize):
         p = record(data, PAGE, at) | {"at": at}
-        require_reserved(data, at + 104, at + 112, "reserved bytes of a page's record")
+        require_reserved(data, at + 106, at + 112, "reserved bytes of a page's record")
+        most_origins = 0 if archive or h["version_minor"] < 5 else p["n"]
+        require(p["n_origins"] <= most_origins, "bad_value", at + 104, "origins of a page")
         chunks = -(-p["n"] // h["chunk_size"])
         most = min(l["page_chunks"] * h["chunk_size"], 2**15 if pages["codec"] == 3 else 2**16)
         for name, ok in (("n", p["n"] <= most),
@@ -635,7 +639,7 @@ def read_levels(data: memoryview, h: Record, sections: dict[str, Record], max_ga
         require(p["offset"] <= start, "section_gap", p["at"], "a page begins behind the end of the previous one")
         fits = p["stored_bytes"] <= section_end - p["offset"]
         if pages["codec"] == 0:
-            fits &= p["stored_bytes"] == page_arrays(h, p)[""][0]
+            fits &= p["stored_bytes"] == page_arrays(h, p)[""][0] + ORIGIN.itemsize * p["n_origins"]
         require(fits, "size_mismatch", p["at"] + PAGE.fields["stored_bytes"][1], "a page fits its section and its counts")
         end = p["offset"] + p["stored_bytes"]
     require(end == section_end, "size_mismatch", end, "the last page ends the section")
@@ -695,9 +699,24 @@ def check_tree(h: Record, pages: list[Record]) -> None:
 
 
 def decode_page(data: memoryview, h: Record, p: Record, codec: int, arch: Record | None) -> dict[str, bytes]:
-    """The arrays of a page; CHNK only if it is stored."""
-    n, sets, size = p["n"], p["n_step_sets"], h["chunk_size"]
+    """The arrays of a page; CHNK only if it is stored. MEAN in binary64, relative to the file's origin."""
     code = frame_bytes(data, (p["offset"], p["stored_bytes"], p["xxh3"]))
+    n_bytes = ORIGIN.itemsize * p["n_origins"]
+    require(n_bytes <= len(code), "corrupt_data", p["offset"], "a page ends inside its origins")
+    origins = np.frombuffer(code[:n_bytes], ORIGIN)
+    first = origins["first"].astype(np.int64)
+    ok = np.isfinite(origins["offset"]).all(1) & (first < p["n"]) & (np.diff(first, prepend=-1) > 0)
+    ok[:1] &= first[:1] == 0
+    require_all(ok, p["offset"], ORIGIN.itemsize, 0, "finite origins, of rows in order", "corrupt_data")
+    arrays = decode_arrays(code[n_bytes:], h, p, codec, arch)
+    means = np.frombuffer(arrays["MEAN"], "<f4").reshape(-1, 3).astype(np.float64)
+    if len(origins):
+        means += np.repeat(origins["offset"].astype(np.float64), np.diff(first, append=p["n"]), 0)
+    return arrays | {"MEAN": means.tobytes()}
+
+
+def decode_arrays(code: memoryview, h: Record, p: Record, codec: int, arch: Record | None) -> dict[str, bytes]:
+    n, sets, size = p["n"], p["n_step_sets"], h["chunk_size"]
     if codec == 0:
         return {kind: bytes(code[at:at + length]) for kind, (at, length) in page_arrays(h, p).items() if kind}
     if codec == 1:
@@ -763,6 +782,7 @@ class PageRows:
     """A page's arrays, every value checked."""
 
     means: NDArray[np.float32]
+    rests: NDArray[np.float32]         # what FP32 rounds off the means
     geom: NDArray[np.float16]
     codes: NDArray[np.int8]            # [n, K, 3]
     steps: NDArray[np.float32]         # [n_step_sets, 4, 3]
@@ -772,14 +792,17 @@ class PageRows:
 
 def read_page(data: memoryview, h: Record, p: Record, codec: int, arch: Record | None) -> PageRows:
     decoded, n, k = decode_page(data, h, p, codec, arch), p["n"], (h["sh_degree"] + 1) ** 2
-    base = {kind: p["offset"] + (at if codec == 0 else 0) for kind, (at, _) in page_arrays(h, p).items()}
+    begin = p["offset"] + ORIGIN.itemsize * p["n_origins"] if codec == 0 else p["offset"]
+    base = {kind: begin + (at if codec == 0 else 0) for kind, (at, _) in page_arrays(h, p).items()}
 
     def rule(ok: NDArray[np.bool_], kind: str, row: int, column: int, text: str, byte: int = 0,
              code: str = "bad_value") -> None:
         each = (row, column) if codec == 0 else (0, 0)
         require_all(ok, base[kind] + (byte if codec == 0 else 0), *each, text, code)
 
-    means = np.frombuffer(decoded["MEAN"], "<f4").reshape(n, 3)
+    exact = np.frombuffer(decoded["MEAN"], "<f8").reshape(n, 3)
+    means = exact.astype(np.float32)
+    rests = (exact - means).astype(np.float32)
     geom = np.frombuffer(decoded["GEOM"], "<f2").reshape(n, 8)
     rows = np.frombuffer(decoded["SHI8"], "i1").reshape(n, h["sh_bytes"])
     if codec == 0:
@@ -816,7 +839,7 @@ def read_page(data: memoryview, h: Record, p: Record, codec: int, arch: Record |
     reach = 3 * np.sqrt(((rotation * scales.T) ** 2).sum(1)).T * (1 - 2.0**-10)
     inside = (means - reach >= np.array(p["min"])) & (means + reach <= np.array(p["max"]))
     rule(inside, "MEAN", 12, 4, "the page's box holds its Gaussians")
-    return PageRows(means, geom, codes, steps, step, chunks)
+    return PageRows(means, rests, geom, codes, steps, step, chunks)
 
 
 def read_with_levels(data: memoryview, h: Record, entries: list[Record], max_gaussians: int, max_expansion: int) -> Scene:
@@ -851,8 +874,8 @@ def read_with_levels(data: memoryview, h: Record, entries: list[Record], max_gau
     pages = [read_page(data, h, p, codec, arch) for p in present]
     require(len(data) == h["file_bytes"], "pages_missing", len(data), "the end of the file is missing")
 
-    means, geom, codes, steps, step = (np.concatenate([getattr(p, name) for p in pages]) for name in
-                                       ("means", "geom", "codes", "steps", "step"))
+    means, rests, geom, codes, steps, step = (np.concatenate([getattr(p, name) for p in pages]) for name in
+                                              ("means", "rests", "geom", "codes", "steps", "step"))
     exponents = np.repeat([p["scale_exponent"] for p in present], [p["n"] for p in present])
     wide = geom.astype(np.float64)
     norm2 = (wide[:, :4] ** 2).sum(1)
@@ -869,7 +892,7 @@ def read_with_levels(data: memoryview, h: Record, entries: list[Record], max_gau
                  rotations=(wide[:, :4] / np.sqrt(norm2)[:, None]).astype(np.float32), scales_stored=geom[:, 4:7],
                  scales=np.ldexp(wide[:, 4:7], -exponents[:, None]).astype(np.float32), opacities=opacities, sh_steps=steps,
                  sh_codes=codes, sh=step * codes.astype(np.float32), chunks=np.concatenate([p.chunks for p in pages]),
-                 source_index=source_index, exponents=exponents, levels=levels)
+                 source_index=source_index, exponents=exponents, levels=levels, mean_rests=rests)
 
 
 def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales: NDArray[np.float16],

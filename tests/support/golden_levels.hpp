@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <string>
 #include <utility>
@@ -35,6 +36,29 @@ inline GoldenLevels golden_levels(const std::string& name, Profile profile, std:
   return scene;
 }
 
+/// The same scene where every third Gaussian is moved by these many units on the first axis, to a multiple of 2^-10, and
+/// some by a 1000th of them; FP32 does not hold such positions.
+inline GoldenLevels golden_origins(const std::string& name, Profile profile, std::uint64_t n, std::uint64_t seed,
+                                   double moved = 300000) {
+  GoldenLevels scene = golden_levels(name, profile, n, 0, seed);
+  SplatCloud& leaves = scene.leaves;
+  leaves.mean_rest.resize(leaves.mean.size());
+  for (std::size_t i = 0; i < n; ++i) {
+    const double x = static_cast<double>(leaves.mean[3 * i]) +
+                     (i % 3 == 1   ? moved
+                      : i % 7 == 2 ? 0.001 * moved
+                                   : 0) +
+                     0x1p-10;
+    leaves.mean[3 * i] = static_cast<float>(x);
+    leaves.mean_rest[3 * i] = static_cast<float>(x - static_cast<double>(leaves.mean[3 * i]));
+  }
+  scene.levels = trivial_levels(leaves, {.chunk_size = 32, .page_chunks = 2});
+  scene.levels.splats.mean_rest.resize(scene.levels.splats.mean.size());
+  std::ranges::copy(leaves.mean_rest, scene.levels.splats.mean_rest.end() - static_cast<std::ptrdiff_t>(3 * n));
+  scene.options.page_origins = true;
+  return scene;
+}
+
 inline std::vector<GoldenLevels> all_golden_levels() {
   std::vector<GoldenLevels> scenes;
   scenes.push_back(golden_levels("levels_direct", Profile::direct, 300, 1, 31));
@@ -49,6 +73,8 @@ inline std::vector<GoldenLevels> all_golden_levels() {
   scenes.push_back(golden_levels("levels_archive3", Profile::archive, 300, 1, 34));
   scenes.push_back(golden_levels("levels_crs", Profile::packed, 140, 0, 36));
   scenes.back().options.crs = {"EPSG:4978", {}};
+  scenes.push_back(golden_origins("levels_origins_direct", Profile::direct, 140, 37));
+  scenes.push_back(golden_origins("levels_origins_packed", Profile::packed, 140, 38));
   return scenes;
 }
 

@@ -111,7 +111,8 @@ inline void reject_records(RejectMaker& m) {
   m.set("page_core_inverted", bad_value, last + 80, last + 92, get<float>(m.file(), last + 40));
   m.set("page_core_beyond_box", bad_value, root + 80, root + 100, get<float>(m.file(), root + 60) + 1);
   m.set("page_core_beyond_parent", bad_value, inner + 80, inner + 92, get<float>(m.file(), inner + 52));
-  m.set("page_reserved", reserved_bits, root + 104, root + 111, std::uint8_t{1});
+  m.set("page_reserved", reserved_bits, root + 106, root + 111, std::uint8_t{1});
+  m.set("page_origins_in_1_4", bad_value, root + 104, std::uint16_t{1});
 }
 
 /// `m` has a file of degree 1 with uncoded pages of one chunk each.
@@ -138,6 +139,18 @@ inline void reject_pages(RejectMaker& m) {
       }
     }
   });
+}
+
+/// `m` has a file of two pages or more, the last of which has origins.
+inline void reject_origins(RejectMaker& m, const std::string& codec) {
+  using enum Errc;
+  const LevelsAt at(m);
+  const std::uint64_t last = at.n_pages - 1, page = at.page(last), record = at.record(last);
+  m.set("origins_first_" + codec, corrupt_data, page, 1u);
+  m.set("origins_order_" + codec, corrupt_data, page + 16, 0u);
+  m.set("origins_beyond_" + codec, corrupt_data, page + 16, get<std::uint32_t>(m.file(), record + 20));
+  m.set("origins_nan_" + codec, corrupt_data, page + 16, page + 24, std::numeric_limits<float>::quiet_NaN());
+  m.set("origins_many_" + codec, bad_value, record + 104, std::uint16_t{65});
 }
 
 /// `m` has a packed file without positions.
@@ -210,6 +223,10 @@ inline void reject_levels(std::vector<RejectCase>& cases, const std::filesystem:
   coded.options.provenance.reset();
   RejectMaker packed(cases, encode_levels(coded));
   reject_packed_pages(packed);
+  RejectMaker direct_origins(cases, encode_levels(golden_origins("", Profile::direct, 140, 37)));
+  reject_origins(direct_origins, "direct");
+  RejectMaker packed_origins(cases, encode_levels(golden_origins("", Profile::packed, 140, 38)));
+  reject_origins(packed_origins, "packed");
   RejectMaker draco(cases, read_bytes(golden / "levels_archive_base.rgs"));
   reject_draco_pages(draco);
   coded.options.profile = Profile::archive;

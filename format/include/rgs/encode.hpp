@@ -67,6 +67,9 @@ struct EncodeOptions {
   /// of the means; |x| <= kMaxOrigin
   Origin origin = kNoOrigin;
   Crs crs;  ///< of origin + mean
+  /// With levels, but not Profile::archive: pages get origins of their own where a Splat::mean_rest is not 0, so that
+  /// means keep a quarter of a millimetre however far apart they are (a unit of unknown size counts as a metre).
+  bool page_origins = false;
   float cutoff_sigma = 3.f;
   float alpha_threshold = 1.f / 255.f;
   float alpha_max = 0.99f;

@@ -19,7 +19,7 @@ namespace RGS_API rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
-/// The newest known. A file states the lowest that describes it: 5 with Codec::archive or a CRS, 4 with levels of
+/// The newest known. A file states the lowest that describes it: 5 with Codec::archive, a CRS or origins of pages, 4 with levels of
 /// detail, 3 with an origin, 2 with Codec::archive_draco, 1 with Codec::planes, else 0.
 inline constexpr std::uint16_t kVersionMinor = 5;
 
@@ -39,6 +39,7 @@ inline constexpr std::uint64_t kCrsHeadBytes = 4;  ///< of CREF, before its text
 inline constexpr std::uint64_t kLevelsHeadBytes = 64;     ///< of LODS, before its records
 inline constexpr std::uint64_t kPageRecordBytes = 112;    ///< of LODS, one a page
 inline constexpr std::uint64_t kPageAlignment = 256;      ///< of pages stored as is
+inline constexpr std::uint64_t kPageOriginBytes = 16;     ///< of an origin of a page, before its arrays
 inline constexpr std::uint64_t kPageArrayAlignment = 16;  ///< of each array within a page, as decoded
 
 inline constexpr std::uint32_t kMinChunkSize = 32;

@@ -34,8 +34,16 @@ struct StoredPage {
   std::uint32_t stored_bytes = 0;
   std::uint32_t n_step_sets = 0;    ///< 1, or one a chunk
   std::int16_t scale_exponent = 0;  ///< stored scale = scale * 2^scale_exponent for this page
+  std::uint16_t n_origins = 0;      ///< see PageOrigin
   /// Codec::archive: smallest grid coordinate on each axis, subtracted from the page's.
   std::array<std::uint32_t, 3> corner{};
+};
+
+/// Means of a page from row `first` on are stored relative to the file's origin + `offset`, those of a page without
+/// PageOrigins relative to the file's origin.
+struct PageOrigin {
+  std::uint32_t first = 0;
+  std::array<float, 3> offset{};
 };
 
 namespace detail {
@@ -132,6 +140,7 @@ class PagedFile {
   std::uint64_t n_stored() const { return table_.n_stored; }        ///< Gaussians of all pages
   std::uint32_t page_chunks() const { return table_.page_chunks; }  ///< most of a page
   float quality_db() const { return table_.quality_db; }            ///< see lod::Levels
+  std::uint32_t n_pages_with_origins() const;                       ///< known ones that have PageOrigins
   Codec codec() const { return codec_; }                            ///< of all pages
 
   /// Pages 0 .. n_present() - 1 are complete. All are, unless the end of the file is missing.
@@ -177,8 +186,11 @@ class PageDecoder {
 
   /// Decodes page `page` from its stored bytes, whatever their source, to `out` [decoded_bytes(page)]. Checks the hash
   /// first. Safe on untrusted bytes: values may then be anything, and are safe to read; see check_page_values().
-  /// Errors: size_mismatch, checksum_mismatch, corrupt_data at the page's offset; host_out_of_memory.
-  Result<PageRows> decode(std::uint32_t page, std::span<const std::byte> stored, std::span<std::byte> out);
+  /// Means are rounded to FP32 relative to the file's origin; `rests` gets what that rounds off, [n, 3] as
+  /// Splat::mean_rest, of a page with origins of its own (PageOrigin), and nothing of others. Errors: size_mismatch,
+  /// checksum_mismatch, corrupt_data at the page's offset; host_out_of_memory.
+  Result<PageRows> decode(std::uint32_t page, std::span<const std::byte> stored, std::span<std::byte> out,
+                          std::vector<float>* rests = nullptr);
 
  private:
   struct State;

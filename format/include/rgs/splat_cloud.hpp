@@ -39,17 +39,19 @@ struct Splat {
   float rotation[4] = {1, 0, 0, 0};  ///< quaternion w, x, y, z; need not be normalised
   float opacity_logit = 0;           ///< opacity = 1 / (1 + exp(-opacity_logit))
   float sh[3 * 16] = {};             ///< [16, 3] coefficient-major, R G B interleaved; unused degrees are 0
+  float mean_rest[3] = {0, 0, 0};    ///< what FP32 rounded off the mean, if that is known: centre = mean + mean_rest
 };
 
 /// Read-only view of N Gaussians, structure of arrays. All spans must have the stated sizes.
 struct SplatView {
   std::uint64_t n = 0;
-  int sh_degree = 0;                     ///< 0..3
-  std::span<const float> mean;           ///< [n, 3] relative to the scene's origin, world units
-  std::span<const float> log_scale;      ///< [n, 3]
-  std::span<const float> rotation;       ///< [n, 4] w, x, y, z
-  std::span<const float> opacity_logit;  ///< [n]
-  std::span<const float> sh;             ///< [n, sh_coefficients(sh_degree), 3]
+  int sh_degree = 0;                      ///< 0..3
+  std::span<const float> mean;            ///< [n, 3] relative to the scene's origin, world units
+  std::span<const float> log_scale;       ///< [n, 3]
+  std::span<const float> rotation;        ///< [n, 4] w, x, y, z
+  std::span<const float> opacity_logit;   ///< [n]
+  std::span<const float> sh;              ///< [n, sh_coefficients(sh_degree), 3]
+  std::span<const float> mean_rest = {};  ///< [n, 3], see Splat; or empty: 0
 
   /// Sizes agree with n and sh_degree.
   bool consistent() const;
@@ -60,14 +62,15 @@ struct SplatView {
 /// Owning counterpart of SplatView.
 struct SplatCloud {
   int sh_degree = 0;
-  std::vector<float> mean;           ///< [n, 3] relative to the scene's origin
-  std::vector<float> log_scale;      ///< [n, 3]
-  std::vector<float> rotation;       ///< [n, 4] w, x, y, z
-  std::vector<float> opacity_logit;  ///< [n]
-  std::vector<float> sh;             ///< [n, sh_coefficients(sh_degree), 3]
+  std::vector<float> mean;            ///< [n, 3] relative to the scene's origin
+  std::vector<float> log_scale;       ///< [n, 3]
+  std::vector<float> rotation;        ///< [n, 4] w, x, y, z
+  std::vector<float> opacity_logit;   ///< [n]
+  std::vector<float> sh;              ///< [n, sh_coefficients(sh_degree), 3]
+  std::vector<float> mean_rest = {};  ///< [n, 3], see Splat; or empty: 0. A new size empties it
 
   std::uint64_t size() const { return opacity_logit.size(); }
-  SplatView view() const { return {size(), sh_degree, mean, log_scale, rotation, opacity_logit, sh}; }
+  SplatView view() const { return {size(), sh_degree, mean, log_scale, rotation, opacity_logit, sh, mean_rest}; }
   void resize(std::uint64_t n, int degree);
   void set(std::uint64_t i, const Splat& splat);
 };

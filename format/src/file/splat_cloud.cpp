@@ -13,7 +13,8 @@ bool SplatView::consistent() const {
   // Divisions, not products: n may come from a file.
   return opacity_logit.size() == n && mean.size() / 3 == n && mean.size() % 3 == 0 && log_scale.size() / 3 == n &&
          log_scale.size() % 3 == 0 && rotation.size() / 4 == n && rotation.size() % 4 == 0 &&
-         sh.size() / (3 * coefficients) == n && sh.size() % (3 * coefficients) == 0;
+         sh.size() / (3 * coefficients) == n && sh.size() % (3 * coefficients) == 0 &&
+         (mean_rest.empty() || mean_rest.size() == mean.size());
 }
 
 Splat SplatView::splat(std::uint64_t i) const {
@@ -25,6 +26,7 @@ Splat SplatView::splat(std::uint64_t i) const {
   s.opacity_logit = opacity_logit[i];
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(sh_degree));
   std::copy_n(&sh[floats * i], floats, s.sh);
+  if (!mean_rest.empty()) std::copy_n(&mean_rest[3 * i], 3, s.mean_rest);
   return s;
 }
 
@@ -36,6 +38,7 @@ void SplatCloud::resize(std::uint64_t n, int degree) {
   rotation.resize(4 * n);
   opacity_logit.resize(n);
   sh.resize(static_cast<std::uint64_t>(3 * sh_coefficients(degree)) * n);
+  mean_rest.clear();
 }
 
 void SplatCloud::set(std::uint64_t i, const Splat& s) {
@@ -46,6 +49,7 @@ void SplatCloud::set(std::uint64_t i, const Splat& s) {
   opacity_logit[i] = s.opacity_logit;
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(sh_degree));
   std::copy_n(s.sh, floats, &sh[floats * i]);
+  if (!mean_rest.empty()) std::copy_n(s.mean_rest, 3, &mean_rest[3 * i]);
 }
 
 }  // namespace rgs

@@ -116,6 +116,7 @@ Status LevelsFile::add(const EncodedPage& page) {
   stored.stored_bytes = static_cast<std::uint32_t>(page.bytes.size());
   stored.n_step_sets = page.n_step_sets;
   stored.scale_exponent = page.scale_exponent;
+  stored.n_origins = page.n_origins;
   stored.corner = page.corner;
   enlarge(table_.pages[n_added_].bounds, page.extent);
   end_ = start + page.bytes.size();
@@ -153,7 +154,9 @@ Result<WrittenScene> LevelsFile::finish(const Declarations& declarations, std::s
     end_ = s.offset + s.stored_bytes;
   }
   WrittenScene written{header_, declarations, {}};
-  written.header.version_minor = options_.profile == Profile::archive || options_.crs != Crs() ? 5 : 4;
+  const bool is_new = options_.profile == Profile::archive || options_.crs != Crs() ||
+                      std::ranges::any_of(table_.stored, [](const StoredPage& page) { return page.n_origins != 0; });
+  written.header.version_minor = is_new ? 5 : 4;
   written.header.file_bytes = end_;
   written.header.n_sections = static_cast<std::uint32_t>(sections_.size());
   std::uint64_t before = section_entry_offset(sections_.size()) + kHeadChecksumBytes;

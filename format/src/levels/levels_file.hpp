@@ -22,6 +22,7 @@ struct EncodedPage {
   std::int16_t scale_exponent = 0;
   std::array<std::uint32_t, 3> corner{};
   Box extent;  ///< holds the stored Gaussians out to 3 standard deviations
+  std::uint16_t n_origins = 0;
 };
 
 /// Writes sections in the order DECL, CREF, LODS, ARCH, PROV, PAGE, PERM: sizes before PAGE are known in advance, and a

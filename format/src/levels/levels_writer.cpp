@@ -52,6 +52,45 @@ Result<EncodePlan> plan_levels(const SceneScan& leaves, const EncodeOptions& opt
   return plan;
 }
 
+// Origins for Gaussians whose means FP32 rounded, and their means relative to these, [n, 3], so that rounding these
+// anew gives the same means.
+struct NearMeans {
+  std::vector<PageOrigin> origins;
+  std::vector<float> means;
+};
+
+NearMeans near_means(std::span<const Splat> splats, float metres_per_unit) {
+  NearMeans near;
+  const auto has_rest = [](const Splat& s) { return std::ranges::any_of(s.mean_rest, [](float x) { return x != 0; }); };
+  if (!std::ranges::any_of(splats, has_rest)) return near;
+  // FP32 numbers below 4096 are exact to a quarter of a millionth of 1000: of a metre, if the unit is known.
+  const double reach = 4096 / (metres_per_unit > 0 ? static_cast<double>(metres_per_unit) : 1);
+  const auto is_near = [reach](float x, float origin) {
+    const double from = static_cast<double>(origin), apart = std::fabs(static_cast<double>(x) - from);
+    return apart <= (from != 0 ? std::min(reach, 0.5 * std::fabs(from)) : reach);
+  };
+  for (std::size_t i = 0; i < splats.size(); ++i) {
+    const Splat& s = splats[i];
+    bool fits = !near.origins.empty();
+    for (std::size_t k = 0; k < 3 && fits; ++k) fits = is_near(s.mean[k], near.origins.back().offset[k]);
+    if (!fits && near.origins.size() < std::numeric_limits<std::uint16_t>::max()) {
+      PageOrigin& origin = near.origins.emplace_back();
+      origin.first = static_cast<std::uint32_t>(i);
+      for (std::size_t k = 0; k < 3; ++k) origin.offset[k] = is_near(s.mean[k], 0) ? 0 : s.mean[k];
+    }
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double mean = static_cast<double>(s.mean[k]), origin = static_cast<double>(near.origins.back().offset[k]);
+      auto x = static_cast<float>(mean - origin + static_cast<double>(s.mean_rest[k]));
+      // Half a step of the mean is a tie, which rounding anew may break the other way. Without its rest it is exact.
+      if (static_cast<float>(origin + static_cast<double>(x)) != s.mean[k])
+        x = std::nextafter(x, static_cast<float>(mean - origin));
+      if (static_cast<float>(origin + static_cast<double>(x)) != s.mean[k]) x = static_cast<float>(mean - origin);
+      near.means.push_back(x);
+    }
+  }
+  return near;
+}
+
 struct PageBuffers {
   std::vector<Splat> splats;
   float smallest = 0, largest = 0;     // log-scale
@@ -158,10 +197,30 @@ Status encode_page(const EncodePlan& plan, const lod::Page& page, PageBuffers& b
     extent.add(extent_of(rows.means.data() + i * kMeanBytes, rows.geometry.data() + i * kGeometryBytes,
                          header.scale_exponent));
   }
-  b.encoded = {b.rows, 0, static_cast<std::uint32_t>(n_sets), header.scale_exponent, {}, extent.box()};
+  const NearMeans near =
+      leaf && plan.options.page_origins ? near_means(b.splats, plan.options.metres_per_unit) : NearMeans();
+  if (!near.origins.empty()) std::ranges::copy(std::as_bytes(std::span(near.means)), &b.rows[l.means]);
+  b.encoded = {b.rows,
+               0,
+               static_cast<std::uint32_t>(n_sets),
+               header.scale_exponent,
+               {},
+               extent.box(),
+               static_cast<std::uint16_t>(near.origins.size())};
   if (plan.options.profile == Profile::packed) {
     if (!b.encoder) b.encoder.emplace(plan.options.level);
     b.frame = b.encoder->page(rows.steps, rows.means, rows.geometry, rows.sh, {degree, header.chunk_size, sets});
+    b.encoded.bytes = b.frame;
+  }
+  if (!near.origins.empty()) {
+    ByteWriter out;
+    for (const PageOrigin& origin : near.origins) {
+      out.u32(origin.first);
+      for (const float x : origin.offset) out.f32(x);
+    }
+    std::vector<std::byte> stored = out.take();
+    stored.insert(stored.end(), b.encoded.bytes.begin(), b.encoded.bytes.end());
+    b.frame = std::move(stored);
     b.encoded.bytes = b.frame;
   }
   b.encoded.xxh3 = xxh3(b.encoded.bytes);
@@ -189,7 +248,7 @@ std::vector<std::byte> write_record(const lod::Page& page, const PageBuffers& b)
   out.u32(page.count);
   out.u32(b.encoded.n_step_sets);
   out.i16(b.encoded.scale_exponent);
-  out.u16(0);
+  out.u16(b.encoded.n_origins);
   write_box(out, b.encoded.extent);
   write_box(out, b.totals.full);
   out.u64(b.totals.counts.scale_subnormal);
@@ -210,7 +269,7 @@ Status read_record(std::span<const std::byte> record, const lod::Page& page, Enc
   const std::uint32_t level = in.u32(), count = in.u32();
   encoded.n_step_sets = in.u32();
   encoded.scale_exponent = in.i16();
-  in.u16();
+  encoded.n_origins = in.u16();
   encoded.extent = read_box(in);
   totals = {{}, read_box(in), false};
   totals.counts.scale_subnormal = in.u64();
@@ -426,7 +485,8 @@ Result<WrittenScene> write_levels(const lod::Levels& levels, const EncodeOptions
                        all.log_scale.subspan(3 * first, 3 * count),
                        all.rotation.subspan(4 * first, 4 * count),
                        all.opacity_logit.subspan(first, count),
-                       all.sh.subspan(values * first, values * count)};
+                       all.sh.subspan(values * first, values * count),
+                       all.mean_rest.empty() ? all.mean_rest : all.mean_rest.subspan(3 * first, 3 * count)};
     };
     std::uint64_t n = 0;
     for (const lod::Page& page : levels.pages) n += page.count;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 #include <cassert>
+#include <cmath>
 #include <cstring>
 #include <utility>
 
@@ -90,7 +91,51 @@ Status PageDecoder::State::lossy(std::uint32_t page, std::span<const std::byte> 
   return {};
 }
 
-Result<PageRows> PageDecoder::decode(std::uint32_t page, std::span<const std::byte> bytes, std::span<std::byte> out) {
+namespace {
+
+Result<std::vector<PageOrigin>> read_origins(const PagedFile& file, std::uint32_t page,
+                                             std::span<const std::byte> stored) {
+  std::vector<PageOrigin> origins(file.stored(page).n_origins);
+  if (stored.size() < origins.size() * kPageOriginBytes)
+    return make_error(Errc::corrupt_data, file.stored(page).offset, "a page ends inside its origins");
+  ByteReader in(stored, file.stored(page).offset);
+  std::uint64_t least = 0, most = 0;  // of `first`: 0, then beyond the one before
+  for (PageOrigin& origin : origins) {
+    const std::uint64_t at = in.offset();
+    origin.first = in.u32();
+    for (float& x : origin.offset) x = in.f32();
+    const bool is_finite = std::ranges::all_of(origin.offset, [](float x) { return std::isfinite(x); });
+    if (!is_finite || origin.first < least || origin.first > most)
+      return make_error(Errc::corrupt_data, at, "an origin of a page is not finite, or its first row is not in order");
+    least = std::uint64_t{origin.first} + 1;
+    most = file.pages()[page].count - 1;
+  }
+  return origins;
+}
+
+// Makes means relative to the file's origin.
+void place_means(std::span<const PageOrigin> origins, std::span<std::byte> means, std::vector<float>* rests) {
+  std::array<double, 3> from{};
+  for (std::size_t i = 0; i < means.size() / kMeanBytes; ++i) {
+    if (!origins.empty() && origins.front().first == i) {
+      std::ranges::copy(origins.front().offset, from.begin());
+      origins = origins.subspan(1);
+    }
+    float mean[3];
+    std::memcpy(mean, &means[i * kMeanBytes], sizeof mean);
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double x = from[k] + static_cast<double>(mean[k]);
+      mean[k] = static_cast<float>(x);
+      if (rests != nullptr) rests->push_back(static_cast<float>(x - static_cast<double>(mean[k])));
+    }
+    std::memcpy(&means[i * kMeanBytes], mean, sizeof mean);
+  }
+}
+
+}  // namespace
+
+Result<PageRows> PageDecoder::decode(std::uint32_t page, std::span<const std::byte> bytes, std::span<std::byte> out,
+                                     std::vector<float>* rests) {
   return guard_memory([&]() -> Result<PageRows> {
     State& s = *state_;
     const PagedFile& file = s.file;
@@ -106,8 +151,16 @@ Result<PageRows> PageDecoder::decode(std::uint32_t page, std::span<const std::by
     if (const std::uint64_t hash = xxh3(bytes); hash != stored.xxh3) {
       return make_error(Errc::checksum_mismatch, stored.offset, "a page's checksum does not match", stored.xxh3, hash);
     }
+    const auto origins = read_origins(file, page, bytes);
+    if (!origins) return tl::unexpected(origins.error());
+    bytes = bytes.subspan(origins->size() * kPageOriginBytes);
+    if (rests != nullptr) rests->clear();
+    const auto place = [&] {
+      if (!origins->empty()) place_means(*origins, out.subspan(l.means, n * kMeanBytes), rests);
+    };
     if (file.codec() == Codec::none) {
       std::ranges::copy(bytes, out.begin());
+      place();
     } else {
       for (const auto& [end, next] :
            {std::pair(l.means + n * kMeanBytes, l.geometry), std::pair(l.sh + n * sh_bytes(h.sh_degree), l.bytes)}) {
@@ -116,6 +169,7 @@ Result<PageRows> PageDecoder::decode(std::uint32_t page, std::span<const std::by
       const Status decoded =
           file.codec() == Codec::planes ? s.packed(page, bytes, l, out) : s.lossy(page, bytes, l, out);
       if (!decoded) return tl::unexpected(decoded.error());
+      place();
       derive_chunks(out, l, n, h.chunk_size, stored.n_step_sets, stored.scale_exponent);
     }
     return page_rows(out, l, n, stored.scale_exponent, h.sh_degree);
@@ -132,7 +186,8 @@ struct ChunkOfPage {
 
 // Offset in the file of a byte of the decoded page; of the page if it is coded.
 std::uint64_t place_in_page(const PagedFile& file, std::uint32_t page, std::uint64_t decoded_offset) {
-  return file.stored(page).offset + (file.codec() == Codec::none ? decoded_offset : 0);
+  const StoredPage& stored = file.stored(page);
+  return stored.offset + (file.codec() == Codec::none ? stored.n_origins * kPageOriginBytes + decoded_offset : 0);
 }
 
 Result<ChunkOfPage> chunk_of_page(const PagedFile& file, std::uint32_t page, const PageRows& rows,

@@ -20,7 +20,7 @@ namespace {
 // Offsets of fields in a record.
 constexpr std::uint64_t kOffsetField = 0, kStoredField = 16, kCountField = 20, kParentField = 24, kChildrenField = 28,
                         kLevelField = 32, kExponentField = 34, kErrorField = 36, kBoundsField = 40, kCornerField = 64,
-                        kStepSetsField = 76, kCoreField = 80, kReservedField = 104;
+                        kStepSetsField = 76, kCoreField = 80, kOriginsField = 104, kReservedField = 106;
 
 std::uint64_t field_of(lod::PageField field) {
   switch (field) {
@@ -63,8 +63,15 @@ Status parse_record(ByteReader& in, const PageContext& context, std::uint32_t pa
   stored.n_step_sets = in.u32();
   for (float& value : page.core.min) value = in.f32();
   for (float& value : page.core.max) value = in.f32();
+  stored.n_origins = in.u16();
   if (!in.zeros(kPageRecordBytes - kReservedField)) {
     return make_error(Errc::reserved_bits, at + kReservedField, "reserved bytes of a page's record are not zero");
+  }
+  const std::uint64_t most_origins = context.header.version_minor < 5 || archive ? 0 : page.count;
+  if (stored.n_origins > most_origins) {
+    return make_error(Errc::bad_value, at + kOriginsField,
+                      "a page has more origins than Gaussians, or its codec or version has none", most_origins,
+                      stored.n_origins);
   }
   const bool shaped = context.pages.codec == static_cast<std::uint32_t>(Codec::archive);
   const std::uint64_t most = std::min<std::uint64_t>(std::uint64_t{page_chunks} * context.header.chunk_size,
@@ -119,6 +126,7 @@ void put_record(const lod::Page& page, const StoredPage& stored, ByteWriter& out
   out.u32(stored.n_step_sets);
   for (const float value : page.core.min) out.f32(value);
   for (const float value : page.core.max) out.f32(value);
+  out.u16(stored.n_origins);
   out.zeros(kPageRecordBytes - kReservedField);
 }
 
@@ -161,7 +169,8 @@ Status check_places(const PageContext& context, const PageTable& table, std::siz
     if (direct) {
       const std::uint64_t bytes =
           page_layout(table.pages[i].count, context.header.chunk_size, page.n_step_sets, context.header.sh_degree)
-              .bytes;
+              .bytes +
+          page.n_origins * kPageOriginBytes;
       if (page.stored_bytes != bytes) {
         return make_error(Errc::size_mismatch, at + kStoredField, "a page's size contradicts its counts", bytes,
                           page.stored_bytes);

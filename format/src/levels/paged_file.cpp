@@ -27,8 +27,8 @@ struct PageWorker {
   PageDecoder decoder;
   std::vector<std::byte> memory;
 
-  Result<PageRows> decode(const PagedFile& file, std::uint32_t page) {
-    return decoder.decode(page, file.bytes(page), std::span(memory).first(file.decoded_bytes(page)));
+  Result<PageRows> decode(const PagedFile& file, std::uint32_t page, std::vector<float>* rests = nullptr) {
+    return decoder.decode(page, file.bytes(page), std::span(memory).first(file.decoded_bytes(page)), rests);
   }
 };
 
@@ -269,6 +269,11 @@ std::uint32_t PagedFile::n_within(std::uint64_t file_bytes) const {
   return static_cast<std::uint32_t>(end - known.begin());
 }
 
+std::uint32_t PagedFile::n_pages_with_origins() const {
+  const auto has_origins = [](const StoredPage& page) { return page.n_origins != 0; };
+  return static_cast<std::uint32_t>(std::ranges::count_if(table_.stored, has_origins));
+}
+
 std::uint32_t PagedFile::finest_present() const {
   const std::uint32_t n = n_present();
   if (n == n_pages()) return 0;
@@ -326,15 +331,20 @@ Result<SplatCloud> read_pages(const PagedFile& file, std::span<const std::uint32
     }
     SplatCloud cloud;
     cloud.resize(n, file.head().header().sh_degree);
+    if (std::ranges::any_of(pages, [&](std::uint32_t page) { return file.stored(page).n_origins != 0; }))
+      cloud.mean_rest.resize(3 * n);
     const unsigned threads = threads_for(n * 64, options.threads);
     std::vector<PageWorker> workers = page_workers(file, pages.size(), threads);
     const Status read = run_jobs(pages.size(), threads, [&](unsigned worker, std::uint64_t job) -> Status {
       const std::uint32_t page = pages[job];
-      const auto rows = workers[worker].decode(file, page);
+      std::vector<float> rests;
+      const auto rows = workers[worker].decode(file, page, &rests);
       if (!rows) return tl::unexpected(rows.error());
       if (options.validate) {
         if (Status s = check_page_values(file, page, *rows); !s) return s;
       }
+      std::ranges::copy(rests,
+                        cloud.mean_rest.begin() + static_cast<std::ptrdiff_t>(rests.empty() ? 0 : 3 * first[job]));
       Splat buffer[64];
       for (std::uint32_t i = 0; i < rows->n; i += 64) {
         const auto part = std::span(buffer).first(std::min<std::uint32_t>(64, rows->n - i));

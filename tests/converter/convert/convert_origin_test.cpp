@@ -12,6 +12,7 @@
 #include "convert_scenes.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/splat_edit.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
@@ -260,7 +261,8 @@ TEST_CASE("means that one origin rounds by more than a millimetre are refused un
     CHECK(!std::filesystem::exists(out));
   };
   const auto merged = [&](const std::vector<std::string>& more) {
-    std::vector<std::string> all{home, away, out, "--merge"};
+    std::vector<std::string> all{home, away, out, "--merge",
+                                 "--profile=archive:high"};  // which has no origins of pages
     all.insert(all.end(), more.begin(), more.end());
     return all;
   };
@@ -295,11 +297,58 @@ TEST_CASE("means that one origin rounds by more than a millimetre are refused un
   SplatCloud both = cloud;
   for (std::uint64_t i = 0; i < both.size(); ++i) both.mean[3 * i] += i % 2 == 0 ? 6.4e6F : -6.4e6F;
   write_far_scene(home, both, {0.1, 0, 0});
-  for (const std::string way : {"--keep-permutation", "--lod", "--scale=2", "--crop=-1e9,-1e9,-1e9,1e9,1e9,1e9"}) {
+  for (const std::string way : {"--keep-permutation", "--scale=2", "--crop=-1e9,-1e9,-1e9,1e9,1e9,1e9"}) {
     CAPTURE(way);
     refused({home, out, way});
     CHECK(converted({home, out, way, "--allow-rounding"})["position_rounding"] > 0.09);
     std::filesystem::remove(out);
+  }
+}
+
+TEST_CASE("levels of scenes however far apart keep a quarter of a millimetre, through files and back") {
+  const TemporaryFolder folder;
+  const std::string home = folder.file("home.ply"), away = folder.file("away.ply"), both = folder.file("both.ply"),
+                    out = folder.file("out.rgs"), again = folder.file("again.rgs"), back = folder.file("back.ply");
+  const SplatCloud cloud = ordinary_cloud(3000, 0, 4);
+  // In the order of the tiles.
+  const auto exact = [](const std::string& path) {
+    const SplatFile file = read(path);
+    auto positions = positions_of(file), ordered = positions;
+    for (std::size_t i = 0; i < file.cloud.mean_rest.size(); ++i)
+      positions[i / 3][i % 3] += static_cast<double>(file.cloud.mean_rest[i]);
+    for (std::size_t i = 0; i < positions.size(); ++i)
+      ordered[file.source_index.empty() ? i : file.source_index[i]] = positions[i];
+    return ordered;
+  };
+  constexpr double kKept = 0x1p-12 + 1e-6;
+  for (const double apart : {1e5, 1.28e7}) {  // two towns, and opposite points of the earth
+    CAPTURE(apart);
+    auto positions = write_far_scene(home, cloud, {-apart / 2, 7, 0});
+    const auto others = write_far_scene(away, cloud, {apart / 2, 0, 1000});
+    positions.insert(positions.end(), others.begin(), others.end());
+    const auto check = [&](const std::string& path) { CHECK(largest_error(exact(path), positions) <= kKept); };
+    for (const std::string profile : {"direct", "packed"}) {
+      CAPTURE(profile);
+      const auto json =
+          converted({home, away, out, "--merge", "--lod", "--keep-permutation", "--profile", profile, "--overwrite"});
+      CHECK(json["position_rounding"] <= 0.00025);
+      CHECK(json["notes"].dump().find("rounded") == std::string::npos);
+      const Bytes bytes = read_bytes(out);
+      const auto paged = PagedFile::open(bytes);
+      REQUIRE(paged);
+      CHECK(paged->n_pages_with_origins() != 0);
+      CHECK(validate(*paged));
+      check(out);
+      converted({out, back, "--overwrite"});
+      check(back);
+      // A PLY of doubles, and an .rgs, are as good sources as the tiles.
+      converted({back, again, "--lod", "--keep-permutation", "--profile", profile, "--overwrite"});
+      check(again);
+      converted({out, again, "--lod", "--keep-permutation", "--profile", profile, "--overwrite"});
+      check(again);
+      converted({out, home, again, "--merge", "--lod", "--profile", profile, "--overwrite"});
+      CHECK(read(again).cloud.size() == 9000);
+    }
   }
 }
 

@@ -44,7 +44,8 @@ SplatView part(const SplatView& all, std::uint64_t first, std::uint64_t n) {
           all.log_scale.subspan(3 * first, 3 * n),
           all.rotation.subspan(4 * first, 4 * n),
           all.opacity_logit.subspan(first, n),
-          all.sh.subspan(values * first, values * n)};
+          all.sh.subspan(values * first, values * n),
+          all.mean_rest.empty() ? all.mean_rest : all.mean_rest.subspan(3 * first, 3 * n)};
 }
 
 // Every leaf has exactly one page of the cut among itself and its ancestors.
@@ -776,4 +777,71 @@ TEST_CASE("every reader of the leaves checks the hashes of their sections") {
     CHECK(leaves.error().code == Errc::checksum_mismatch);
     CHECK(leaves.error().offset == section_of(bytes, type));
   }
+}
+
+TEST_CASE("pages with origins keep positions that FP32 rounds, and everything else") {
+  for (const Profile profile : {Profile::direct, Profile::packed}) {
+    for (const double moved : {300000., -7e6, 5000.}) {
+      CAPTURE(moved);
+      GoldenLevels scene = golden_origins("", profile, 500, 39, moved);
+      const Bytes bytes = encode_levels(scene);
+      const auto file = PagedFile::open(bytes);
+      REQUIRE(file);
+      REQUIRE(validate(*file));
+      CHECK(file->head().header().version_minor == 5);
+      std::uint64_t n_origins = 0;
+      for (std::uint32_t i = 0; i < file->n_pages(); ++i) {
+        n_origins += file->stored(i).n_origins;
+        CHECK((file->stored(i).n_origins == 0) == (file->pages()[i].level != 0));
+      }
+      CHECK(n_origins > file->pages().size());  // far and near ones share a page
+      const auto cloud = read_pages(*file, lod::pages_of_level(file->pages(), 0));
+      REQUIRE(cloud);
+      CHECK(cloud->mean == scene.leaves.mean);
+      double worst = 0;
+      for (std::size_t i = 0; i < cloud->mean.size(); ++i) {
+        const double rest = static_cast<double>(cloud->mean_rest[i]);
+        worst = std::max(worst, std::fabs(rest - static_cast<double>(scene.leaves.mean_rest[i])));
+      }
+      CHECK(worst <= 0.00025);
+      // All that does not know of origins reads the file that rounds.
+      scene.options.page_origins = false;
+      const Bytes rounded = encode_levels(scene);
+      const auto without = PagedFile::open(rounded);
+      REQUIRE(without);
+      CHECK(without->head().header().version_minor == 4);
+      const auto plain = leaves_as_file(*file), same = leaves_as_file(*without);
+      REQUIRE(plain);
+      CHECK(*plain == *same);
+    }
+  }
+}
+
+TEST_CASE("a scene without rests has no origins, whatever is asked") {
+  GoldenLevels scene = golden_levels("", Profile::packed, 300, 1, 33);
+  const Bytes without = encode_levels(scene);
+  scene.options.page_origins = true;
+  CHECK(encode_levels(scene) == without);
+}
+
+TEST_CASE("records of pages carry origins") {
+  const GoldenLevels scene = golden_origins("", Profile::packed, 200, 40);
+  const Bytes expected = encode_levels(scene);
+  SceneScan scan(0, BadPolicy::refuse);
+  for (std::uint64_t i = 0; i < scene.leaves.size(); ++i) {
+    Splat s = scene.leaves.view().splat(i);
+    scan.add(s);
+  }
+  auto encoder = PageEncoder::create(scan, scene.options);
+  REQUIRE(encoder);
+  Bytes bytes;
+  auto writer = LevelsWriter::create(bytes, scan, scene.options, scene.levels.pages, scene.levels.quality_db);
+  REQUIRE(writer);
+  for (const lod::Page& page : writer->pages()) {
+    const auto record = encoder->encode(page, part(scene.levels.splats.view(), page.first, page.count));
+    REQUIRE(record);
+    REQUIRE(writer->add(*record));
+  }
+  REQUIRE(writer->finish());
+  CHECK(bytes == expected);
 }

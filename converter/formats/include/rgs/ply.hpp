@@ -57,6 +57,8 @@ class PlyFile {
   const Origin& origin() const;
   /// Largest rounding of a coordinate in the rows read so far, world units; 0 if all coordinates are FP32 numbers.
   double position_rounding() const;
+  /// Whether read() sets Splat::mean_rest: positions are not FP32.
+  bool has_rests() const;
   /// Makes further means relative to `origin`, for example that of another file; not thread-safe. |x| <= kMaxOrigin.
   void rebase(const Origin& origin);
   /// See MappedFile; for a file opened by path or descriptor.

@@ -54,6 +54,8 @@ class FarMove {
 /// Makes means relative to `to` instead of `from`, in FP64. Returns the largest rounding of a coordinate, world units;
 /// if both are equal, changes nothing and returns 0.
 double rebase_means(std::span<float> means, const Origin& from, const Origin& to);
+/// The same for means with their rests (Splat::mean_rest), which get what is rounded: nothing is lost.
+void rebase_exactly(std::span<float> means, std::span<float> rests, const Origin& from, const Origin& to);
 /// The origin of scenes with these, merged: the middle of their box; kNoOrigin without any.
 Origin merged_origin(std::span<const Origin> origins);
 
