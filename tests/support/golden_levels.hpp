@@ -56,6 +56,7 @@ inline GoldenLevels golden_origins(const std::string& name, Profile profile, std
   scene.levels.splats.mean_rest.resize(scene.levels.splats.mean.size());
   std::ranges::copy(leaves.mean_rest, scene.levels.splats.mean_rest.end() - static_cast<std::ptrdiff_t>(3 * n));
   scene.options.page_origins = true;
+  scene.options.metres_per_unit = 0;
   return scene;
 }
 

@@ -343,14 +343,14 @@ Result<SplatCloud> read_pages(const PagedFile& file, std::span<const std::uint32
       if (options.validate) {
         if (Status s = check_page_values(file, page, *rows); !s) return s;
       }
-      std::ranges::copy(rests,
-                        cloud.mean_rest.begin() + static_cast<std::ptrdiff_t>(rests.empty() ? 0 : 3 * first[job]));
       Splat buffer[64];
       for (std::uint32_t i = 0; i < rows->n; i += 64) {
         const auto part = std::span(buffer).first(std::min<std::uint32_t>(64, rows->n - i));
         if (Status s = read_page(file, page, *rows, i, part); !s) return s;
         for (std::size_t k = 0; k < part.size(); ++k) cloud.set(first[job] + i + k, part[k]);
       }
+      std::ranges::copy(rests,
+                        cloud.mean_rest.begin() + static_cast<std::ptrdiff_t>(rests.empty() ? 0 : 3 * first[job]));
       return {};
     });
     if (!read) return tl::unexpected(read.error());
