@@ -274,7 +274,8 @@ Outcome<LoadedScene> load_scene(const SceneOptions& options, ConvertOptions& con
     declared.push_back(declared_by(*file, inputs[i].name(), placed));
     declare_prj(declared.back(), inputs[i].prj(), options.asked, loss.notes);
     if (to != SplatFormat::rgs) restore_order(*file);
-    parts.push_back({file->cloud.size(), file->origin, file->position_rounding * placed.scale});
+    const double rounding = file->cloud.mean_rest.empty() ? file->position_rounding * placed.scale : 0;
+    parts.push_back({file->cloud.size(), file->origin, rounding});
     if (i == 0) {
       scene.cloud = std::move(file->cloud);
       if (inputs.size() == 1) only = std::move(*file);
@@ -284,8 +285,17 @@ Outcome<LoadedScene> load_scene(const SceneOptions& options, ConvertOptions& con
   }
   if (auto s = declare_scene(encode, declared, options.asked, loss.notes); !s)
     return failed(inputs.front().path(), s.error());
+  const bool keeps_rests =
+      to == SplatFormat::ply || (to == SplatFormat::rgs && convert.levels && encode.profile != Profile::archive);
+  if (keeps_rests) scene.cloud.mean_rest.resize(scene.cloud.mean.size());
   merge_parts(scene.cloud, parts, scene.origin);
   const double most = max_rounding(encode, convert.allow_rounding);
+  const double rounded = largest_rest(scene.cloud.mean_rest);
+  if (!keeps_rests || rounded <= most / 4) {
+    scene.cloud.mean_rest.clear();
+    scene.position_rounding = rounded;
+    if (auto s = check_rounding(rounded, most); !s) return failed(inputs.front().path(), s.error());
+  }
   for (std::size_t i = 0; i < parts.size(); ++i) {
     scene.position_rounding = std::max(scene.position_rounding, parts[i].position_rounding);
     if (auto s = check_rounding(parts[i].position_rounding, most); !s) return failed(inputs[i].path(), s.error());

@@ -4,13 +4,13 @@
 
 #include <algorithm>
 #include <cassert>
-#include <cmath>
 #include <cstdint>
 #include <span>
 
 #include "rgs/checksum.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/splat_cloud.hpp"
+#include "rgs/splat_edit.hpp"
 
 namespace rgs {
 
@@ -28,10 +28,7 @@ class SplatSource {
   const Origin& origin() const { return ply_ != nullptr ? ply_->origin() : origin_; }
   /// Largest rounding of a coordinate in what was read so far, world units; of a cloud the largest rest.
   double position_rounding() const {
-    if (ply_ != nullptr) return ply_->position_rounding();
-    float largest = 0;
-    for (const float x : cloud_.mean_rest) largest = std::max(largest, std::fabs(x));
-    return static_cast<double>(largest);
+    return ply_ != nullptr ? ply_->position_rounding() : largest_rest(cloud_.mean_rest);
   }
   std::uint64_t bytes() const { return ply_ != nullptr ? ply_->bytes() : bytes_; }
   /// XXH3-64 of the source's bytes; reads a PLY file to its end.

@@ -91,11 +91,10 @@ void TileStream::place(std::size_t i, SplatFile& piece) const {
   }
   transform_splats(cloud, moved);
   // Of the file's own rounding, what is known is a rest.
-  double rounding = cloud.mean_rest.empty() ? piece.position_rounding * moved.scale : 0;
+  const double rounding = cloud.mean_rest.empty() ? piece.position_rounding * moved.scale : 0;
   if (from != origin_) cloud.mean_rest.resize(cloud.mean.size());
   rebase_exactly(cloud.mean, cloud.mean_rest, from, origin_);
-  for (const float rest : cloud.mean_rest) rounding = std::max(rounding, std::fabs(static_cast<double>(rest)));
-  rounding_ = std::max(rounding_, rounding);
+  rounding_ = std::max({rounding_, rounding, largest_rest(cloud.mean_rest)});
 }
 
 Result<TileStream> TileStream::open(std::vector<Tile> tiles, const Axes& axes, std::size_t& failed) {

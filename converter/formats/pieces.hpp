@@ -24,6 +24,8 @@ inline Status hand_over(SplatFile& file, const ReadOptions& options) {
 /// The same for these rows.
 inline Status hand_over(std::span<const Splat> rows, int sh_degree, SplatFile& file, const ReadOptions& options) {
   file.cloud.resize(rows.size(), sh_degree);
+  const auto has_rest = [](const Splat& s) { return std::ranges::any_of(s.mean_rest, [](float x) { return x != 0; }); };
+  if (std::ranges::any_of(rows, has_rest)) file.cloud.mean_rest.resize(file.cloud.mean.size());
   for (std::size_t i = 0; i < rows.size(); ++i) file.cloud.set(i, rows[i]);
   return hand_over(file, options);
 }

@@ -638,6 +638,7 @@ Result<SplatCloud> read_cloud(const PlyFile& ply) {
   return detail::guard_memory([&]() -> Result<SplatCloud> {
     SplatCloud cloud;
     cloud.resize(ply.size(), ply.sh_degree());
+    if (ply.has_rests()) cloud.mean_rest.resize(cloud.mean.size());
     std::array<Splat, 256> rows;
     for (std::uint64_t first = 0; first < ply.size(); first += rows.size()) {
       const auto part = std::span(rows).first(std::min<std::uint64_t>(rows.size(), ply.size() - first));

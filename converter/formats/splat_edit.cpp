@@ -203,6 +203,12 @@ void rebase_exactly(std::span<float> means, std::span<float> rests, const Origin
   }
 }
 
+double largest_rest(std::span<const float> rests) {
+  float largest = 0;
+  for (const float rest : rests) largest = std::max(largest, std::fabs(rest));
+  return static_cast<double>(largest);
+}
+
 Origin merged_origin(std::span<const Origin> origins) {
   Origin middle = kNoOrigin;
   for (std::size_t k = 0; k < 3 && !origins.empty(); ++k) {

@@ -56,6 +56,8 @@ class FarMove {
 double rebase_means(std::span<float> means, const Origin& from, const Origin& to);
 /// The same for means with their rests (Splat::mean_rest), which get what is rounded: nothing is lost.
 void rebase_exactly(std::span<float> means, std::span<float> rests, const Origin& from, const Origin& to);
+/// Largest magnitude; 0 of none.
+double largest_rest(std::span<const float> rests);
 /// The origin of scenes with these, merged: the middle of their box; kNoOrigin without any.
 Origin merged_origin(std::span<const Origin> origins);
 
