@@ -291,7 +291,8 @@ Outcome<LoadedScene> load_scene(const SceneOptions& options, ConvertOptions& con
   merge_parts(scene.cloud, parts, scene.origin);
   const double most = max_rounding(encode, convert.allow_rounding);
   const double rounded = largest_rest(scene.cloud.mean_rest);
-  if (!keeps_rests || rounded <= most / 4) {
+  const bool is_float = to == SplatFormat::ply && scene.origin == kNoOrigin;
+  if (!keeps_rests || is_float || rounded <= most / 4) {
     scene.cloud.mean_rest.clear();
     scene.position_rounding = rounded;
     if (auto s = check_rounding(rounded, most); !s) return failed(inputs.front().path(), s.error());

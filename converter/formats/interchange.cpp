@@ -209,6 +209,7 @@ Result<SplatFile> decode_levels(Bytes bytes, const ReadOptions& options) {
     auto cloud = read_pages(*paged, some);
     if (!cloud) return tl::unexpected(cloud.error());
     file.cloud = std::move(*cloud);
+    file.position_rounding = std::max(file.position_rounding, largest_rest(file.cloud.mean_rest));
     if (const Status s = detail::hand_over(file, options); !s) return tl::unexpected(s.error());
   }
   if (leaves && !options.visit && paged->has_source_index() && file.declarations->n_source >> 32 == 0) {
@@ -587,9 +588,7 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
   return detail::guard_memory([&]() -> Result<double> {
     const Origin origin = keeps_of(format, options).origin ? kNoOrigin : options.origin;
     const bool is_spz = detail::holds_spz(format);
-    // Of what FP32 rounds, a PLY alone holds the rest.
-    const bool has_rests = !splats.mean_rest.empty() && (format != SplatFormat::ply || options.origin == kNoOrigin);
-    if (origin == kNoOrigin && !is_spz && !has_rests) return 0.0;
+    if (origin == kNoOrigin && !is_spz) return 0.0;
     const std::vector<float> positions = positions_of(splats, origin);
     int bits = 0;
     if (is_spz) {
@@ -603,8 +602,7 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
     for (std::size_t i = 0; i < positions.size(); ++i) {
       double held = static_cast<double>(positions[i]);
       if (is_spz) held = std::ldexp(std::floor(std::ldexp(held, bits) + 0.5), -bits);
-      const double rest = has_rests ? static_cast<double>(splats.mean_rest[i]) : 0;
-      const double error = std::fabs(held - (origin[i % 3] + static_cast<double>(splats.mean[i]) + rest));
+      const double error = std::fabs(held - (origin[i % 3] + static_cast<double>(splats.mean[i])));
       if (std::isfinite(error)) largest = std::max(largest, error);
     }
     return largest;
