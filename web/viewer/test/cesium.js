@@ -1,24 +1,15 @@
-// cesium.js - the page that cesium.test.mjs drives: pictures by CesiumJS, from cameras in the axes of 3DGS.
+// cesium.js - a page that clients.test.mjs drives: pictures by CesiumJS, from cameras in the axes of 3DGS.
 // SPDX-License-Identifier: Apache-2.0
 import { Cartesian3, Cesium3DTileset, Color, JulianDate, PerspectiveFrustum, Scene } from "@cesium/engine";
+import { newCanvas, nextFrame, pixels } from "./pixels.js";
 
 /** Of 3D Tiles: left, backward, up. */
 const turned = ([right, down, forward]) => new Cartesian3(-right, -forward, -down);
 const kTime = JulianDate.fromIso8601("2026-01-01");
-const nextFrame = () => new Promise(requestAnimationFrame);
-
-/** RGBA in base64. */
-function pixels(image) {
-  const context = new OffscreenCanvas(image.width, image.height).getContext("2d");
-  context.drawImage(image, 0, 0);
-  const { data } = context.getImageData(0, 0, image.width, image.height);
-  return btoa(Array.from(data, (byte) => String.fromCharCode(byte)).join(""));
-}
-window.decode = async (url) => pixels(await createImageBitmap(await (await fetch(url)).blob()));
 
 /** What a camera sees of a tileset once nothing is left to load or to sort: tiles, their Gaussians and pixels. */
 window.draw = async (url, { position, rotation, width, fx }, [w, h]) => {
-  const canvas = document.body.appendChild(Object.assign(document.createElement("canvas"), { width: w, height: h }));
+  const canvas = newCanvas([w, h]);
   const scene = new Scene({ canvas, contextOptions: { webgl: { alpha: false } }, msaaSamples: 1 });
   Object.assign(scene, { backgroundColor: Color.BLACK, rethrowRenderErrors: true });
   Object.assign(scene.screenSpaceCameraController, { enableInputs: false, enableCollisionDetection: false });
