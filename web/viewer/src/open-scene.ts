@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { open } from "@roofgs/reader";
 import { type EngineKind, EngineScene } from "./engine-scene.js";
-import { kBeginningBytes, kindOf } from "./kind.js";
+import { kBeginningBytes, kindOf, otherArchive } from "./kind.js";
 import { readInside, type SceneEntry } from "./manifest.js";
 import type { Trouble } from "./page-driver.js";
 import { worker } from "./reader-worker.js";
@@ -32,7 +32,10 @@ export async function readFile({ entry, file, onProgress }: { entry: SceneEntry;
   const blob = file ?? (entry.url.startsWith("#") ? await readInside(entry.url) : undefined);
   const ofOthers = async (): Promise<Read | null> => {
     const range = { range: `bytes=0-${kBeginningBytes - 1}` };
-    const kind = kindOf(await beginningOf(blob ? new Response(blob.slice(0, kBeginningBytes)) : await fetch(entry.url, { headers: range })));
+    const beginning = await beginningOf(blob ? new Response(blob.slice(0, kBeginningBytes)) : await fetch(entry.url, { headers: range }));
+    const archive = otherArchive(beginning);
+    if (archive) throw Object.assign(new Error(), { code: "bad_magic", text: `it is ${archive}` });
+    const kind = kindOf(beginning);
     if (kind === null || kind === "rgs") return null;
     const answer = async (): Promise<Response> => {
       if (blob) return new Response(blob, { headers: { "content-length": String(blob.size) } });

@@ -348,6 +348,9 @@ inBrowser("what is in a file counts, not its name", { allowed: [k404] }, async (
   await drop(page, "d.rgs", "nothing of that");
   await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
   assert.match((await errors(page))[0], /^d\.rgs is not a scene that this page can open\..*bad_magic at byte 0/);
+  await drop(page, "e.sog", readFileSync(join(golden, "../fuzz/corpus/npz/float32_degree1.npz")));
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 1);
+  assert.match((await errors(page))[1], /^e\.sog is not a scene that this page can open\..*bad_magic: it is an \.npz/);
 });
 
 for (const [version, axes] of [[2, "ply"], [3, "ply"], [4, "ply"], [3, "opengl"]]) {
@@ -480,7 +483,7 @@ inBrowser("a second scene that is a PLY is asked for when it is read", { ...plyL
   untouched.open();
   await page.waitForSelector("html[data-ready]", { state: "attached" });
   assert.equal(await text(page, "#title"), "packed.rgs | scene.ply");
-  assert.deepEqual(plyAsked, [{ bytes: 16, isReleased: false }, { bytes: statSync(join(scenes(), "scene.ply")).size, isReleased: true }]);
+  assert.deepEqual(plyAsked, [{ bytes: 128, isReleased: false }, { bytes: statSync(join(scenes(), "scene.ply")).size, isReleased: true }]);
 });
 
 let dropIsDone;

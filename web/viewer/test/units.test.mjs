@@ -419,11 +419,17 @@ test("what PLY and SOG declare of anti-aliasing is what rgs-convert reads", () =
 });
 
 test("what is in a file is told by its first bytes", () => {
-  const { kindOf } = modules.kind;
+  const { kindOf, otherArchive } = modules.kind;
   const of = (bytes) => kindOf(new Uint8Array(Buffer.from(bytes)));
   assert.equal(of([0x89, 0x52, 0x47, 0x53, 13, 10]), "rgs");
   assert.equal(of("ply\nformat"), "ply");
-  assert.equal(of("PK\x03\x04"), "sog");
+  const zip = (name) => new Uint8Array(Buffer.concat([Buffer.from("PK\x03\x04"), Buffer.alloc(22), Buffer.from([name.length, 0, 0, 0]), Buffer.from(`${name}.npy`)]));
+  for (const name of ["", "meta.json", "means_l.webp"]) assert.deepEqual([kindOf(zip(name)), otherArchive(zip(name))], ["sog", null], name);
+  for (const [name, what] of Object.entries({ "means.npy": /NumPy/, "archive/data.pkl": /PyTorch/, "scene.usda": /usdz/, "0_0/meta.json": /streamed SOG/ })) {
+    assert.equal(kindOf(zip(name)), null, name);
+    assert.match(otherArchive(zip(name)), what);
+  }
+  assert.equal(otherArchive(new Uint8Array(40)), null);
   assert.equal(of([0x1f, 0x8b, 8]), "spz");
   assert.equal(of("NGSP"), "spz");
   for (const text of ["[", "  \r\n[{", "\uFEFF{\"a\""]) assert.equal(of(text), "cameras");
