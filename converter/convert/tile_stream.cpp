@@ -15,13 +15,12 @@ namespace {
 
 constexpr std::uint64_t kRows = 65536;
 
-// `rounding`: the largest of a coordinate by reading, so far.
-Status read_tile(const Tile& tile, const std::function<Status(SplatCloud& block, double rounding)>& visit) {
-  if (!tile.ply) {
-    const auto read = tile.read([&](SplatFile& piece) { return visit(piece.cloud, piece.position_rounding); });
-    return read.map([](const SplatFile&) {});
-  }
-  SplatCloud block;
+// Pieces have origins of their own. Their position_rounding is the largest of a coordinate by reading, so far.
+Status read_tile(const Tile& tile, const std::function<Status(SplatFile& piece)>& visit) {
+  if (!tile.ply) return tile.read(visit).map([](const SplatFile&) {});
+  SplatFile piece;
+  piece.origin = tile.ply->origin();
+  SplatCloud& block = piece.cloud;
   std::vector<Splat> rows;
   for (std::uint64_t first = 0; first < tile.ply->size(); first += kRows) {
     rows.resize(std::min(kRows, tile.ply->size() - first));
@@ -30,9 +29,18 @@ Status read_tile(const Tile& tile, const std::function<Status(SplatCloud& block,
     for (std::size_t k = 0; k < rows.size(); ++k) block.set(k, rows[k]);
     const std::uint64_t begin = tile.ply->row_offset(first), end = tile.ply->row_offset(first + rows.size() - 1);
     if (tile.file != nullptr && end != Error::kNone) tile.file->advise(MappedFile::Access::done, begin, end - begin);
-    if (Status s = visit(block, tile.ply->position_rounding()); !s) return s;
+    piece.position_rounding = tile.ply->position_rounding();
+    if (Status s = visit(piece); !s) return s;
   }
   return {};
+}
+
+// As transform_splats() of a scene with an origin.
+Origin placed_origin(const Tile& tile, Origin origin, const Axes& axes) {
+  convert_axes(origin, tile.axes, axes);
+  const Similarity& far = tile.placed;
+  const glm::dvec3 at = far.rotation * glm::dvec3(origin[0], origin[1], origin[2]) * far.scale + far.translation;
+  return {at.x + 0.0, at.y + 0.0, at.z + 0.0};
 }
 
 }  // namespace
@@ -43,8 +51,8 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
   if (tile.ply) {
     facts = {tile.ply->size(), tile.ply->sh_degree(), false, tile.ply->origin()};
     if (tile.placed.translation != glm::dvec3(0) && facts.origin == kNoOrigin) {
-      const auto add = [&move](SplatCloud& block, double) {
-        move.add(block.mean);
+      const auto add = [&move](const SplatFile& piece) {
+        move.add(piece.cloud.mean);
         return Status();
       };
       if (Status s = read_tile(tile, add); !s) return tl::unexpected(s.error());
@@ -60,24 +68,19 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
     facts.sh_degree = std::max(facts.sh_degree, file->cloud.sh_degree);
     facts.origin = file->origin;
   }
-  // As transform_splats() of a scene with an origin.
-  convert_axes(facts.origin, tile.axes, axes);
   facts.gets_origin = facts.origin != kNoOrigin || move.is_far();
-  if (facts.gets_origin) {
-    const Similarity& far = tile.placed;
-    const glm::dvec3 at =
-        far.rotation * glm::dvec3(facts.origin[0], facts.origin[1], facts.origin[2]) * far.scale + far.translation;
-    facts.origin = {at.x + 0.0, at.y + 0.0, at.z + 0.0};
-  }
+  if (facts.gets_origin) facts.origin = placed_origin(tile, facts.origin, axes);
   return facts;
 }
 
-void TileStream::place(std::size_t i, SplatCloud& block, double rounding) const {
+void TileStream::place(std::size_t i, SplatFile& piece) const {
   Similarity moved = tiles_[i].placed;
-  convert_axes(block, tiles_[i].axes, axes_);
-  if (facts_[i].gets_origin) moved.translation = {0, 0, 0};
-  transform_splats(block, moved);
-  rounding = rounding * moved.scale + rebase_means(block.mean, facts_[i].origin, origin_);
+  convert_axes(piece.cloud, tiles_[i].axes, axes_);
+  const bool has_origin = facts_[i].gets_origin || piece.origin != kNoOrigin;
+  if (has_origin) moved.translation = {0, 0, 0};
+  transform_splats(piece.cloud, moved);
+  const Origin from = has_origin ? placed_origin(tiles_[i], piece.origin, axes_) : kNoOrigin;
+  const double rounding = piece.position_rounding * moved.scale + rebase_means(piece.cloud.mean, from, origin_);
   rounding_ = std::max(rounding_, rounding);
 }
 
@@ -120,10 +123,10 @@ lod::SplatStream TileStream::stream(double max_rounding) const {
             std::uint64_t first = 0;
             std::vector<Splat> rows;
             for (reading_ = 0; reading_ < tiles_.size(); ++reading_) {
-              const Status read = read_tile(tiles_[reading_], [&](SplatCloud& block, double rounding) -> Status {
-                place(reading_, block, rounding);
+              const Status read = read_tile(tiles_[reading_], [&](SplatFile& piece) -> Status {
+                place(reading_, piece);
                 if (Status s = check_rounding(rounding_, max_rounding); !s) return s;
-                const SplatView view = block.view();
+                const SplatView view = piece.cloud.view();
                 for (std::uint64_t at = 0; at < view.n; at += kRows) {
                   rows.resize(std::min(kRows, view.n - at));
                   tbb::parallel_for(std::size_t{0}, rows.size(), [&](std::size_t k) { rows[k] = view.splat(at + k); });

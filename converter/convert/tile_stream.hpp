@@ -34,7 +34,8 @@ struct TileFacts {
 /// Reads a PLY file only if a translation may move it far. Errors: the tile's.
 Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes);
 
-/// Streams the Gaussians that merging all tiles in memory would give, in the same order and with the same bits.
+/// Streams the Gaussians that merging all tiles in memory would give, in the same order and with the same bits, but
+/// where pieces of a tile have origins of their own, which spare a rounding.
 class TileStream {
  public:
   /// Reads all tiles once. Errors: those of read for tile `failed`; limit_exceeded (more than 2^32 - 1 Gaussians).
@@ -54,7 +55,7 @@ class TileStream {
   double position_rounding() const { return rounding_; }
 
  private:
-  void place(std::size_t i, SplatCloud& block, double rounding) const;
+  void place(std::size_t i, SplatFile& piece) const;
 
   std::vector<Tile> tiles_;
   std::vector<TileFacts> facts_;

@@ -302,7 +302,7 @@ constexpr Format kFormats[] = {
      is_ply, decode_ply, encode_ply},
     {{SplatFormat::tileset, "tileset.json", "tileset.json", "3D Tiles 1.0 and 1.1 above glTF with splats; written with .spz.glb",
       "as .spz.glb; read as .glb",
-      kAxes3dTiles, 3, true, {.one_level = true, .origin = true, .aa_mode = true, .declarations = true}, false, true},
+      kAxes3dTiles, 3, true, {.one_level = true, .origin = true, .aa_mode = true, .declarations = true}, true, true},
      detail::is_tileset, detail::decode_lone_tileset},
     {{SplatFormat::spz_glb, "spz.glb", "", "the next with an SPZ inside (KHR_gaussian_splatting_compression_spz_2)",
       "as .spz, version 3",

@@ -11,6 +11,7 @@
 #include <cmath>
 #include <deque>
 #include <filesystem>
+#include <functional>
 #include <glm/gtc/type_ptr.hpp>
 #include <glm/mat4x4.hpp>
 #include <nlohmann/json.hpp>
@@ -23,6 +24,7 @@
 #include "gltf_splats.hpp"
 #include "json_member.hpp"
 #include "matrix_similarity.hpp"
+#include "pieces.hpp"
 #include "rgs/file.hpp"
 #include "rgs/splat_edit.hpp"
 #include "signature.hpp"
@@ -56,19 +58,27 @@ bool is_other_content(std::span<const std::byte> bytes) {
   return std::ranges::any_of(kOtherContents, [&](const char* magic) { return begins_with(bytes, magic); });
 }
 
-// Collects the tiles of a tileset and of the external ones: parents before children.
+struct Tileset {
+  std::vector<Tile> tiles;    // parents before children
+  json extras;                // of asset
+  std::uint64_t bytes = 0;    // of all tilesets
+  std::uint64_t n_other = 0;  // contents without splats
+};
+
+// Collects the tiles of a tileset and of the external ones.
 class Tree {
  public:
   explicit Tree(const std::string& folder) : folder_(folder) {}
 
-  Status add_tileset(std::span<const std::byte> text) {
-    if (Status s = add(text, "", 0); !s) return s;
+  Result<Tileset> read(std::span<const std::byte> text) {
+    if (Status s = add(text, "", 0); !s) return tl::unexpected(s.error());
     // Not by recursion: depth is the file's. External tilesets go on where their tiles are.
     while (!pending_.empty()) {
       const Pending next = pending_.back();
       pending_.pop_back();
-      if (Status s = visit(next); !s) return s;
+      if (Status s = visit(next); !s) return tl::unexpected(s.error());
     }
+    std::vector<Tile>& tiles = out_.tiles;
     // Levels from the leaves up.
     for (std::size_t i = tiles.size(); i-- > 1;) {
       Tile& parent = tiles[tiles[i].parent];
@@ -77,19 +87,9 @@ class Tree {
       const bool replaced = !parent.contents.empty() && !parent.adds && is_step;
       parent.level = std::max(parent.level, tiles[i].level + (replaced ? 1 : 0));
     }
-    return {};
+    if (const json* extras = json_member(documents_.front()["asset"], "extras")) out_.extras = *extras;
+    return std::move(out_);
   }
-
-  std::vector<Tile> tiles;
-  Status read_extras(StatedScene& scene) const {
-    const json* asset = json_member(documents_.front(), "asset");
-    const json* extras = json_member(*asset, "extras");
-    if (extras != nullptr && !detail::read_extras(*extras, scene))
-      return bad("an invalid value in asset.extras.rgs of the tileset", Errc::bad_value);
-    return {};
-  }
-  std::uint64_t bytes = 0;    // of all tilesets
-  std::uint64_t n_other = 0;  // contents without splats
 
  private:
   struct Pending {
@@ -100,8 +100,8 @@ class Tree {
   };
 
   Status add(std::span<const std::byte> text, const std::string& base, std::size_t parent) {
-    bytes += text.size();
-    if (bytes > kMaxJsonBytes) return bad("tilesets of more than 32 MiB", Errc::limit_exceeded);
+    out_.bytes += text.size();
+    if (out_.bytes > kMaxJsonBytes) return bad("tilesets of more than 32 MiB", Errc::limit_exceeded);
     const json& root = documents_.emplace_back(json::parse(text_of(text), nullptr, false));
     if (!root.is_object()) return bad("the tileset is not a JSON object");
     const json* asset = json_member(root, "asset");
@@ -117,12 +117,13 @@ class Tree {
           return bad("the tileset requires an extension that is not read", Errc::unsupported_feature);
       }
     }
-    pending_.push_back({json_member(root, "root"), base, parent, tiles.empty()});
+    pending_.push_back({json_member(root, "root"), base, parent, out_.tiles.empty()});
     return {};
   }
 
   Status visit(const Pending& pending) {
     const json& stated = pending.tile != nullptr ? *pending.tile : documents_.front();
+    std::vector<Tile>& tiles = out_.tiles;
     if (pending.tile == nullptr || !stated.is_object()) return bad("a tile is missing or no JSON object");
     if (tiles.size() == kMaxTiles) return bad("more than a million tiles", Errc::limit_exceeded);
     if (json_member(stated, "implicitTiling") != nullptr)
@@ -201,14 +202,15 @@ class Tree {
       return add(file->bytes(), slash == name.npos ? "" : name.substr(0, slash + 1), index);
     }
     if (is_other_content(file->bytes())) {
-      ++n_other;
+      ++out_.n_other;
     } else {
-      tiles[index].contents.push_back(name);
+      out_.tiles[index].contents.push_back(name);
     }
     return {};
   }
 
   const std::string& folder_;
+  Tileset out_;
   std::deque<json> documents_;
   std::vector<Pending> pending_;
   std::set<std::string> named_;
@@ -234,6 +236,7 @@ Result<std::optional<SplatFile>> read_content(const std::string& path, const Rea
   if (!is_gltf(file->bytes())) return make_error(Errc::bad_magic, 0, "content of a tile is neither glTF nor a tileset");
   ReadOptions own = options;
   own.level_of_detail.reset();
+  own.visit = nullptr;
   auto splats = is_gltf_text(file->bytes()) ? decode_gltf_folder(file->bytes(), path.substr(0, path.rfind('/')), own)
                                             : decode_gltf(file->bytes(), own);
   if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
@@ -247,6 +250,77 @@ Result<std::optional<SplatFile>> read_content(const std::string& path, const Rea
   return std::optional(std::move(*splats));
 }
 
+// Reads contents one at a time, and gathers what they state.
+class Contents {
+ public:
+  Contents(const Tileset& tileset, const std::string& folder, const ReadOptions& options)
+      : tileset_(tileset), folder_(folder), options_(options) {
+    file.bytes = tileset.bytes;
+    n_other_ = tileset.n_other;
+  }
+
+  // Each with an origin of its own. Hands over those that have Gaussians.
+  Status read_tile(std::size_t tile, const std::function<Status(SplatFile& piece)>& visit) {
+    for (const std::string& name : tileset_.tiles[tile].contents) {
+      ReadOptions rest = options_;
+      rest.limits.max_gaussians -= n_;
+      auto read = read_content((std::filesystem::path(folder_) / name).string(), rest, tileset_.tiles[tile].similarity);
+      if (!read) return tl::unexpected(read.error());
+      if (!*read) {
+        ++n_other_;
+        continue;
+      }
+      SplatFile& content = **read;
+      if (Status s = add(content); !s) return s;
+      SplatFile piece;
+      stated_.copy_to(piece);
+      piece.bytes = content.bytes;
+      piece.cloud = std::move(content.cloud);
+      piece.origin = content.origin;
+      piece.position_rounding = content.position_rounding;
+      piece.format = SplatFormat::tileset;
+      if (Status s = visit(piece); !s) return s;
+    }
+    return {};
+  }
+
+  // Errors: not_gaussian_splats.
+  Status finish() {
+    if (!is_stated_)
+      return make_error(Errc::not_gaussian_splats, 0, "no tile holds a glTF with KHR_gaussian_splatting");
+    stated_.copy_to(file);
+    file.format = SplatFormat::tileset;
+    file.n_levels = static_cast<std::uint32_t>(tileset_.tiles.front().level + 1);
+    if (n_other_ != 0) file.unused.push_back("contents of tiles without splats: " + std::to_string(n_other_));
+    return {};
+  }
+
+  SplatFile file;  // of all contents so far, without Gaussians
+
+ private:
+  // The first content speaks for all.
+  Status add(SplatFile& content) {
+    file.bytes += content.bytes;
+    n_ += content.cloud.size();
+    file.unused.insert(file.unused.end(), content.unused.begin(), content.unused.end());
+    if (std::exchange(is_stated_, true)) return {};
+    stated_.aa_mode = content.aa_mode;
+    stated_.low_pass_px2 = content.low_pass_px2;
+    stated_.colour_space = content.colour_space;
+    stated_.metres_per_unit = content.metres_per_unit;
+    if (!read_extras(tileset_.extras, stated_))
+      return bad("an invalid value in asset.extras.rgs of the tileset", Errc::bad_value);
+    return {};
+  }
+
+  const Tileset& tileset_;
+  const std::string& folder_;
+  const ReadOptions& options_;
+  StatedScene stated_{.axes = kAxes3dTiles};
+  bool is_stated_ = false;
+  std::uint64_t n_ = 0, n_other_ = 0;
+};
+
 }  // namespace
 
 bool is_tileset(std::span<const std::byte> bytes) {
@@ -259,57 +333,49 @@ Result<SplatFile> decode_lone_tileset(std::span<const std::byte>, const ReadOpti
 
 Result<SplatFile> decode_tileset_folder(std::span<const std::byte> bytes, const std::string& folder,
                                         const ReadOptions& options) {
-  Tree tree(folder);
-  if (Status s = tree.add_tileset(bytes); !s) return tl::unexpected(s.error());
-  const std::uint64_t n_levels = tree.tiles.front().level + 1, level = options.level_of_detail.value_or(0);
+  const auto tileset = Tree(folder).read(bytes);
+  if (!tileset) return tl::unexpected(tileset.error());
+  const std::uint64_t n_levels = tileset->tiles.front().level + 1, level = options.level_of_detail.value_or(0);
   if (level >= n_levels) {
     return make_error(Errc::bad_argument, Error::kNone, "the file has no such level of detail (0 is the finest)",
                       n_levels, level);
   }
-  StatedScene stated{.axes = kAxes3dTiles};
-  SplatFile file;
+  SplatCloud cloud;
   std::vector<ScenePart> parts;
-  std::uint64_t stored = tree.bytes, n_other = tree.n_other;
-  const std::vector<bool> chosen = choose(tree.tiles, level);
-  for (std::size_t i = 0; i < tree.tiles.size(); ++i) {
+  std::vector<Origin> origins;
+  const std::vector<bool> chosen = choose(tileset->tiles, level);
+  Contents contents(*tileset, folder, options);
+  double rounding = 0;
+  for (std::size_t i = 0; i < tileset->tiles.size(); ++i) {
     if (!chosen[i]) continue;
-    for (const std::string& name : tree.tiles[i].contents) {
-      ReadOptions rest = options;
-      rest.limits.max_gaussians -= file.cloud.size();
-      auto part = read_content((std::filesystem::path(folder) / name).string(), rest, tree.tiles[i].similarity);
-      if (!part) return tl::unexpected(part.error());
-      if (!*part) {
-        ++n_other;
-        continue;
+    const Status read = contents.read_tile(i, [&](SplatFile& piece) -> Status {
+      rounding = std::max(rounding, piece.position_rounding);
+      if (options.visit) {
+        if (piece.cloud.size() != 0) origins.push_back(piece.origin);
+        return hand_over(piece, options);
       }
-      SplatFile& splats = **part;
-      stored += splats.bytes;
-      if (parts.empty()) {
-        stated.aa_mode = splats.aa_mode;
-        stated.low_pass_px2 = splats.low_pass_px2;
-        stated.colour_space = splats.colour_space;
-        stated.metres_per_unit = splats.metres_per_unit;
-      }
-      parts.push_back({splats.cloud.size(), splats.origin, splats.position_rounding});
-      file.unused.insert(file.unused.end(), splats.unused.begin(), splats.unused.end());
+      parts.push_back({piece.cloud.size(), piece.origin, piece.position_rounding});
       if (parts.size() == 1) {
-        file.cloud = std::move(splats.cloud);
+        cloud = std::move(piece.cloud);
       } else {
-        append_splats(file.cloud, splats.cloud);
+        append_splats(cloud, piece.cloud);
       }
-    }
+      return {};
+    });
+    if (!read) return tl::unexpected(read.error());
   }
-  if (parts.empty())
-    return make_error(Errc::not_gaussian_splats, 0, "no tile holds a glTF with KHR_gaussian_splatting");
-  if (Status s = tree.read_extras(stated); !s) return tl::unexpected(s.error());
-  stated.copy_to(file);
-  merge_parts(file.cloud, parts, file.origin);
-  for (const ScenePart& part : parts) file.position_rounding = std::max(file.position_rounding, part.position_rounding);
-  file.bytes = stored;
-  file.n_levels = static_cast<std::uint32_t>(n_levels);
+  if (const Status s = contents.finish(); !s) return tl::unexpected(s.error());
+  SplatFile file = std::move(contents.file);
+  file.cloud = std::move(cloud);
+  if (options.visit) {
+    file.origin = merged_origin(origins);
+  } else {
+    merge_parts(file.cloud, parts, file.origin);
+  }
+  for (const ScenePart& part : parts) rounding = std::max(rounding, part.position_rounding);
+  file.position_rounding = rounding;
   file.finest = level == 0;
   if (n_levels > 1 && !options.level_of_detail) file.unused.emplace_back("levels of detail but the finest");
-  if (n_other != 0) file.unused.push_back("contents of tiles without splats: " + std::to_string(n_other));
   return file;
 }
 

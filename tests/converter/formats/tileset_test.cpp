@@ -244,6 +244,43 @@ TEST_CASE("tiles are placed by their transforms, also through external tilesets"
   CHECK(file->bytes == bytes);
 }
 
+TEST_CASE("a tileset is handed over content by content, each with the origin that fits it") {
+  Files files{{"a.glb", glb_at(0.1F)}, {"b.glb", glb_at(0.2F)}, {"c.glb", glb_at(0.3F)}};
+  std::vector<json> children;
+  for (const auto& [uri, x] : std::vector<std::pair<std::string, double>>{{"b.glb", 3e6}, {"c.glb", -5e6}}) {
+    children.push_back(tile(uri));
+    children.back()["transform"] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, x, 0, 0, 1};
+  }
+  files["tileset.json"] = tileset(tile("a.glb", children), "ADD");
+  const TemporaryFolder folder;
+  for (const auto& [name, bytes] : files) write_bytes(folder.file(name), bytes);
+  ReadOptions options = kKeepAxes;
+  std::vector<float> xs;
+  std::vector<double> origins;
+  options.visit = [&](SplatFile& piece) {
+    CHECK(piece.axes == kAxes3dTiles);
+    CHECK(piece.cloud.size() == 1);
+    CHECK(piece.position_rounding == 0);
+    xs.push_back(piece.cloud.mean[0]);
+    origins.push_back(piece.origin[0]);
+    return Status();
+  };
+  const auto visited = read_splats(folder.file("tileset.json"), options), whole = read_files(files);
+  REQUIRE(visited);
+  CHECK(xs == Xs{0.1F, 0.2F, 0.3F});
+  CHECK(origins == std::vector<double>{0, 3e6, -5e6});
+  CHECK(visited->cloud.size() == 0);
+  CHECK(visited->origin == whole->origin);
+  CHECK(visited->origin[0] == -1e6);
+  CHECK(visited->bytes == whole->bytes);
+  CHECK(visited->aa_mode == whole->aa_mode);
+  CHECK(visited->unused == whole->unused);
+  CHECK(whole->position_rounding > 0.001);
+  // An error of the visitor ends the reading.
+  options.visit = [&](const SplatFile&) -> Status { return make_error(Errc::read_failed, 1, "enough"); };
+  CHECK(read_splats(folder.file("tileset.json"), options).error().offset == 1);
+}
+
 TEST_CASE("tilesets that are not read are refused with what is wrong") {
   const Bytes glb = glb_at(1);
   const auto refused = [&](const json& stated, const Files& more = {}) {
