@@ -23,7 +23,7 @@ class KeptLevels {
   /// unsupported_feature (too many levels), bad_value and too_many_bad (damaged Gaussians above the leaves),
   /// host_out_of_memory.
   static Result<KeptLevels> open(LevelTree tree, const Axes& from, const EncodeOptions& encode);
-  /// The tree's, with anti-aliasing and bytes.
+  /// The tree's, with anti-aliasing, bytes and rounding.
   const SplatFile& file() const { return tree_.file; }
   /// All Gaussians but the leaves.
   const SceneScan& coarser() const { return coarser_; }

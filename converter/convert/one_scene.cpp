@@ -124,6 +124,8 @@ Outcome<ConvertSummary> convert_kept(ConvertArguments& arguments, const SceneInp
   const InputDeclarations by_input = declared_by(declared, input.name(), {});
   if (auto s = declare_scene(encode, {&by_input, 1}, options.asked, loss.notes); !s)
     return failed(input.path(), s.error());
+  if (const Status s = check_rounding(declared.position_rounding, max_rounding(encode, convert.allow_rounding)); !s)
+    return failed(input.path(), s.error());
   const SceneScan& coarser = kept->coarser();
   if (const std::uint64_t n = coarser.n_source() - coarser.n_kept(); n != 0)
     loss.notes.push_back(tool::format_count(n) + " damaged Gaussians of coarser levels dropped");
@@ -134,11 +136,14 @@ Outcome<ConvertSummary> convert_kept(ConvertArguments& arguments, const SceneInp
   encode.n_repaired = 0;
   StreamFacts facts;
   facts.bytes = declared.bytes;
+  facts.origin = declared.origin;
+  convert_axes(facts.origin, axes, encode.axes);
   facts.hash = [&input] { return input.hash(); };
   facts.arrange = [&kept](auto&... of) { return kept->arrange(of...); };
   auto summary = convert_to_levels(leaves, facts, options.output(), convert, observer);
   if (!summary) return failed(concerned(arguments, input, summary.error()), summary.error());
   summary->source_format = format_name(from);
+  summary->position_rounding = declared.position_rounding;
   summary->unused = declared.unused;
   summary->notes = std::move(loss.notes);
   return std::move(*summary);

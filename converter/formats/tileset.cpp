@@ -14,6 +14,7 @@
 #include <functional>
 #include <glm/gtc/type_ptr.hpp>
 #include <glm/mat4x4.hpp>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
@@ -46,6 +47,7 @@ struct Tile {
   Similarity similarity;              // to the coordinates of the scene
   bool adds = false;                  // otherwise children replace it
   std::vector<std::string> contents;  // paths below the folder, without those of tilesets
+  double error = 0;                   // geometricError, in units of the scene; 0: none
   std::uint64_t level = 0;
   bool below = false;  // a descendant has contents
 };
@@ -146,6 +148,8 @@ class Tree {
       if (*refine != "ADD" && *refine != "REPLACE") return bad("refine of a tile is neither ADD nor REPLACE");
       tile.adds = *refine == "ADD";
     }
+    if (const json* error = json_member(stated, "geometricError"); error != nullptr && error->is_number())
+      tile.error = error->get<double>() * tile.similarity.scale;
     const std::size_t index = tiles.size();
     tiles.push_back(std::move(tile));
     if (Status s = add_contents(stated, pending.base, index); !s) return s;
@@ -215,6 +219,51 @@ class Tree {
   std::vector<Pending> pending_;
   std::set<std::string> named_;
 };
+
+// A viewer draws a tile whose geometricError covers at most so many pixels, unless told otherwise (CesiumJS,
+// maximumScreenSpaceError). A page may be drawn where a pixel covers at least its error.
+constexpr double kScreenErrorPx = 16;
+
+// Nodes of a tree of levels, and the tiles that they are of.
+struct TileNodes {
+  static constexpr std::size_t kNone = ~std::size_t{0};
+  std::vector<LevelTree::Node> nodes;
+  std::vector<std::size_t> of_tile;  // kNone: the tile is none
+  std::vector<bool> repeats;         // of each tile: the next node has its Gaussians too, beside those that are added
+};
+
+// `n`: Gaussians of each tile. Tiles without any are looked through.
+TileNodes find_nodes(const std::vector<Tile>& tiles, std::span<const std::uint64_t> n) {
+  std::vector<bool> leaves(tiles.size()), leaves_below(tiles.size());  // has Gaussians of the finest level
+  for (std::size_t i = tiles.size(); i-- > 0;) {
+    leaves[i] = leaves_below[i] || (n[i] != 0 && (tiles[i].adds || !tiles[i].below));
+    if (i != 0 && leaves[i]) leaves_below[tiles[i].parent] = true;
+  }
+  TileNodes out;
+  out.of_tile.assign(tiles.size(), TileNodes::kNone);
+  out.repeats.resize(tiles.size());
+  std::vector<std::uint32_t> node_above(tiles.size(), LevelTree::kNoParent);  // or the tile's own
+  for (std::size_t i = 0; i < tiles.size(); ++i) {
+    if (i != 0) node_above[i] = node_above[tiles[i].parent];
+    if (n[i] == 0 || !leaves[i]) continue;
+    out.of_tile[i] = out.nodes.size();
+    out.nodes.push_back({0, node_above[i], n[i]});
+    node_above[i] = static_cast<std::uint32_t>(out.of_tile[i]);
+    out.repeats[i] = tiles[i].adds && leaves_below[i];
+    if (leaves_below[i]) out.nodes.back().error = static_cast<float>(tiles[i].error / kScreenErrorPx);
+    if (out.repeats[i]) out.nodes.push_back({0, node_above[i], n[i]});
+  }
+  // An error that is no number above those of children means something else.
+  std::vector<float> most(out.nodes.size());
+  for (std::size_t i = out.nodes.size(); i-- > 0;) {
+    LevelTree::Node& node = out.nodes[i];
+    if (!(node.error > most[i]) || !std::isfinite(node.error)) node.error = 0;
+    if (node.parent == LevelTree::kNoParent) continue;
+    most[node.parent] = std::max({most[node.parent], most[i], node.error});
+    out.nodes[node.parent].level = std::max(out.nodes[node.parent].level, node.level + 1);
+  }
+  return out;
+}
 
 // Whether each tile is read at a level.
 std::vector<bool> choose(const std::vector<Tile>& tiles, std::uint64_t level) {
@@ -377,6 +426,62 @@ Result<SplatFile> decode_tileset_folder(std::span<const std::byte> bytes, const 
   file.finest = level == 0;
   if (n_levels > 1 && !options.level_of_detail) file.unused.emplace_back("levels of detail but the finest");
   return file;
+}
+
+Result<LevelTree> open_tileset_levels(std::span<const std::byte> bytes, const std::string& folder,
+                                      const ReadOptions& options) {
+  auto read = Tree(folder).read(bytes);
+  if (!read) return tl::unexpected(read.error());
+  const auto tileset = std::make_shared<const Tileset>(std::move(*read));
+  const std::vector<Tile>& tiles = tileset->tiles;
+  LevelTree tree;
+  if (std::ranges::none_of(tiles, [](const Tile& tile) { return tile.below && !tile.contents.empty(); })) return tree;
+  std::vector<std::uint64_t> n(tiles.size());
+  std::vector<Origin> origins;
+  Contents contents(*tileset, folder, options);
+  for (std::size_t i = 0; i < tiles.size(); ++i) {
+    const Status counted = contents.read_tile(i, [&](const SplatFile& piece) -> Status {
+      n[i] += piece.cloud.size();
+      if (piece.cloud.size() != 0) origins.push_back(piece.origin);
+      return {};
+    });
+    if (!counted) return tl::unexpected(counted.error());
+  }
+  if (const Status s = contents.finish(); !s) return tl::unexpected(s.error());
+  tree.file = std::move(contents.file);
+  tree.file.bytes = tileset->bytes;
+  tree.file.origin = merged_origin(origins);
+  auto found = std::make_shared<TileNodes>(find_nodes(tiles, n));
+  tree.nodes = std::move(found->nodes);
+  tree.read = [tileset, folder, options, found, origin = tree.file.origin](const LevelTree::Visit& visit) -> Status {
+    Contents again(*tileset, folder, options);
+    for (std::size_t i = 0; i < tileset->tiles.size(); ++i) {
+      if (found->of_tile[i] == TileNodes::kNone) continue;
+      SplatFile node;
+      bool is_first = true;
+      const Status status = again.read_tile(i, [&](SplatFile& piece) -> Status {
+        piece.position_rounding += rebase_means(piece.cloud.mean, piece.origin, origin);
+        piece.origin = origin;
+        if (std::exchange(is_first, false)) {
+          node = std::move(piece);
+          return {};
+        }
+        node.bytes += piece.bytes;
+        node.position_rounding = std::max(node.position_rounding, piece.position_rounding);
+        append_splats(node.cloud, piece.cloud);
+        return {};
+      });
+      if (!status) return status;
+      const auto at = static_cast<std::uint32_t>(found->of_tile[i]);
+      if (found->repeats[i]) {
+        if (Status s = visit(at, node); !s) return s;
+        node.bytes = 0;
+      }
+      if (Status s = visit(at + (found->repeats[i] ? 1 : 0), std::move(node)); !s) return s;
+    }
+    return {};
+  };
+  return tree;
 }
 
 }  // namespace rgs::detail

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "rgs/interchange.hpp"
+#include "rgs/level_tree.hpp"
 
 namespace rgs::detail {
 
@@ -20,6 +21,10 @@ bool is_tileset(std::span<const std::byte> bytes);
 /// paths outside the folder); limit_exceeded (more than a million tiles).
 Result<SplatFile> decode_tileset_folder(std::span<const std::byte> bytes, const std::string& folder,
                                         const ReadOptions& options);
+/// open_levels(): a node for each tile with Gaussians. Tiles that add to one are below it, beside a node that repeats
+/// its Gaussians. All pieces have the file's origin. Its error is a 16th of geometricError, if that falls downwards.
+Result<LevelTree> open_tileset_levels(std::span<const std::byte> bytes, const std::string& folder,
+                                      const ReadOptions& options);
 /// Refuses it: its contents are files beside it.
 Result<SplatFile> decode_lone_tileset(std::span<const std::byte> bytes, const ReadOptions& options);
 

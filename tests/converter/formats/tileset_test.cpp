@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "interchange_samples.hpp"
+#include "rgs/level_tree.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/splat_edit.hpp"
@@ -279,6 +280,76 @@ TEST_CASE("a tileset is handed over content by content, each with the origin tha
   // An error of the visitor ends the reading.
   options.visit = [&](const SplatFile&) -> Status { return make_error(Errc::read_failed, 1, "enough"); };
   CHECK(read_splats(folder.file("tileset.json"), options).error().offset == 1);
+}
+
+TEST_CASE("tiles become nodes of levels, whose leaves are what is read, also where tiles add to each other") {
+  Files files{{"a.glb", glb_at(1)}, {"b.glb", glb_at(2)}, {"c.glb", glb_at(3)},
+              {"d.glb", glb_at(4)}, {"e.glb", glb_at(5)}, {"mesh.glb", bytes_of("b3dm....")}};
+  const json branch = tile("b.glb", {tile("", {tile("c.glb")}), tile("d.glb")});
+  struct Nodes {
+    std::vector<std::uint32_t> levels, parents;
+    std::vector<float> errors;
+    Xs xs;
+  };
+  const auto nodes_of = [&](const json& root, const std::string& refine) {
+    files["tileset.json"] = tileset(root, refine);
+    const TemporaryFolder folder;
+    for (const auto& [name, bytes] : files) write_bytes(folder.file(name), bytes);
+    Nodes out;
+    const Bytes bytes = files["tileset.json"];
+    const auto tree = open_levels(bytes, folder.path().string(), {});
+    REQUIRE(tree);
+    if (!tree->read) return out;
+    CHECK(tree->file.format == SplatFormat::tileset);
+    CHECK(tree->file.axes == kAxes3dTiles);
+    Xs leaves;
+    std::vector<bool> is_leaf(tree->nodes.size(), true);
+    for (const LevelTree::Node& node : tree->nodes) {
+      out.levels.push_back(node.level);
+      out.parents.push_back(node.parent);
+      out.errors.push_back(node.error);
+      if (node.parent != LevelTree::kNoParent) is_leaf[node.parent] = false;
+    }
+    std::uint64_t stored = tree->file.bytes;
+    REQUIRE(tree->read([&](std::uint32_t node, const SplatFile& piece) {
+      CHECK(node == out.xs.size());
+      CHECK(piece.cloud.size() == tree->nodes[node].n);
+      out.xs.push_back(piece.cloud.mean[0]);
+      stored += piece.bytes;
+      if (is_leaf[node]) leaves.push_back(piece.cloud.mean[0]);
+      return Status();
+    }));
+    CHECK(leaves == xs_of(read_files(files)));
+    CHECK(stored <= read_files(files)->bytes + files["a.glb"].size() * 2);
+    return out;
+  };
+  constexpr std::uint32_t kNone = LevelTree::kNoParent;
+  json root = tile("a.glb", {branch, tile("e.glb")});
+  root["geometricError"] = 64;
+  root["transform"] = {2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1};
+  root["children"][0]["geometricError"] = 32;
+  const Nodes replaced = nodes_of(root, "REPLACE");
+  CHECK(replaced.levels == std::vector<std::uint32_t>{2, 1, 0, 0, 0});
+  CHECK(replaced.parents == std::vector<std::uint32_t>{kNone, 0, 1, 1, 0});
+  CHECK(replaced.errors == std::vector<float>{8, 4, 0, 0, 0});
+  CHECK(replaced.xs == Xs{2, 4, 6, 8, 10});
+  // One that does not fall is none.
+  root["children"][0]["geometricError"] = 64;
+  CHECK(nodes_of(root, "REPLACE").errors == std::vector<float>{0, 8, 0, 0, 0});
+  root["children"][0]["geometricError"] = -1;
+  CHECK(nodes_of(root, "REPLACE").errors == std::vector<float>{8, 0, 0, 0, 0});
+  root.erase("transform");
+  // What is added to a node is beside a repeat of it.
+  const Nodes added = nodes_of(root, "ADD");
+  CHECK(added.levels == std::vector<std::uint32_t>{2, 0, 1, 0, 0, 0, 0});
+  CHECK(added.parents == std::vector<std::uint32_t>{kNone, 0, 0, 2, 2, 2, 0});
+  CHECK(added.xs == Xs{1, 1, 2, 2, 3, 4, 5});
+  root["children"][0]["refine"] = "REPLACE";
+  CHECK(nodes_of(root, "ADD").xs == Xs{1, 1, 2, 3, 4, 5});
+  // A tile that something without splats replaces is not in the scene.
+  const Nodes lost = nodes_of(tile("", {tile("a.glb", {tile("mesh.glb")}), tile("b.glb", {tile("c.glb")})}), "REPLACE");
+  CHECK(lost.xs == Xs{1, 2, 3});
+  CHECK(nodes_of(tile("", {tile("a.glb"), tile("b.glb")}), "ADD").xs.empty());
 }
 
 TEST_CASE("tilesets that are not read are refused with what is wrong") {
