@@ -1,4 +1,4 @@
-// tileset.cpp - reads explicit tilesets of 3D Tiles (github.com/CesiumGS/3d-tiles, specification 1.1).
+// tileset.cpp - reads tilesets of 3D Tiles (github.com/CesiumGS/3d-tiles, specification 1.1).
 //
 // tileset.json has a tree of tiles. A tile may have contents, named by URIs relative to its tileset, and children; by
 // "refine" these replace it or add to it. A content is a glTF, whose y axis is up and which is turned so that z is, or
@@ -23,6 +23,7 @@
 
 #include "gltf_document.hpp"
 #include "gltf_splats.hpp"
+#include "implicit_tiling.hpp"
 #include "json_member.hpp"
 #include "matrix_similarity.hpp"
 #include "pieces.hpp"
@@ -36,7 +37,8 @@ namespace {
 
 using nlohmann::json;
 
-constexpr std::uint64_t kMaxJsonBytes = std::uint64_t{1} << 25;  // 300 bytes a tile; parsed many times as large
+constexpr std::uint64_t kMaxJsonBytes = std::uint64_t{1} << 25;    // 300 bytes a tile; parsed many times as large
+constexpr std::uint64_t kMaxStreamBytes = std::uint64_t{1} << 28;  // of subtrees, which may share their buffers
 constexpr std::size_t kMaxTiles = std::size_t{1} << 20;
 constexpr std::array kKnownExtensions{"3DTILES_content_gltf", "3DTILES_metadata", "3DTILES_bounding_volume_S2",
                                       "3DTILES_bounding_volume_cylinder"};
@@ -103,7 +105,8 @@ class Tree {
 
   Status add(std::span<const std::byte> text, const std::string& base, std::size_t parent) {
     out_.bytes += text.size();
-    if (out_.bytes > kMaxJsonBytes) return bad("tilesets of more than 32 MiB", Errc::limit_exceeded);
+    json_bytes_ += text.size();
+    if (json_bytes_ > kMaxJsonBytes) return bad("tilesets and subtrees of more than 32 MiB", Errc::limit_exceeded);
     const json& root = documents_.emplace_back(json::parse(text_of(text), nullptr, false));
     if (!root.is_object()) return bad("the tileset is not a JSON object");
     const json* asset = json_member(root, "asset");
@@ -128,8 +131,6 @@ class Tree {
     std::vector<Tile>& tiles = out_.tiles;
     if (pending.tile == nullptr || !stated.is_object()) return bad("a tile is missing or no JSON object");
     if (tiles.size() == kMaxTiles) return bad("more than a million tiles", Errc::limit_exceeded);
-    if (json_member(stated, "implicitTiling") != nullptr)
-      return bad("implicit tiling is not read: make the tileset explicit", Errc::unsupported_feature);
     Tile tile;
     tile.parent = pending.parent;
     if (!pending.is_root) {
@@ -152,6 +153,8 @@ class Tree {
       tile.error = error->get<double>() * tile.similarity.scale;
     const std::size_t index = tiles.size();
     tiles.push_back(std::move(tile));
+    if (const json* implicit = json_member(stated, "implicitTiling"))
+      return add_implicit(stated, *implicit, pending.base, index);
     if (Status s = add_contents(stated, pending.base, index); !s) return s;
     if (const json* children = json_member(stated, "children")) {
       if (!children->is_array()) return bad("children of a tile is not an array");
@@ -176,35 +179,157 @@ class Tree {
     return *own;
   }
 
-  Status add_contents(const json& stated, const std::string& base, std::size_t index) {
-    if (const json* content = json_member(stated, "content")) {
-      if (Status s = add_content(*content, base, index); !s) return s;
-    }
-    const json* contents = json_member(stated, "contents");
-    if (contents != nullptr && !contents->is_array()) return bad("contents of a tile is not an array");
-    for (std::size_t i = 0; contents != nullptr && i < contents->size(); ++i) {
-      if (Status s = add_content((*contents)[i], base, index); !s) return s;
+  // The tiles of an implicit tiling, of which `root` is the first.
+  Status add_implicit(const json& stated, const json& implicit, const std::string& base, std::size_t root) {
+    const auto tiling = read_implicit_tiling(implicit);
+    if (!tiling) return tl::unexpected(tiling.error());
+    if (json_member(stated, "children") != nullptr) return bad("a tile has children beside its implicit tiling");
+    const auto uris = content_uris(stated);
+    if (!uris) return tl::unexpected(uris.error());
+    std::vector<ImplicitTile> subtrees{{TilePlace(), root, 0}};
+    while (!subtrees.empty()) {
+      const ImplicitTile next = subtrees.back();
+      subtrees.pop_back();
+      if (Status s = add_subtree(*tiling, *uris, base, next, subtrees); !s) return s;
     }
     return {};
   }
 
-  Status add_content(const json& content, const std::string& base, std::size_t index) {
+  struct ImplicitTile {
+    TilePlace place;
+    std::size_t index = 0;
+    std::uint64_t morton = 0;  // in its level of the subtree
+  };
+  // Level after level. Child subtrees, whose roots become tiles, go to `subtrees`, the last one first.
+  Status add_subtree(const ImplicitTiling& tiling, const std::vector<std::string>& uris, const std::string& base,
+                     const ImplicitTile& root, std::vector<ImplicitTile>& subtrees) {
+    const auto name = name_of(base, root.place.uri(tiling.subtrees));
+    if (!name) return tl::unexpected(name.error());
+    if (!named_.insert(*name).second)
+      return bad("a subtree is named twice: its template lacks {level}, {x}, {y} or {z}", Errc::unsupported_feature);
+    std::deque<MappedFile> files;
+    const auto open = [&](const std::string& path) -> Result<std::span<const std::byte>> {
+      auto file = MappedFile::open(folder_ + "/" + path);
+      if (!file) return tl::unexpected(file.error());
+      return files.emplace_back(std::move(*file)).bytes();
+    };
+    const auto bytes = open(*name);
+    if (!bytes) return tl::unexpected(bytes.error());
+    out_.bytes += bytes->size();
+    const auto fetch = [&](const std::string& uri) -> Result<std::span<const std::byte>> {
+      const auto path = name_of(folder_of(*name), uri);
+      if (!path) return tl::unexpected(path.error());
+      const auto buffer = open(*path);
+      if (buffer && buffers_.insert(*path).second) out_.bytes += buffer->size();
+      return buffer;
+    };
+    const auto subtree = Subtree::open(*bytes, tiling, uris.size(), kMaxJsonBytes - json_bytes_, fetch);
+    if (!subtree) return tl::unexpected(subtree.error());
+    json_bytes_ += subtree->json_bytes;
+    stream_bytes_ += subtree->stream_bytes;
+    if (stream_bytes_ > kMaxStreamBytes) return bad("subtrees of more than 256 MiB of bits", Errc::limit_exceeded);
+    if (!subtree->tiles.has(0)) return make_error(Errc::bad_value, subtree->tiles.offset, "a subtree without tiles");
+
+    std::uint64_t n_tiles = 0, n_children = 0, first = 0, n_level = 1;  // first: of a level's bits
+    std::vector<std::uint64_t> n_contents(subtree->contents.size());
+    std::vector<ImplicitTile> level{{root.place, root.index, 0}};
+    for (std::uint64_t depth = 0; !level.empty(); ++depth) {
+      std::vector<ImplicitTile> below;
+      const std::uint64_t next = first + n_level;
+      const bool is_last = depth + 1 == tiling.subtree_levels;
+      for (const ImplicitTile& tile : level) {
+        ++n_tiles;
+        for (std::size_t k = 0; k < subtree->contents.size(); ++k) {
+          if (!subtree->contents[k].has(first + tile.morton)) continue;
+          ++n_contents[k];
+          if (Status s = add_content(tile.place.uri(uris[k]), base, tile.index); !s) return s;
+        }
+        for (std::uint64_t k = 0; k < tiling.n_children && tile.place.level + 1 < tiling.n_levels; ++k) {
+          const std::uint64_t morton = tile.morton * tiling.n_children + k;
+          if (!(is_last ? subtree->children.has(morton) : subtree->tiles.has(next + morton))) continue;
+          if (out_.tiles.size() == kMaxTiles) return bad("more than a million tiles", Errc::limit_exceeded);
+          const Tile& parent = out_.tiles[tile.index];
+          Tile child;
+          child.parent = tile.index;
+          child.similarity = parent.similarity;
+          child.adds = parent.adds;
+          child.error = subtree->has_metadata ? 0 : parent.error / 2;
+          below.push_back({tile.place.child(k), out_.tiles.size(), morton});
+          out_.tiles.push_back(std::move(child));
+        }
+      }
+      if (is_last) {
+        n_children = below.size();
+        subtrees.insert(subtrees.end(), below.rbegin(), below.rend());
+        break;
+      }
+      level = std::move(below);
+      first = next;
+      n_level *= tiling.n_children;
+    }
+    Status s = subtree->tiles.check_count(n_tiles);
+    for (std::size_t k = 0; s && k < n_contents.size(); ++k) s = subtree->contents[k].check_count(n_contents[k]);
+    if (s) s = subtree->children.check_count(n_children);
+    for (const MappedFile& file : files)
+      if (const Status unchanged = file.check_unchanged(); !unchanged) return unchanged;
+    return s;
+  }
+
+  static Result<std::string> uri_of(const json& content) {
     const json* uri = json_member(content, "uri");
     if (uri == nullptr) uri = json_member(content, "url");  // of drafts before 1.0, as many files have
     if (uri == nullptr || !uri->is_string()) return bad("content of a tile names no file (uri)");
-    const auto path = file_within_folder(uri->get_ref<const std::string&>());
+    return uri->get<std::string>();
+  }
+
+  static Result<std::vector<std::string>> content_uris(const json& stated) {
+    std::vector<const json*> contents;
+    if (const json* content = json_member(stated, "content")) contents.push_back(content);
+    if (const json* several = json_member(stated, "contents")) {
+      if (!several->is_array()) return bad("contents of a tile is not an array");
+      for (const json& content : *several) contents.push_back(&content);
+    }
+    std::vector<std::string> uris;
+    for (const json* content : contents) {
+      auto uri = uri_of(*content);
+      if (!uri) return tl::unexpected(uri.error());
+      uris.push_back(std::move(*uri));
+    }
+    return uris;
+  }
+
+  Status add_contents(const json& stated, const std::string& base, std::size_t index) {
+    const auto uris = content_uris(stated);
+    if (!uris) return tl::unexpected(uris.error());
+    for (const std::string& uri : *uris) {
+      if (Status s = add_content(uri, base, index); !s) return s;
+    }
+    return {};
+  }
+
+  static std::string folder_of(const std::string& name) {
+    const std::size_t slash = name.rfind('/');
+    return slash == name.npos ? "" : name.substr(0, slash + 1);
+  }
+
+  // The path of a URI of a file in the folder `base`.
+  static Result<std::string> name_of(const std::string& base, const std::string& uri) {
+    const auto path = file_within_folder(uri);
     if (!path)
-      return bad("content of a tile is outside the tileset's folder: copy it there", Errc::unsupported_feature);
-    const std::string name = base + *path;
+      return bad("a file of a tile is not below the folder of what names it: copy it there", Errc::unsupported_feature);
+    return base + *path;
+  }
+
+  Status add_content(const std::string& uri, const std::string& base, std::size_t index) {
+    const auto found = name_of(base, uri);
+    if (!found) return tl::unexpected(found.error());
+    const std::string& name = *found;
     // Once, so that what is read is within the scene's size, and tilesets do not name each other.
     if (!named_.insert(name).second)
       return bad("a content or a tileset is named twice: give each tile a file of its own", Errc::unsupported_feature);
     const auto file = MappedFile::open(folder_ + "/" + name);
     if (!file) return tl::unexpected(file.error());
-    if (is_tileset(file->bytes())) {
-      const std::size_t slash = name.rfind('/');
-      return add(file->bytes(), slash == name.npos ? "" : name.substr(0, slash + 1), index);
-    }
+    if (is_tileset(file->bytes())) return add(file->bytes(), folder_of(name), index);
     if (is_other_content(file->bytes())) {
       ++out_.n_other;
     } else {
@@ -217,7 +342,8 @@ class Tree {
   Tileset out_;
   std::deque<json> documents_;
   std::vector<Pending> pending_;
-  std::set<std::string> named_;
+  std::set<std::string> named_, buffers_;
+  std::uint64_t json_bytes_ = 0, stream_bytes_ = 0;
 };
 
 // A viewer draws a tile whose geometricError covers at most so many pixels, unless told otherwise (CesiumJS,

@@ -78,6 +78,53 @@ std::vector<float> xs_of(const Result<SplatFile>& file) {
 }
 using Xs = std::vector<float>;
 
+// A .subtree.
+Bytes subtree(const std::string& stated, const std::string& buffer = "") {
+  Bytes bytes = bytes_of("subt");
+  const auto append = [&](std::uint64_t value, int n) {
+    for (int i = 0; i < n; ++i) bytes.push_back(static_cast<std::byte>(value >> (8 * i) & 255));
+  };
+  append(1, 4);
+  append(stated.size(), 8);
+  append(buffer.size(), 8);
+  for (const std::string* part : {&stated, &buffer}) {
+    const Bytes more = bytes_of(*part);
+    bytes.insert(bytes.end(), more.begin(), more.end());
+  }
+  return bytes;
+}
+
+// Of four files: the first two levels, whose bits are in its buffer: the root, a tile without content at 0, 0 and one
+// at 1, 1; below the latter a subtree whose bits are in a file.
+const std::string kFirstSubtree =
+    R"({"buffers":[{"byteLength":8}],"bufferViews":[{"buffer":0,"byteOffset":0,"byteLength":1},)"
+    R"({"buffer":0,"byteOffset":2,"byteLength":1},{"buffer":0,"byteOffset":4,"byteLength":2}],)"
+    R"("tileAvailability":{"bitstream":0},"contentAvailability":[{"bitstream":1}],)"
+    R"("childSubtreeAvailability":{"bitstream":2}})";
+const std::string kFirstBits("\x13\0\x11\0\0\x20\0\0", 8);
+const std::string kSecondSubtree =
+    R"({"buffers":[{"uri":"bits%2ebin","byteLength":1}],"bufferViews":[{"buffer":0,"byteOffset":0,"byteLength":1}],)"
+    R"("tileAvailability":{"bitstream":0},"contentAvailability":[{"constant":1}],)"
+    R"("childSubtreeAvailability":{"constant":0}})";
+json implicit_root(const char* scheme = "QUADTREE") {
+  json root = tile("c/{level}.{x}.{y}.glb");
+  root["geometricError"] = 64;
+  root["implicitTiling"] = {{"subdivisionScheme", scheme},
+                            {"availableLevels", 3},
+                            {"subtreeLevels", 2},
+                            {"subtrees", {{"uri", "s/{level}/{x}/{y}.subtree"}}}};
+  return root;
+}
+Files implicit_files() {
+  return {{"tileset.json", tileset(implicit_root())},
+          {"s/0/0/0.subtree", subtree(kFirstSubtree, kFirstBits)},
+          {"s/2/3/2.subtree", bytes_of(kSecondSubtree)},
+          {"s/2/3/bits.bin", bytes_of("\x01")},
+          {"c/0.0.0.glb", glb_at(1)},
+          {"c/1.1.1.glb", glb_at(2)},
+          {"c/2.3.2.glb", glb_at(3)}};
+}
+
 // Boxes hold those of children, and errors fall.
 std::size_t check_tree(const json& node, double error) {
   CHECK(node["geometricError"] < error);
@@ -391,7 +438,6 @@ TEST_CASE("tilesets that are not read are refused with what is wrong") {
   CHECK(refused(with("/asset/gltfUpAxis", "Z")) == Errc::unsupported_feature);
   CHECK(refused(with("/asset/extras/rgs/axes", "up,up,up")) == Errc::bad_value);
   CHECK(refused(with("/extensionsRequired", {"3DTILES_unknown"})) == Errc::unsupported_feature);
-  CHECK(refused(with("/root/implicitTiling", json::object())) == Errc::unsupported_feature);
   CHECK(refused(with("/root/refine", "MIX")) == Errc::bad_syntax);
   CHECK(refused(with("/root/children", 1)) == Errc::bad_syntax);
   CHECK(refused(with("/root/children", {1})) == Errc::bad_syntax);
@@ -418,6 +464,132 @@ TEST_CASE("tilesets that are not read are refused with what is wrong") {
   CHECK(std::string(read_splats(archive).error().what).find(".3tz") != std::string::npos);
 }
 
+TEST_CASE("an implicit tileset is read as the tiles that its subtrees have") {
+  Files files = implicit_files();
+  CHECK(xs_of(read_files(files)) == Xs{3});
+  CHECK(read_files(files)->n_levels == 3);
+  CHECK(xs_of(read_files(files, level(1))) == Xs{2});
+  std::uint64_t bytes = 0;
+  for (const auto& [name, content] : files) bytes += name.ends_with(".glb") ? 0 : content.size();
+  CHECK(read_files(files)->bytes == bytes + files["c/2.3.2.glb"].size());
+  // Below another tileset's tile, turned into nodes: errors are halved from level to level.
+  json root = implicit_root();
+  root["transform"] = {2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1};
+  files["in.json"] = tileset(root);
+  files["tileset.json"] = tileset(tile("in.json"));
+  CHECK(xs_of(read_files(files)) == Xs{6});
+  const TemporaryFolder folder;
+  for (const auto& [name, content] : files) {
+    std::filesystem::create_directories(std::filesystem::path(folder.file(name)).parent_path());
+    write_bytes(folder.file(name), content);
+  }
+  const auto tree = open_levels(files["tileset.json"], folder.path().string(), {});
+  REQUIRE(tree);
+  REQUIRE(tree->nodes.size() == 3);
+  for (std::uint32_t i = 0; i < 3; ++i) CHECK(tree->nodes[i].level == 2 - i);
+  CHECK(tree->nodes[0].error == 8);
+  CHECK(tree->nodes[1].error == 4);
+  // Metadata may state other errors.
+  files["s/0/0/0.subtree"] =
+      subtree(kFirstSubtree.substr(0, kFirstSubtree.size() - 1) + R"(,"tileMetadata":0})", kFirstBits);
+  write_bytes(folder.file("s/0/0/0.subtree"), files["s/0/0/0.subtree"]);
+  CHECK(open_levels(files["tileset.json"], folder.path().string(), {})->nodes[1].error == 0);
+  // Several contents of a tile, and an octree: z is the highest bit.
+  root = implicit_root("OCTREE");
+  root.erase("content");
+  root["contents"] = {{{"uri", "a{level}{x}{y}{z}"}}, {{"uri", "b{level}{x}{y}{z}"}}};
+  root["implicitTiling"]["availableLevels"] = 2;
+  root["implicitTiling"]["subtrees"]["uri"] = "{level}{x}{y}{z}";
+  files = {{"tileset.json", tileset(root, "ADD")},
+           {"0000", subtree(R"({"buffers":[{"byteLength":6}],"bufferViews":[)"
+                            R"({"buffer":0,"byteLength":2},{"buffer":0,"byteOffset":2,"byteLength":2},)"
+                            R"({"buffer":0,"byteOffset":4,"byteLength":2}],"tileAvailability":{"bitstream":0},)"
+                            R"("contentAvailability":[{"bitstream":1},{"bitstream":2}],)"
+                            R"("childSubtreeAvailability":{"constant":1}})",
+                            std::string("\x29\0\x21\0\x09\0", 6))},
+           {"a0000", glb_at(1)},
+           {"b0000", glb_at(2)},
+           {"b1010", glb_at(3)},
+           {"a1001", glb_at(4)}};
+  CHECK(xs_of(read_files(files)) == Xs{1, 2, 3, 4});
+}
+
+TEST_CASE("subtrees that are not read are refused at their byte") {
+  const auto refused = [&](const Files& changed) {
+    Files files = implicit_files();
+    for (const auto& [name, bytes] : changed) files[name] = bytes;
+    const auto file = read_files(files);
+    REQUIRE_FALSE(file);
+    CHECK(file.error().what[0] != '\0');
+    return std::pair(file.error().code, file.error().offset);
+  };
+  using Refusal = std::pair<Errc, std::uint64_t>;
+  const std::string first = "s/0/0/0.subtree", second = "s/2/3/2.subtree";
+  const Bytes good = subtree(kFirstSubtree, kFirstBits);
+  const auto edited = [&](std::size_t at, unsigned value) {
+    Bytes bytes = good;
+    bytes[at] = static_cast<std::byte>(value);
+    return Files{{first, bytes}};
+  };
+  const auto with = [](std::string text, const std::string& from, const std::string& to) {
+    REQUIRE(text.find(from) != text.npos);
+    return text.replace(text.find(from), from.size(), to);
+  };
+  const auto restated = [&](const std::string& from, const std::string& to) {
+    return Files{{first, subtree(with(kFirstSubtree, from, to), kFirstBits)}};
+  };
+  const std::uint64_t bits = 24 + kFirstSubtree.size();
+  CHECK(refused({{first, Bytes(good.begin(), good.begin() + 20)}}) == Refusal{Errc::truncated, 20});
+  CHECK(refused(edited(4, 2)) == Refusal{Errc::unsupported_version, 4});
+  CHECK(refused(edited(15, 255)) == Refusal{Errc::truncated, 8});
+  CHECK(refused(edited(23, 255)) == Refusal{Errc::truncated, 16});
+  CHECK(refused(edited(16, 7)) == Refusal{Errc::trailing_bytes, good.size() - 1});
+  CHECK(refused(edited(24, '[')) == Refusal{Errc::bad_syntax, 24});
+  CHECK(refused(edited(bits, 0x12)) == Refusal{Errc::bad_value, bits});                   // no root
+  CHECK(refused(edited(bits, 0x33)) == Refusal{Errc::bad_value, bits});                   // a bit beyond the tiles
+  CHECK(refused(edited(bits + 2, 0x15)) == Refusal{Errc::bad_value, bits + 2});           // content without a tile
+  CHECK(refused(edited(bits + 4, 0x10)) == Refusal{Errc::bad_value, bits + 4});           // a subtree without a parent
+  CHECK(refused({{"s/2/3/bits.bin", bytes_of("\x03")}}) == Refusal{Errc::bad_value, 0});  // a fourth level
+  CHECK(refused({{"s/2/3/bits.bin", {}}}).first == Errc::truncated);
+  CHECK(refused({{second, bytes_of(with(kSecondSubtree, "bits%2ebin", "../bits.bin"))}}).first ==
+        Errc::unsupported_feature);
+  CHECK(refused({{second, bytes_of(with(kSecondSubtree, R"("uri":"bits%2ebin",)", ""))}}) ==
+        Refusal{Errc::bad_syntax, 0});
+  CHECK(refused(restated(R"("byteLength":8)", R"("byteLength":9)")) == Refusal{Errc::truncated, bits + 1 + 8 - 1});
+  CHECK(refused(restated(R"("byteOffset":4,"byteLength":2)", R"("byteOffset":7,"byteLength":2)")) ==
+        Refusal{Errc::bad_value, 24});
+  CHECK(refused(restated(R"("byteOffset":4,"byteLength":2)", R"("byteOffset":4,"byteLength":1)")) ==
+        Refusal{Errc::truncated, bits + 4});
+  for (const char* availability : {R"({"constant":2})", R"({"bitstream":3})", R"({"bitstream":-1})", "{}", "0"})
+    CHECK(refused(restated(R"({"bitstream":0})", availability)) == Refusal{Errc::bad_syntax, 24});
+  CHECK(refused(restated(R"([{"bitstream":1}])", R"([])")) == Refusal{Errc::bad_syntax, 24});
+  CHECK(refused(restated(R"([{"bitstream":1}])", R"([{"constant":1}])")).first == Errc::open_failed);
+  CHECK(refused({{second, bytes_of("{}")}}) == Refusal{Errc::bad_syntax, 0});
+  const auto with_root = [&](const char* pointer, const json& value) {
+    json root = implicit_root();
+    root[json::json_pointer(pointer)] = value;
+    return refused({{"tileset.json", tileset(root)}}).first;
+  };
+  CHECK(with_root("/children", json::array()) == Errc::bad_syntax);
+  CHECK(with_root("/implicitTiling", 1) == Errc::bad_syntax);
+  CHECK(with_root("/implicitTiling/subdivisionScheme", "BINARY") == Errc::bad_syntax);
+  CHECK(with_root("/implicitTiling/availableLevels", 0) == Errc::bad_syntax);
+  CHECK(with_root("/implicitTiling/availableLevels", 61) == Errc::limit_exceeded);
+  CHECK(with_root("/implicitTiling/subtreeLevels", 25) == Errc::limit_exceeded);
+  CHECK(with_root("/implicitTiling/subtrees", 1) == Errc::bad_syntax);
+  CHECK(with_root("/implicitTiling/subtrees/uri", "s/0/0/0.subtree") == Errc::unsupported_feature);
+  CHECK(with_root("/content/uri", "c/0.0.0.glb") == Errc::unsupported_feature);
+  // All of 2^48 tiles, or a subtree below each, without a bit for any of them.
+  const std::string all = R"({"tileAvailability":{"constant":1},"childSubtreeAvailability":{"constant":1},)"
+                          R"("contentAvailability":[{"constant":0}]})";
+  json root = implicit_root();
+  root["implicitTiling"]["availableLevels"] = 60;
+  root["implicitTiling"]["subtreeLevels"] = 24;
+  CHECK(refused({{"tileset.json", tileset(root)}, {first, bytes_of(all)}}).first == Errc::limit_exceeded);
+  root["implicitTiling"]["subtreeLevels"] = 1;
+  CHECK(refused({{"tileset.json", tileset(root)}, {first, bytes_of(all)}}).first == Errc::open_failed);
+}
+
 TEST_CASE("limits hold for all tiles of a tileset together") {
   const Files files{
       {"a.glb", glb_at(1)}, {"b.glb", glb_at(2)}, {"tileset.json", tileset(tile("", {tile("a.glb"), tile("b.glb")}))}};
@@ -436,6 +608,32 @@ TEST_CASE("limits hold for all tiles of a tileset together") {
   for (int i = 0; i < 100000; ++i) closing += "}]";
   text.insert(text.find("a.glb\"}") + 7, closing);
   CHECK(read_files({{"a.glb", glb_at(1)}, {"tileset.json", bytes_of(text)}}));
+}
+
+TEST_CASE("damaged subtrees are refused or read, but never crash") {
+  const TemporaryFolder folder;
+  for (const auto& [name, bytes] : implicit_files()) {
+    std::filesystem::create_directories(std::filesystem::path(folder.file(name)).parent_path());
+    write_bytes(folder.file(name), bytes);
+  }
+  const std::string path = folder.file("s/0/0/0.subtree");
+  const auto check = [&](const Bytes& bytes) {
+    write_bytes(path, bytes);
+    const auto file = read_splats(folder.file("tileset.json"));
+    CHECK((file ? file->cloud.view().consistent() : file.error().what[0] != '\0'));
+    CHECK((file || exit_code(file.error().code) >= 3));
+    return file.has_value();
+  };
+  const Bytes good = subtree(kFirstSubtree, kFirstBits);
+  for (std::size_t n = 0; n < good.size(); ++n)
+    CHECK_FALSE(check(Bytes(good.begin(), good.begin() + static_cast<std::ptrdiff_t>(n))));
+  for (std::size_t i = 0; i < good.size(); ++i) {
+    for (const unsigned flip : {1U, 0x20U, 0x80U}) {
+      Bytes bytes = good;
+      bytes[i] ^= static_cast<std::byte>(flip);
+      check(bytes);
+    }
+  }
 }
 
 TEST_CASE("damaged tilesets are refused or read, but never crash") {
