@@ -40,6 +40,7 @@ using nlohmann::json;
 constexpr std::uint64_t kMaxJsonBytes = std::uint64_t{1} << 25;    // 300 bytes a tile; parsed many times as large
 constexpr std::uint64_t kMaxStreamBytes = std::uint64_t{1} << 28;  // of subtrees, which may share their buffers
 constexpr std::size_t kMaxTiles = std::size_t{1} << 20;
+constexpr double kLeastScale = 1e-30, kMostScale = 1e30;  // whose logarithm and inverse FP32 holds with room
 constexpr std::array kKnownExtensions{"3DTILES_content_gltf", "3DTILES_metadata", "3DTILES_bounding_volume_S2",
                                       "3DTILES_bounding_volume_cylinder"};
 constexpr std::array kOtherContents{"b3dm", "i3dm", "pnts", "cmpt", "vctr", "geom"};
@@ -142,7 +143,7 @@ class Tree {
       if (!own) return tl::unexpected(own.error());
       tile.similarity = compose(tile.similarity, *own);
       const auto& [rotation, scale, move] = tile.similarity;
-      if (!(scale > 0) || !std::isfinite(scale) || !std::isfinite(move.x + move.y + move.z))
+      if (!(scale >= kLeastScale && scale <= kMostScale) || !std::isfinite(move.x + move.y + move.z))
         return bad("transforms of nested tiles overflow or vanish", Errc::bad_value);
     }
     if (const json* refine = json_member(stated, "refine")) {
@@ -419,7 +420,13 @@ Result<std::optional<SplatFile>> read_content(const std::string& path, const Rea
   if (!splats) return tl::unexpected(splats.error());
   convert_axes(splats->cloud, kAxesGltf, kAxes3dTiles);
   convert_axes(splats->origin, kAxesGltf, kAxes3dTiles);
+  const auto n_infinite = [&] {
+    return std::ranges::count_if(splats->cloud.mean, [](float x) { return !std::isfinite(x); });
+  };
+  const auto before = n_infinite();
   transform_splats(splats->cloud, splats->origin, similarity);
+  if (n_infinite() != before || std::ranges::any_of(splats->origin, [](double x) { return std::fabs(x) > kMaxOrigin; }))
+    return bad("a transform moves Gaussians of a tile beyond FP32, or their origin beyond 1e12", Errc::bad_value);
   splats->position_rounding *= similarity.scale;
   splats->metres_per_unit = static_cast<float>(static_cast<double>(splats->metres_per_unit) / similarity.scale);
   return std::optional(std::move(*splats));
@@ -478,7 +485,11 @@ class Contents {
     file.bytes += content.bytes;
     n_ += content.cloud.size();
     file.unused.insert(file.unused.end(), content.unused.begin(), content.unused.end());
-    if (std::exchange(is_stated_, true)) return {};
+    if (std::exchange(is_stated_, true)) {
+      if (content.colour_space == colour_space_) return {};
+      return bad("contents of the tileset differ in colour space: convert each by itself", Errc::unsupported_feature);
+    }
+    colour_space_ = content.colour_space;
     stated_.aa_mode = content.aa_mode;
     stated_.low_pass_px2 = content.low_pass_px2;
     stated_.colour_space = content.colour_space;
@@ -493,6 +504,7 @@ class Contents {
   const ReadOptions& options_;
   StatedScene stated_{.axes = kAxes3dTiles};
   bool is_stated_ = false;
+  ColourSpace colour_space_ = ColourSpace::srgb_display;  // of the first content
   std::uint64_t n_ = 0, n_other_ = 0;
 };
 

@@ -458,6 +458,26 @@ TEST_CASE("tilesets that are not read are refused with what is wrong") {
     outer["transform"] = scales;
     CHECK(refused(json::parse(text_of(tileset(outer)))) == Errc::bad_value);
   }
+  // Some overflow by themselves, others with what they move.
+  const auto scaled = [](double x) { return json{x, 0, 0, 0, 0, x, 0, 0, 0, 0, x, 0, 0, 0, 0, 1}; };
+  CHECK(refused(with("/root/transform", scaled(1e39))) == Errc::bad_value);
+  CHECK(refused(with("/root/transform", scaled(1e-39))) == Errc::bad_value);
+  SplatCloud wide = ordinary_cloud(1, 1, 7);
+  wide.mean = {1e10F, 0, 0};
+  Files far{{"b.glb", encode_splats(wide.view(), SplatFormat::glb, {.axes = kAxesGltf}).value()}};
+  json large = with("/root/content/uri", "b.glb");
+  large["root"]["transform"] = scaled(1e29);
+  CHECK(refused(large, far) == Errc::bad_value);
+  large["root"]["transform"] = scaled(1e20);
+  far["a.glb"] = glb, far["tileset.json"] = bytes_of(large.dump());
+  CHECK(read_files(far));
+  // Colours of two kinds.
+  const Bytes linear = encode_splats(ordinary_cloud(1, 0, 1).view(), SplatFormat::glb,
+                                     {.colour_space = ColourSpace::linear_display, .axes = kAxesGltf})
+                           .value();
+  CHECK(refused(with("/root/contents", {{{"uri", "b.glb"}}}), {{"b.glb", linear}}) == Errc::unsupported_feature);
+  CHECK(read_files({{"b.glb", linear}, {"tileset.json", bytes_of(with("/root/content/uri", "b.glb").dump())}})
+            ->colour_space == ColourSpace::linear_display);
   // From memory there are no contents; an archive is named.
   CHECK(read_splats(tileset(tile("a.glb"))).error().code == Errc::unsupported_feature);
   const Bytes archive = zipped({{"tileset.json", tileset(tile("a.glb"))}, {"@3dtilesIndex1@", bytes_of("x")}});
