@@ -158,8 +158,21 @@ TEST_CASE("levels become tiles that replace their parents, and come back level b
   Files files, again;
   const auto report = write_tileset(*file, {.threads = 1}, 0, "tiles", into(files));
   REQUIRE(report);
-  REQUIRE(write_tileset(*file, {.threads = 3}, 0, "tiles", into(again)));
+  std::vector<std::string> order;
+  const auto put = [&](const std::string& name, std::span<const std::byte> bytes) {
+    order.push_back(name);
+    return into(again)(name, bytes);
+  };
+  REQUIRE(write_tileset(*file, {.threads = 3}, 0, "tiles", put));
   CHECK(files == again);
+  CHECK(order.front() == "tiles/2_0.glb");
+  CHECK(order[1] == "tiles/1_0.glb");
+  CHECK(order.back() == "tileset.json");
+  const auto refuse = [](const std::string& name, std::span<const std::byte>) -> Status {
+    if (name == "tiles/1_0.glb") return make_error(Errc::write_failed, 1, "full");
+    return {};
+  };
+  CHECK(write_tileset(*file, {.threads = 3}, 0, "tiles", refuse).error().code == Errc::write_failed);
   CHECK(report->n_levels == 3);  // a tile holds at most 32 Ki Gaussians, here those of four pages
   CHECK(report->n_regions + 1 == files.size());
   CHECK(report->position_rounding <= 0x1p-13);
