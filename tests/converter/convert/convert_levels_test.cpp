@@ -585,7 +585,8 @@ TEST_CASE("the SOGs of a streamed SOG lie beside its file, where a link leads") 
 TEST_CASE("tilesets of one folder have tiles of their own") {
   const TemporaryFolder folder;
   std::vector<std::string> tilesets;
-  for (const char* name : {"tileset.json", "a.tileset.json", "b %:.tileset.json", "c.json"}) {
+  for (const char* name :
+       {"tileset.json", "a.tileset.json", "b %:.tileset.json", "a.json", "tiles.json", "tiles_.json"}) {
     const std::string ply = folder.file("scene.ply");
     tilesets.push_back(folder.file(name));
     write_scene(ply, ordinary_cloud(10 * tilesets.size(), 1, 9));
@@ -593,7 +594,7 @@ TEST_CASE("tilesets of one folder have tiles of their own") {
     CAPTURE(run.err);
     REQUIRE(run.exit_code == 0);
   }
-  for (const char* tile : {"tiles/0_0.glb", "a/0_0.glb", "b %_/0_0.glb", "c/0_0.glb"})
+  for (const char* tile : {"tiles/0_0.glb", "a.tileset/0_0.glb", "b %_.tileset/0_0.glb", "a/0_0.glb"})
     CHECK(std::filesystem::exists(folder.file(tile)));
   // An input stays as it is.
   REQUIRE(rgs_convert({"--crop", "-100,-100,-100,0,100,100", tilesets[1], folder.file("d.tileset.json")}).exit_code ==
