@@ -488,7 +488,9 @@ TEST_CASE("tilesets that are not read are refused with what is wrong") {
   const Bytes linear = encode_splats(ordinary_cloud(1, 0, 1).view(), SplatFormat::glb,
                                      {.colour_space = ColourSpace::linear_display, .axes = kAxesGltf})
                            .value();
-  CHECK(refused(with("/root/contents", {{{"uri", "b.glb"}}}), {{"b.glb", linear}}) == Errc::unsupported_feature);
+  json both = good;
+  both["root"]["contents"].push_back(json::object({{"uri", "b.glb"}}));
+  CHECK(refused(both, {{"b.glb", linear}}) == Errc::unsupported_feature);
   CHECK(read_files({{"b.glb", linear}, {"tileset.json", bytes_of(with("/root/content/uri", "b.glb").dump())}})
             ->colour_space == ColourSpace::linear_display);
   // From memory there are no contents; an archive is named.
@@ -530,7 +532,8 @@ TEST_CASE("an implicit tileset is read as the tiles that its subtrees have") {
   // Several contents of a tile, and an octree: z is the highest bit.
   root = implicit_root("OCTREE");
   root.erase("content");
-  root["contents"] = {{{"uri", "a{level}{x}{y}{z}"}}, {{"uri", "b{level}{x}{y}{z}"}}};
+  for (const char* uri : {"a{level}{x}{y}{z}", "b{level}{x}{y}{z}"})
+    root["contents"].push_back(json::object({{"uri", uri}}));
   root["implicitTiling"]["availableLevels"] = 2;
   root["implicitTiling"]["subtrees"]["uri"] = "{level}{x}{y}{z}";
   files = {{"tileset.json", tileset(root, "ADD")},
