@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <functional>
@@ -86,9 +87,6 @@ Status check_count(std::uint64_t n);
 double max_rounding(const EncodeOptions& encode, bool allowed);
 /// Errors: unsupported_feature, found in micrometres.
 Status check_rounding(double position_rounding, double max_rounding);
-/// Gives pages origins of their own if means in FP32 are rounded by more than a quarter of max_rounding(), and
-/// `position_rounding` is then what these leave of it. Errors: check_rounding()'s, of Profile::archive.
-Status choose_page_origins(EncodeOptions& encode, double& position_rounding, bool allow_rounding);
 /// Adds to `notes` that positions are rounded by more than max_rounding().
 void note_rounding(ConvertSummary& summary);
 
@@ -100,12 +98,26 @@ void note_rounding(ConvertSummary& summary);
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer = {});
 
+/// Largest rounding of a coordinate to FP32, world units.
+struct MeanRounding {
+  double lost = 0;  ///< by reading
+  double rest = 0;  ///< of what Splat::mean_rest holds
+  void add(const MeanRounding& other) {
+    lost = std::max(lost, other.lost);
+    rest = std::max(rest, other.rest);
+  }
+};
+
+/// Gives pages origins of their own, but not in Profile::archive, if rests are more than a quarter of max_rounding(), and
+/// leaves that quarter of them. Returns the largest rounding then. Errors: check_rounding()'s.
+Result<double> choose_page_origins(EncodeOptions& encode, MeanRounding rounding, bool allow_rounding);
+
 struct StreamFacts {
   std::uint64_t bytes = 0;
   Origin origin = kNoOrigin;            ///< of the means
   std::function<std::uint64_t()> hash;  ///< XXH3-64 of the bytes
-  /// Largest rounding of a mean to FP32, once the stream was read, world units.
-  std::function<double()> rounding = [] { return 0.; };
+  /// Once the stream was read.
+  std::function<MeanRounding()> rounding = [] { return MeanRounding(); };
   /// Byte at which Gaussian i starts; Error::kNone if unknown.
   std::function<std::uint64_t(std::uint64_t i)> row_offset = [](std::uint64_t) { return Error::kNone; };
   /// Absent: order_leaves() and build_upper().

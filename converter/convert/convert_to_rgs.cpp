@@ -200,7 +200,9 @@ StreamFacts facts_of(const SplatSource& source, const ReadOnce& memory) {
   return {source.bytes(),
           source.origin(),
           [&source, memory] { return source.source().empty() ? source.hash() : hash_once(source.source(), memory); },
-          [&source] { return source.position_rounding(); },
+          [&source] {
+            return MeanRounding{0, source.position_rounding()};
+          },
           [&source](std::uint64_t i) { return source.row_offset(i); },
           {}};
 }
@@ -227,11 +229,11 @@ Status check_rounding(double position_rounding, double max_rounding) {
       1000, static_cast<std::uint64_t>(std::ceil(std::min(1e3 * position_rounding / max_rounding, 1e18))));
 }
 
-Status choose_page_origins(EncodeOptions& encode, double& position_rounding, bool allow_rounding) {
+Result<double> choose_page_origins(EncodeOptions& encode, MeanRounding rounding, bool allow_rounding) {
   const double most = max_rounding(encode, allow_rounding);
-  encode.page_origins = encode.profile != Profile::archive && position_rounding > most / 4;
-  if (encode.page_origins) position_rounding = most / 4;
-  return check_rounding(position_rounding, most);
+  encode.page_origins = encode.profile != Profile::archive && rounding.rest > most / 4;
+  const double left = rounding.lost + (encode.page_origins ? most / 4 : rounding.rest);
+  return check_rounding(left, most).map([left] { return left; });
 }
 
 Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const SceneScan& scan,
@@ -403,9 +405,9 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   if (scan.n_kept() == 0) {
     return nothing_for_levels();
   }
-  summary.position_rounding = facts.rounding();
-  if (const Status s = choose_page_origins(encode, summary.position_rounding, options.allow_rounding); !s)
-    return tl::unexpected(s.error());
+  const auto rounding = choose_page_origins(encode, facts.rounding(), options.allow_rounding);
+  if (!rounding) return tl::unexpected(rounding.error());
+  summary.position_rounding = *rounding;
   if (const Status s = check_archive_memory(encode, scan.n_kept(), options.memory_bytes); !s)
     return tl::unexpected(s.error());
   std::vector<float> sample;

@@ -318,10 +318,10 @@ class Cutter {
   lod::StreamedLevels& out_;
 };
 
-// The error of a region: that of its middle page. A page that half of what rgs-info allows would refute, as one of
-// floaters, gets an error of its own.
+// The error of a region: that of its middle page, if none is stated. A page that half of what rgs-info allows would
+// refute, as one of floaters, gets an error of its own.
 Status measure_pages(const lod::StreamedLevels& levels, Region& region, std::span<lod::Page> pages,
-                     std::span<const lod::Page> below, bool lossy) {
+                     std::span<const lod::Page> below, bool stated, bool lossy) {
   constexpr float kTrusted = lod::kErrorTolerance / 2;
   constexpr int kMostRounds = 16;
   const std::uint32_t level = pages.front().level;
@@ -337,12 +337,15 @@ Status measure_pages(const lod::StreamedLevels& levels, Region& region, std::spa
   };
   std::vector<float> errors;
   for (const lod::Page& page : pages) {
+    if (stated) break;
     const auto measured = measure(page);
     if (!measured) return tl::unexpected(measured.error());
     errors.push_back(*measured);
   }
-  std::ranges::nth_element(errors, errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2));
-  region.error = std::max(region.error, errors[errors.size() / 2]);
+  if (!stated) {
+    std::ranges::nth_element(errors, errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2));
+    region.error = std::max(region.error, errors[errors.size() / 2]);
+  }
   for (lod::Page& page : pages) {
     page.error = region.error;
     for (int round = 0; round < kMostRounds; ++round) {  // coarser pictures show more errors of large Gaussians
@@ -376,6 +379,7 @@ Result<KeptLevels> KeptLevels::open(LevelTree tree, const Axes& from, const Enco
       if (first) kept.tree_.file.aa_mode = piece.aa_mode;
       first = false;
       kept.tree_.file.bytes += piece.bytes;
+      kept.rounding_.add({piece.position_rounding, largest_rest(piece.cloud.mean_rest)});
       kept.sh_degree_ = std::max(kept.sh_degree_, piece.cloud.sh_degree);
       kept.n_kept_[node] = clean(piece.cloud, encode.sh_degree, encode.on_bad).size();
       for (std::uint64_t i = 0; i < piece.cloud.size() && !kept.is_leaf_[node]; ++i) {
@@ -537,9 +541,8 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
         for (const std::uint32_t node : r.nodes)
           if (stated) r.error = std::max(r.error, tree_.nodes[node].error);
         const auto of_region = std::span(pages).subspan(r.first_page, r.n_pages());
-        if (!stated) {  // also where the level below is repeated, which may be cut otherwise
-          if (Status s = measure_pages(out, r, of_region, out.pages[level - 1], lossy); !s) return s;
-        }
+        // Not stated also where the level below is repeated, which may be cut otherwise.
+        if (Status s = measure_pages(out, r, of_region, out.pages[level - 1], stated, lossy); !s) return s;
         r.error = std::clamp(r.error, std::numeric_limits<float>::min(), lod::kMostError);
         for (lod::Page& page : of_region) {
           page.bounds = page.core = r.core;

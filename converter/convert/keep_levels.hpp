@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "convert.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/level_tree.hpp"
 #include "rgs/scene_scan.hpp"
@@ -25,6 +26,8 @@ class KeptLevels {
   static Result<KeptLevels> open(LevelTree tree, const Axes& from, const EncodeOptions& encode);
   /// The tree's, with anti-aliasing and bytes.
   const SplatFile& file() const { return tree_.file; }
+  /// Of all nodes.
+  const MeanRounding& rounding() const { return rounding_; }
   /// All Gaussians but the leaves.
   const SceneScan& coarser() const { return coarser_; }
   /// The leaves, in the order of read_splats(). A view.
@@ -41,6 +44,7 @@ class KeptLevels {
   std::vector<std::uint64_t> n_kept_;  // of each node, without damaged ones
   std::vector<bool> is_leaf_;
   int sh_degree_ = 0;
+  MeanRounding rounding_;
   SceneScan coarser_{0};
 };
 

@@ -89,7 +89,7 @@ Outcome<ConvertSummary> convert_tiles(ConvertArguments& arguments, const std::de
     std::ranges::transform(inputs, hashes.begin(), &SceneInput::hash);
     return hash_of_sources(hashes);
   };
-  facts.rounding = [&scene] { return scene->position_rounding(); };
+  facts.rounding = [&scene] { return scene->rounding(); };
   auto summary = convert_to_levels(scene->stream(), facts, options.output(), convert, observer);
   if (!summary) return failed(concerned(arguments, inputs[scene->reading()], summary.error()), summary.error());
   summary->source_format = inputs.size() == 1 ? format_name(first_format) : "merged";
@@ -133,7 +133,10 @@ Outcome<ConvertSummary> convert_kept(ConvertArguments& arguments, const SceneInp
   encode.n_repaired = 0;
   StreamFacts facts;
   facts.bytes = declared.bytes;
+  facts.origin = declared.origin;
+  convert_axes(facts.origin, axes, encode.axes);
   facts.hash = [&input] { return input.hash(); };
+  facts.rounding = [&kept] { return kept->rounding(); };
   facts.arrange = [&kept](auto&... of) { return kept->arrange(of...); };
   auto summary = convert_to_levels(leaves, facts, options.output(), convert, observer);
   if (!summary) return failed(concerned(arguments, input, summary.error()), summary.error());

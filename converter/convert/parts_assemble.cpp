@@ -268,12 +268,12 @@ Outcome<ConvertSummary> assemble_parts(const PartsRun& run, const PartsJob& job,
   summary.n_stored = assembler.n_stored();
   summary.unused = job.unused;
   summary.notes = job.notes;
+  MeanRounding rounding;
   for (std::size_t i = 0; i < job.inputs.size(); ++i) {
-    if (const auto scanned = find_scan(run, job, i); scanned && *scanned)
-      summary.position_rounding = std::max(summary.position_rounding, (*scanned)->position_rounding);
+    if (const auto scanned = find_scan(run, job, i); scanned && *scanned) rounding.add((*scanned)->rounding);
   }
   EncodeOptions encode = plan.encode;
-  (void)choose_page_origins(encode, summary.position_rounding, job.allow_rounding);  // the plan has passed it
+  summary.position_rounding = choose_page_origins(encode, rounding, job.allow_rounding).value_or(0);  // it was planned
   note_rounding(summary);
   return summary;
 }

@@ -148,8 +148,9 @@ Outcome<std::optional<ScannedInput>> find_scan(const PartsRun& run, const PartsJ
   if (!*file) return std::nullopt;
   auto scanned = read_about([&]() -> Result<ScannedInput> {
     const nlohmann::json& j = (*file)->about();
-    return ScannedInput{j.at("xxh3"),       j.at("modified"),    j.at("first_damaged"), j.at("position_rounding"),
-                        j.at("scan_bytes"), j.at("content_xxh3")};
+    return ScannedInput{j.at("xxh3"),          j.at("modified"),
+                        j.at("first_damaged"), {j.at("lost_rounding"), j.at("rest")},
+                        j.at("scan_bytes"),    j.at("content_xxh3")};
   });
   if (!scanned) return failed(path, scanned.error());
   return std::move(*scanned);
@@ -202,9 +203,8 @@ Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
     return failed(part.path, s.error());
   if (scan.n_source() != part.facts.n) return failed(part.path, kInputChanged);
   EncodeOptions encode = job.encode;
-  double rounding = open.tiles().position_rounding();
-  if (const Status s = choose_page_origins(encode, rounding, job.allow_rounding); !s)
-    return failed(part.path, s.error());
+  const auto rounding = choose_page_origins(encode, open.tiles().rounding(), job.allow_rounding);
+  if (!rounding) return failed(part.path, rounding.error());
   scanned.xxh3 = open.input().hash();
   if (const Status s = open.input().file().check_unchanged(); !s) return failed(part.path, s.error());
   run.observer.finish();
@@ -219,7 +219,8 @@ Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
   const Status written = writer->finish({{"xxh3", scanned.xxh3},
                                          {"modified", scanned.modified},
                                          {"first_damaged", open.row_offset(first_damaged)},
-                                         {"position_rounding", open.tiles().position_rounding()},
+                                         {"lost_rounding", open.tiles().rounding().lost},
+                                         {"rest", open.tiles().rounding().rest},
                                          {"scan_bytes", scanned.scan_bytes},
                                          {"content_xxh3", xxh3(content)}});
   if (!written) return failed(path, written.error());
@@ -236,7 +237,7 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
   std::vector<ScannedInput> scans;
   std::vector<std::uint64_t> hashes;
   Failure damage{"", {}};
-  double rounding = 0;
+  MeanRounding rounding;
   for (std::size_t i = 0; i < job.inputs.size(); ++i) {
     auto scanned = find_scan(run, job, i);
     if (!scanned) return tl::unexpected(scanned.error());
@@ -250,7 +251,7 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
     if (scan->sh_degree() != plan.scan.sh_degree()) return failed(run.scan_path(i), unreadable().error());
     plan.scan.merge(*scan);
     hashes.push_back((*scanned)->xxh3);
-    rounding = std::max(rounding, (*scanned)->position_rounding);
+    rounding.add((*scanned)->rounding);
     if (damage.file.empty() && scan->n_kept() != scan->n_source())
       damage = {job.inputs[i].path, damaged_gaussian((*scanned)->first_damaged, *scan).value()};
     scans.push_back(std::move(**scanned));
@@ -259,8 +260,8 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
   if (job.encode.on_bad == BadPolicy::refuse && !damage.file.empty()) return tl::unexpected(damage);
   if (const Status s = check_encodable(plan.scan, plan.encode); !s) return failed(first_path, s.error());
   if (plan.scan.n_kept() == 0) return failed(first_path, nothing_for_levels().value());
-  if (const Status s = choose_page_origins(plan.encode, rounding, job.allow_rounding); !s)
-    return failed(first_path, s.error());
+  if (const auto left = choose_page_origins(plan.encode, rounding, job.allow_rounding); !left)
+    return failed(first_path, left.error());
   if (plan.encode.provenance) plan.encode.provenance->source_xxh3 = hash_of_sources(hashes);
   ConvertOptions depth;
   depth.z_near = job.z_near;

@@ -18,7 +18,7 @@ struct ScannedInput {
   std::uint64_t xxh3 = 0;           ///< of the input
   std::string modified;             ///< its stamp, which avoids hashing it each time
   std::uint64_t first_damaged = 0;  ///< byte of the first dropped or repaired Gaussian; Error::kNone: none
-  double position_rounding = 0;
+  MeanRounding rounding;
   std::uint64_t scan_bytes = 0, content_xxh3 = 0;
 };
 /// None if it is missing, or from another job or version.

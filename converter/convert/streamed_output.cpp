@@ -36,9 +36,11 @@ void append(std::vector<std::byte>& to, std::initializer_list<std::uint64_t> val
 
 std::string folder_of_tiles(const std::string& path) {
   std::string name = fs::path(follow_links(path)).filename().string();
-  if (name == "tileset.json") return "tiles";
-  for (const std::string_view ending : {".json", ".tileset"})
-    if (name.ends_with(ending)) name.resize(name.size() - ending.size());
+  constexpr std::string_view kTiles = "tiles", kEnding = ".json";
+  if (name == "tileset.json") return std::string(kTiles);
+  if (name.ends_with(kEnding)) name.resize(name.size() - kEnding.size());
+  // Not that of tileset.json.
+  if (name.starts_with(kTiles) && name.find_first_not_of('_', kTiles.size()) == name.npos) name += '_';
   // A URI's path has neither, and "." and ".." are other folders.
   std::ranges::replace_if(
       name, [](char c) { return c == '\\' || c == ':'; }, '_');

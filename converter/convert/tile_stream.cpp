@@ -54,7 +54,7 @@ Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes) {
   if (tile.ply) {
     facts = {tile.ply->size(), tile.ply->sh_degree(), false, tile.ply->origin()};
     if (tile.placed.translation != glm::dvec3(0) && facts.origin == kNoOrigin) {
-      const auto add = [&move](SplatFile& piece) {
+      const auto add = [&move](const SplatFile& piece) {
         move.add(piece.cloud.mean);
         return Status();
       };
@@ -91,10 +91,10 @@ void TileStream::place(std::size_t i, SplatFile& piece) const {
   }
   transform_splats(cloud, moved);
   // Of the file's own rounding, what is known is a rest.
-  const double rounding = cloud.mean_rest.empty() ? piece.position_rounding * moved.scale : 0;
+  const double lost = cloud.mean_rest.empty() ? piece.position_rounding * moved.scale : 0;
   if (from != origin_) cloud.mean_rest.resize(cloud.mean.size());
   rebase_exactly(cloud.mean, cloud.mean_rest, from, origin_);
-  rounding_ = std::max({rounding_, rounding, largest_rest(cloud.mean_rest)});
+  rounding_.add({lost, largest_rest(cloud.mean_rest)});
 }
 
 Result<TileStream> TileStream::open(std::vector<Tile> tiles, const Axes& axes, std::size_t& failed) {

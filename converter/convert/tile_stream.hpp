@@ -7,6 +7,7 @@
 #include <optional>
 #include <vector>
 
+#include "convert.hpp"
 #include "rgs/interchange.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/splat_edit.hpp"
@@ -33,7 +34,8 @@ struct TileFacts {
 /// Reads a PLY file only if a translation may move it far. Errors: the tile's.
 Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes);
 
-/// Streams the Gaussians that merging all tiles in memory would give, in the same order and with the same bits.
+/// Streams the Gaussians that merging all tiles in memory would give, in the same order and with the same bits, but
+/// where pieces of a tile have origins of their own, which spare a rounding.
 class TileStream {
  public:
   /// Reads all tiles once. Errors: those of read for tile `failed`; limit_exceeded (more than 2^32 - 1 Gaussians).
@@ -50,8 +52,8 @@ class TileStream {
   std::uint64_t size() const { return n_; }
   int sh_degree() const { return sh_degree_; }
   const std::vector<Tile>& tiles() const { return tiles_; }
-  /// Largest rounding of a mean to FP32 so far, world units.
-  double position_rounding() const { return rounding_; }
+  /// Of all so far.
+  const MeanRounding& rounding() const { return rounding_; }
 
  private:
   void place(std::size_t i, SplatFile& piece) const;
@@ -62,7 +64,7 @@ class TileStream {
   Origin origin_ = kNoOrigin;
   std::uint64_t n_ = 0;
   int sh_degree_ = 0;
-  mutable double rounding_ = 0;
+  mutable MeanRounding rounding_;
   mutable std::size_t reading_ = 0;
 };
 

@@ -307,7 +307,7 @@ constexpr Format kFormats[] = {
      is_ply, decode_ply, encode_ply},
     {{SplatFormat::tileset, "tileset.json", "tileset.json", "3D Tiles 1.0 and 1.1 above glTF with splats; written with .spz.glb",
       "as .spz.glb; read as .glb",
-      kAxes3dTiles, 3, true, {.one_level = true, .origin = true, .aa_mode = true, .declarations = true}, false, true},
+      kAxes3dTiles, 3, true, {.levels = true, .origin = true, .aa_mode = true, .declarations = true}, true, true},
      detail::is_tileset, detail::decode_lone_tileset},
     {{SplatFormat::spz_glb, "spz.glb", "", "the next with an SPZ inside (KHR_gaussian_splatting_compression_spz_2)",
       "as .spz, version 3",
@@ -556,6 +556,7 @@ FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options) {
 Result<LevelTree> open_levels(std::span<const std::byte> bytes, const std::string& folder, const ReadOptions& options) {
   return detail::guard_memory([&]() -> Result<LevelTree> {
     if (!detail::is_lcc(bytes)) {
+      if (detail::is_tileset(bytes)) return detail::open_tileset_levels(bytes, folder, options);
       if (!detail::is_streamed_sog(bytes)) return no_levels();
       return detail::open_streamed_sog_levels(bytes, folder, options);
     }

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "rgs/interchange.hpp"
+#include "rgs/level_tree.hpp"
 
 namespace rgs::detail {
 
@@ -16,10 +17,14 @@ bool is_tileset(std::span<const std::byte> bytes);
 /// A tileset.json (`bytes`) with its contents and external tilesets below `folder`: of tiles that replace each other the
 /// finest, or those ReadOptions::level_of_detail above them, and all that add to each other. A tile's level is that of
 /// its highest child plus 1, so that a shorter branch ends with a finer one. Error offsets are in the tileset or in the content.
-/// Errors: those of decode_gltf(); unsupported_feature (implicit tiling, content that is named twice, required extensions,
-/// paths outside the folder); limit_exceeded (more than a million tiles).
+/// Errors: those of decode_gltf(); those of Subtree::open(); unsupported_feature (content that is named twice, required
+/// extensions, paths outside the folder); limit_exceeded (more than a million tiles).
 Result<SplatFile> decode_tileset_folder(std::span<const std::byte> bytes, const std::string& folder,
                                         const ReadOptions& options);
+/// open_levels(): a node for each tile with Gaussians. Tiles that add to one are below it, beside a node that repeats
+/// its Gaussians. All pieces have the file's origin. Its error is a 16th of geometricError, if that falls downwards.
+Result<LevelTree> open_tileset_levels(std::span<const std::byte> bytes, const std::string& folder,
+                                      const ReadOptions& options);
 /// Refuses it: its contents are files beside it.
 Result<SplatFile> decode_lone_tileset(std::span<const std::byte> bytes, const ReadOptions& options);
 

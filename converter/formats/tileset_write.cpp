@@ -5,11 +5,14 @@
 #include <array>
 #include <cmath>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <thread>
 #include <utility>
 #include <vector>
 
+#include "parallel_jobs.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/interchange.hpp"
 #include "rgs/paged_file.hpp"
@@ -28,6 +31,7 @@ constexpr std::uint64_t kMostGaussians = std::uint64_t{32} << 10;
 // A viewer draws a tile whose geometricError is at most this many pixels, unless told otherwise (CesiumJS,
 // maximumScreenSpaceError). A page may be drawn where a pixel covers at least its error.
 constexpr double kScreenErrorPx = 16;
+constexpr std::size_t kEncodedPerThread = 8;
 constexpr double kSigmas = 3;          // of bounds, as those of pages
 constexpr float kLargestLogScale = 6;  // of an SPZ
 
@@ -77,18 +81,31 @@ class Writer {
     content_options_.crs = {};
   }
 
-  // Writes the content of a tile; its coordinates are relative to the origin.
-  Result<Json> tile(SplatCloud cloud, const Box& bounds, double error, const std::string& name) {
+  struct Content {
+    std::vector<std::byte> glb;
+    std::uint64_t n = 0;
+    double rounding = 0;
+    WriteReport clamped;
+  };
+  // The content of a tile; its coordinates are relative to the origin. On any thread.
+  Result<Content> encode(SplatCloud cloud) const {
     convert_axes(cloud, from_, content_);
     const auto rounding = position_rounding(cloud.view(), SplatFormat::spz_glb);
     if (!rounding) return tl::unexpected(rounding.error());
-    WriteReport clamped;
-    const auto glb = encode_splats(cloud.view(), SplatFormat::spz_glb, content_options_, &clamped);
+    Content content;
+    auto glb = encode_splats(cloud.view(), SplatFormat::spz_glb, content_options_, &content.clamped);
     if (!glb) return tl::unexpected(glb.error());
-    if (Status s = put_(folder_ + "/" + name, *glb); !s) return tl::unexpected(s.error());
-    report.position_rounding = std::max(report.position_rounding, *rounding);
-    detail::add_report(report.clamped, clamped);
-    report.n_stored += cloud.size();
+    content.glb = std::move(*glb);
+    content.n = cloud.size();
+    content.rounding = *rounding;
+    return content;
+  }
+
+  Result<Json> put(const Content& content, const Box& bounds, double error, const std::string& name) {
+    if (Status s = put_(folder_ + "/" + name, content.glb); !s) return tl::unexpected(s.error());
+    report.position_rounding = std::max(report.position_rounding, content.rounding);
+    detail::add_report(report.clamped, content.clamped);
+    report.n_stored += content.n;
     ++report.n_regions;
     const WorldBox box = detail::turned_box(bounds, from_, tile_, kNoOrigin);
     std::array<double, 12> volume{};  // the middle, then half of each side
@@ -155,46 +172,85 @@ class LevelsWriter {
       : file_(file),
         pages_(file.pages()),
         sh_degree_(sh_degree),
+        threads_(options.threads),
         depth_(choose_depth(pages_)),
         writer_(options, folder, put) {}
 
   Result<LevelsReport> write() {
     writer_.report.n_levels = pages_.front().level - depth_ + 1;
-    auto root = tile(0);
-    if (!root) return tl::unexpected(root.error());
+    add_tiles(0, kNoParent);
+    // Encoded on all threads, put in order; some more wait, so that no thread does.
+    const std::size_t n_at_once =
+        kEncodedPerThread * (threads_ != 0 ? threads_ : std::max(1U, std::thread::hardware_concurrency()));
+    for (std::size_t first = 0; first < tiles_.size(); first += n_at_once) {
+      std::vector<std::optional<Result<Writer::Content>>> contents(std::min(n_at_once, tiles_.size() - first));
+      detail::run_in_parallel(contents.size(), threads_,
+                              [&](std::size_t i) { contents[i] = encode(tiles_[first + i]); });
+      for (std::size_t i = 0; i < contents.size(); ++i) {
+        const Result<Writer::Content>& content = *contents[i];
+        if (!content) return tl::unexpected(content.error());
+        Tile& tile = tiles_[first + i];
+        auto json = writer_.put(*content, pages_[tile.page].bounds, static_cast<double>(tile.error), tile.name);
+        if (!json) return tl::unexpected(json.error());
+        tile.json = *std::move(json);
+        contents[i].reset();
+      }
+    }
+    for (std::size_t i = tiles_.size(); i-- > 1;) tiles_[tiles_[i].parent].children.push_back(i);
     const lod::Page& whole = pages_.front();
-    if (Status s = writer_.write_tree(*std::move(root), whole.bounds, static_cast<double>(whole.error)); !s)
+    if (Status s = writer_.write_tree(tree(0), whole.bounds, static_cast<double>(whole.error)); !s)
       return tl::unexpected(s.error());
     return writer_.report;
   }
 
  private:
+  static constexpr std::size_t kNoParent = ~std::size_t{0};
+  struct Tile {
+    std::uint32_t page = 0, level = 0;
+    std::size_t parent = kNoParent;
+    std::string name;
+    float error = 0;
+    Json json;
+    std::vector<std::size_t> children;  // the last one first
+  };
+
   // With those below it: as deep as the tree.
-  Result<Json> tile(std::uint32_t page) {
-    const std::uint32_t level = pages_[page].level - depth_;
-    const detail::PageRun run = detail::pages_below(pages_, page, level);
-    auto cloud = read_pages(file_, run.pages);
+  void add_tiles(std::uint32_t page, std::size_t parent) {
+    Tile tile;
+    tile.page = page;
+    tile.level = pages_[page].level - depth_;
+    tile.parent = parent;
+    n_of_level_.resize(std::max<std::size_t>(n_of_level_.size(), tile.level + 1));
+    tile.name = std::to_string(tile.level) + "_" + std::to_string(n_of_level_[tile.level]++) + ".glb";
+    for (const std::uint32_t i : detail::pages_below(pages_, page, tile.level).pages)
+      tile.error = std::max(tile.error, pages_[i].error);
+    const std::size_t index = tiles_.size();
+    tiles_.push_back(std::move(tile));
+    if (tiles_[index].level == 0) return;
+    for (std::uint32_t k = 0; k < pages_[page].n_children; ++k) add_tiles(pages_[page].first_child + k, index);
+  }
+
+  Result<Writer::Content> encode(const Tile& tile) const {
+    auto cloud = read_pages(file_, detail::pages_below(pages_, tile.page, tile.level).pages);
     if (!cloud) return tl::unexpected(cloud.error());
     strip_sh(*cloud, sh_degree_);
-    float error = 0;
-    for (const std::uint32_t i : run.pages) error = std::max(error, pages_[i].error);
-    n_of_level_.resize(std::max<std::size_t>(n_of_level_.size(), level + 1));
-    const std::string name = std::to_string(level) + "_" + std::to_string(n_of_level_[level]++) + ".glb";
-    auto json = writer_.tile(*std::move(cloud), pages_[page].bounds, static_cast<double>(error), name);
-    if (!json || level == 0) return json;
-    for (std::uint32_t k = 0; k < pages_[page].n_children; ++k) {
-      auto child = tile(pages_[page].first_child + k);
-      if (!child) return child;
-      (*json)["children"].push_back(*std::move(child));
-    }
+    return writer_.encode(*std::move(cloud));
+  }
+
+  Json tree(std::size_t tile) {
+    Json json = std::move(tiles_[tile].json);
+    for (auto child = tiles_[tile].children.rbegin(); child != tiles_[tile].children.rend(); ++child)
+      json["children"].push_back(tree(*child));
     return json;
   }
 
   const PagedFile& file_;
   const std::vector<lod::Page>& pages_;
   int sh_degree_;
+  unsigned threads_;
   std::uint32_t depth_;
   Writer writer_;
+  std::vector<Tile> tiles_;
   std::vector<std::uint64_t> n_of_level_;  // tiles until now
 };
 
@@ -237,7 +293,9 @@ Result<LevelsReport> write_tileset(const SplatView& splats, const WriteOptions& 
   return detail::guard_memory([&]() -> Result<LevelsReport> {
     Writer writer(options, folder, put);
     const Box bounds = bounds_of(splats);
-    auto root = writer.tile(copy_of(splats), bounds, 0, "0_0.glb");
+    const auto content = writer.encode(copy_of(splats));
+    if (!content) return tl::unexpected(content.error());
+    auto root = writer.put(*content, bounds, 0, "0_0.glb");
     if (!root) return tl::unexpected(root.error());
     if (Status s = writer.write_tree(*std::move(root), bounds, 0); !s) return tl::unexpected(s.error());
     writer.report.n_levels = 1;

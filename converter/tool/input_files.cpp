@@ -74,6 +74,42 @@ std::vector<fs::path> named_by(const std::string& path) {
   return parsed.is_discarded() ? std::vector<fs::path>() : named;
 }
 
+// Whether a name is that of a template, whose variables in braces are numbers.
+bool matches(std::string_view name, std::string_view pattern) {
+  while (!pattern.empty()) {
+    if (name.empty()) return false;
+    if (pattern.front() == '{' && pattern.find('}') != pattern.npos) {
+      const std::size_t digits = std::min(name.find_first_not_of("0123456789"), name.size());
+      if (digits == 0) return false;
+      name.remove_prefix(digits);
+      pattern.remove_prefix(pattern.find('}') + 1);
+    } else {
+      if (name.front() != pattern.front()) return false;
+      name.remove_prefix(1);
+      pattern.remove_prefix(1);
+    }
+  }
+  return name.empty();
+}
+
+// A file, or, of the template of an implicit tiling, all that have its names.
+std::vector<fs::path> files_named(const fs::path& folder, const fs::path& name) {
+  const std::string pattern = (folder / name).lexically_normal().string();
+  if (name.string().find('{') == std::string::npos) return {pattern};
+  std::vector<fs::path> files;
+  fs::path above = folder;
+  for (const fs::path& part : name) {
+    if (part.string().find('{') != std::string::npos) break;
+    above /= part;
+  }
+  std::error_code failed;
+  for (fs::recursive_directory_iterator it(above, failed), end; !failed && it != end; it.increment(failed)) {
+    fs::path file = it->path().lexically_normal();
+    if (matches(file.string(), pattern)) files.push_back(std::move(file));
+  }
+  return files;
+}
+
 // The files that a tileset, its external ones and the .gltf of both name, each once, sorted.
 std::set<std::string> contents_of(const std::string& path, const fs::path& folder) {
   constexpr std::size_t kMost = std::size_t{1} << 20;  // more tiles are not read
@@ -83,12 +119,13 @@ std::set<std::string> contents_of(const std::string& path, const fs::path& folde
     const auto [text, base] = texts.back();
     texts.pop_back();
     for (const fs::path& name : named_by(text)) {
-      const fs::path file = (base / name).lexically_normal();
-      std::error_code ignored;
-      if (contents.size() == kMost) return contents;
-      if (!fs::is_regular_file(file, ignored) || !contents.insert(file.string()).second) continue;
-      const std::string ending = lower_case(file.extension().string());
-      if (ending == ".json" || ending == ".gltf") texts.emplace_back(file.string(), file.parent_path());
+      for (const fs::path& file : files_named(base, name)) {
+        std::error_code ignored;
+        if (contents.size() == kMost) return contents;
+        if (!fs::is_regular_file(file, ignored) || !contents.insert(file.string()).second) continue;
+        const std::string ending = lower_case(file.extension().string());
+        if (ending == ".json" || ending == ".gltf") texts.emplace_back(file.string(), file.parent_path());
+      }
     }
   }
   contents.erase(fs::path(path).lexically_normal().string());

@@ -19,7 +19,7 @@
 namespace rgs::tool {
 namespace {
 
-// The file of a folder that is one scene.
+// A streamed SOG.
 const std::string kScene = "lod-meta.json";
 constexpr std::string_view kGltfText = ".gltf";  // never an output, so unknown to format_of_name()
 
@@ -87,17 +87,20 @@ class Walk {
                              Error::kNone, errno);
     std::ranges::sort(names);
     const std::string inside = path + "/";
-    // The SOGs below are parts of it at several levels, and no scenes.
+    // Folders that a streamed SOG names hold parts of it at several levels, and no scenes; so do the SOGs beside them,
+    // which an older scene may have left.
+    std::string streamed;
     if (std::ranges::binary_search(names, kScene)) {
-      ListedScene scene{prefix + kScene, inside + kScene, format_of_name(kScene), 0, {}};
-      const auto file = MappedFile::open(scene.path);
-      if (file && detect_format(file->bytes()) == scene.format) {
-        for (const std::string& part : files_of_scene(scene.path))
-          scene.bytes += ::stat(part.c_str(), &info) == 0 ? static_cast<std::uint64_t>(info.st_size) : 0;
-        list_.scenes.push_back(std::move(scene));
-        return {};
-      }
+      const auto file = MappedFile::open(inside + kScene);
+      if (file && detect_format(file->bytes()) == SplatFormat::ssog) streamed = text_of(file->bytes());
     }
+    if (!streamed.empty()) {
+      for (const std::string& part : files_of_scene(inside + kScene))
+        if (part != inside + kScene && ::stat(part.c_str(), &info) == 0) parts_.emplace(info.st_dev, info.st_ino);
+    }
+    const auto is_part = [&streamed](const std::string& name) {
+      return streamed.find('"' + name + '/') != streamed.npos || streamed.find('"' + name + "\\/") != streamed.npos;
+    };
     // So are the files that a tileset names.
     for (const std::string& name : names) {
       if (format_of_name(name) != SplatFormat::tileset) continue;
@@ -115,7 +118,7 @@ class Walk {
       return text.find("\"data/") != text.npos || text.find("\"data\\/") != text.npos;
     });
     for (const std::string& name : names)
-      if (name != "." && name != ".." && !(chunks && name == "data"))
+      if (name != "." && name != ".." && !(chunks && name == "data") && !is_part(name))
         entry(inside + name, prefix + name, name[0] == '.');
     above_.pop_back();
     return {};
@@ -163,7 +166,9 @@ class Walk {
       for (const std::string& file_of_it : files_of_scene(path)) {
         if (file_of_it == path || ::stat(file_of_it.c_str(), &info) != 0) continue;
         scene.bytes += static_cast<std::uint64_t>(info.st_size);
-        n_beside_ += scene.format == SplatFormat::lcc2 || scene.format == SplatFormat::tileset ? 0 : 1;
+        const bool is_walked = scene.format != SplatFormat::lcc2 && scene.format != SplatFormat::tileset &&
+                               scene.format != SplatFormat::ssog;
+        n_beside_ += is_walked ? 1 : 0;
       }
     }
     list_.scenes.push_back(std::move(scene));

@@ -717,9 +717,16 @@ TEST_CASE("a streamed SOG is one scene, and its parts are none") {
   CHECK(run.n_lines == 2);
   CHECK(run.lines.at("tree/lod-meta.json")["status"] == "converted");
   CHECK(fs::exists(f.out + "/tree/lod-meta.rgs"));
+  // Others beside it and in other folders are scenes too.
+  fs::create_directories(f.in + "/tree/more");
+  for (const char* name : {"/tree/b.ply", "/tree/more/c.ply"}) fs::copy_file(f.in + "/a.ply", f.in + name);
+  const Batch more = convert_all(f.command());
+  CHECK(more.exit_code == 0);
+  CHECK(more.n_lines == 4);
+  for (const char* name : {"tree/b.ply", "tree/more/c.ply"}) CHECK(more.lines.at(name)["status"] == "converted");
   // Another file of that name is no scene.
   write_text(f.in + "/tree/lod-meta.json", "{}");
-  CHECK(convert_all(f.command()).n_lines == 3);
+  CHECK(convert_all(f.command()).n_lines == 5);
 }
 
 TEST_CASE("a tileset is one scene, and its tiles are none") {

@@ -9,6 +9,7 @@
 #include <fstream>
 #include <functional>
 #include <map>
+#include <nlohmann/json.hpp>
 
 #include "convert_scenes.hpp"
 #include "counted_program.hpp"
@@ -584,7 +585,8 @@ TEST_CASE("the SOGs of a streamed SOG lie beside its file, where a link leads") 
 TEST_CASE("tilesets of one folder have tiles of their own") {
   const TemporaryFolder folder;
   std::vector<std::string> tilesets;
-  for (const char* name : {"tileset.json", "a.tileset.json", "b %:.tileset.json", "c.json"}) {
+  for (const char* name :
+       {"tileset.json", "a.tileset.json", "b %:.tileset.json", "a.json", "tiles.json", "tiles_.json"}) {
     const std::string ply = folder.file("scene.ply");
     tilesets.push_back(folder.file(name));
     write_scene(ply, ordinary_cloud(10 * tilesets.size(), 1, 9));
@@ -592,7 +594,7 @@ TEST_CASE("tilesets of one folder have tiles of their own") {
     CAPTURE(run.err);
     REQUIRE(run.exit_code == 0);
   }
-  for (const char* tile : {"tiles/0_0.glb", "a/0_0.glb", "b %_/0_0.glb", "c/0_0.glb"})
+  for (const char* tile : {"tiles/0_0.glb", "a.tileset/0_0.glb", "b %_.tileset/0_0.glb", "a/0_0.glb"})
     CHECK(std::filesystem::exists(folder.file(tile)));
   // An input stays as it is.
   REQUIRE(rgs_convert({"--crop", "-100,-100,-100,0,100,100", tilesets[1], folder.file("d.tileset.json")}).exit_code ==
@@ -647,4 +649,29 @@ TEST_CASE("levels become a tileset, a scene without levels one tile, and both co
   CHECK(rgs_convert({"--to", "tileset.json", ply, folder.file("x.ssog")}).exit_code == 2);
   CHECK(rgs_convert({tiles, folder.file("tiles/tiles/0_0.glb"), "--to", "glb"}).exit_code == 2);
   CHECK(run_program({built("rgs-convert"), ply, flat}).exit_code == 3);
+}
+
+TEST_CASE("--lod takes each content of a tileset from its own origin") {
+  const TemporaryFolder folder;
+  const std::string path = folder.file("tileset.json"), built_levels = folder.file("levels.rgs");
+  nlohmann::json children;
+  for (const double x : {3e6, 3.004e6}) {
+    const std::string name = "at " + std::to_string(x);
+    SplatCloud cloud = ordinary_cloud(2000, 1, 9);
+    write_bytes(folder.file(name), encode_splats(cloud.view(), SplatFormat::glb, {.axes = kAxesGltf}).value());
+    children.push_back({{"transform", {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, x, 0, 0, 1}}, {"content", {{"uri", name}}}});
+  }
+  const nlohmann::json stated{
+      {"asset", {{"version", "1.1"}}}, {"geometricError", 9}, {"root", {{"refine", "ADD"}, {"children", children}}}};
+  write_bytes(path, bytes_of(stated.dump()));
+  REQUIRE(rgs_convert({"--lod", "--chunk-size", "32", path, built_levels}).exit_code == 0);
+  const auto whole = read_splats(path), kept = read_splats(built_levels);
+  REQUIRE(whole);
+  REQUIRE(kept);
+  CHECK(kept->origin == whole->origin);
+  CHECK(kept->n_levels > 1);
+  std::vector<float> of_whole = whole->cloud.mean, of_kept = kept->cloud.mean;
+  std::ranges::sort(of_whole);
+  std::ranges::sort(of_kept);
+  CHECK(of_whole == of_kept);
 }

@@ -5,6 +5,7 @@
 #include <doctest/doctest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <map>
 #include <new>
@@ -182,6 +183,67 @@ TEST_CASE("levels of an .rgs survive a streamed SOG") {
   CHECK(rgs_convert({"--memory", "1GiB", ssog, folder.file("no.ply")}).exit_code == 2);
 }
 
+TEST_CASE("levels of an .rgs survive a tileset, with its origin") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(60000, 1, 3);
+  for (float& x : cloud.mean) x *= 8;
+  for (float& x : cloud.log_scale) x = x / 4 - 2;
+  for (std::size_t i = 0; i < 900; ++i) cloud.mean[i] *= 40, cloud.log_scale[i] += 4;  // floaters
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), own = folder.file("own.rgs"),
+                    tiles = folder.file("tileset.json"), kept = folder.file("kept.rgs"),
+                    again = folder.file("again.rgs");
+  REQUIRE(rgs_convert({"--lod", "--translate", "4200000.125,0,0", "--crs", "EPSG:4978", ply, own}).exit_code == 0);
+  REQUIRE(rgs_convert({own, tiles}).exit_code == 0);
+  const ProgramResult run = rgs_convert({tiles, kept});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("not kept") == std::string::npos);
+  const Bytes bytes = read_bytes(kept);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(validate(*file));
+  const auto source = read_splats(tiles);
+  CHECK(source->n_levels == 3);
+  CHECK(file->n_levels() >= 3);
+  CHECK(file->head().declarations().crs.text == "EPSG:4978");
+  CHECK(read_splats(kept)->origin == source->origin);
+  CHECK(source->origin[0] == 4200000.125);
+  float error = lod::kMostError;
+  for (const lod::Page& page : file->pages()) error = page.level == 1 ? std::min(error, page.error) : error;
+  check_same(level_of(kept, 0), level_of(tiles, 0), 0);
+  check_same(level_of(kept, 1), level_of(tiles, 1), static_cast<double>(error) * 8);
+  // The stated error of a tile; pages of floaters have more.
+  double stated = HUGE_VAL;
+  const json tree = json::parse(text_of(read_bytes(tiles)));
+  for (const json& child : tree["root"]["children"]) stated = std::min(stated, child["geometricError"].get<double>());
+  CHECK(stated == 16 * static_cast<double>(error));
+  CHECK(count_refuted(*file) == 0);
+  REQUIRE(rgs_convert({"--threads", "1", tiles, again}).exit_code == 0);
+  CHECK(read_bytes(again) == bytes);
+}
+
+TEST_CASE("contents of a tileset that one origin rounds by more than a millimetre are refused with their levels too") {
+  const TemporaryFolder folder;
+  const std::string path = folder.file("tileset.json"), out = folder.file("out.rgs");
+  write_bytes(folder.file("a"), encode_splats(ordinary_cloud(500, 0, 1).view(), SplatFormat::glb).value());
+  json children;
+  for (const double x : {0.0, 2e5}) {
+    const std::string name = x == 0 ? "b" : "c";
+    write_bytes(folder.file(name), encode_splats(ordinary_cloud(2000, 0, 2).view(), SplatFormat::glb).value());
+    children.push_back({{"transform", {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, x, 0, 0, 1}},
+                        {"geometricError", 0},
+                        {"content", {{"uri", name}}}});
+  }
+  json stated{{"asset", {{"version", "1.1"}}}, {"geometricError", 9}};
+  stated["root"] = {{"refine", "REPLACE"}, {"geometricError", 9}, {"content", {{"uri", "a"}}}, {"children", children}};
+  write_bytes(path, bytes_of(stated.dump()));
+  CHECK(rgs_convert({path, out}).exit_code == 4);
+  const ProgramResult run = rgs_convert({"--allow-rounding", path, out});
+  CHECK(run.exit_code == 0);
+  CHECK(run.out.find("rounded by up to 0.00") != std::string::npos);
+  CHECK(has_levels(read_bytes(out)));
+}
+
 TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   const TemporaryFolder folder;
   // Three regions side by side, the second without level 0, and two of fewer than a chunk's Gaussians.
@@ -327,7 +389,7 @@ TEST_CASE("levels of an LCC become levels of an .rgs") {
 TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaussians") {
   SplatCloud cloud = ordinary_cloud(2000, 0, 9);
   LevelTree tree;
-  tree.nodes = {{1, LevelTree::kNoParent, 300, 0.5F},
+  tree.nodes = {{1, LevelTree::kNoParent, 300, 1e4F},
                 {0, 0, 1000},
                 {0, 0, 900},
                 {0, LevelTree::kNoParent, 100},
@@ -369,11 +431,17 @@ TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaus
   for (const lod::Page& page : file->pages()) {
     if (page.level != 1) continue;
     n += page.count;
-    CHECK((page.error == 0.5F || page.count == 100));
+    CHECK((page.error == 1e4F || page.count == 100));
   }
   CHECK(n == 300 + 100);
-  // Levels that no node has are left out.
+  // One that a check would refute does not hold.
   options.output.overwrite = true;
+  tree.nodes[0].error = 1e-9F;
+  REQUIRE(convert());
+  const Bytes mended = read_bytes(folder.file("tree.rgs"));
+  CHECK(count_refuted(*PagedFile::open(mended)) == 0);
+  tree.nodes[0].error = 1e4F;
+  // Levels that no node has are left out.
   tree.nodes[0].level = 31;
   REQUIRE(convert());
   CHECK(read_bytes(folder.file("tree.rgs")) == bytes);

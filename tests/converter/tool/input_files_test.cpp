@@ -46,21 +46,22 @@ TEST_CASE(
     "a COLMAP model's files, a SOG's pictures, the files of a glTF or an LCC and photographs are inputs; others are "
     "not") {
   const TemporaryFolder folder;
-  for (const char* name : {"sparse/0", "photos", "sog/0_0", "gltf", "lcc/data/3dgs", "rad", "3dtiles/b"})
+  for (const char* name : {"sparse/0", "photos", "sog/0_0", "gltf", "lcc/data/3dgs", "rad", "3dtiles/b", "3dtiles/g/1"})
     fs::create_directories(folder.path() / name);
-  for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG",    "photos/report.html",
-                           "sog/meta.json",       "sog/sh0.webp",         "sog/scene.ply",   "sog/lod-meta.json",
-                           "sog/0_0/meta.json",   "sog/0_0/quats.webp",   "gltf/a.gltf",     "gltf/a.bin",
-                           "gltf/a.png",          "gltf/b.PLY",           "gltf/b.prj",      "lcc/data.bin",
-                           "lcc/a.lcc",           "lcc/a.lcc2",           "lcc/b.sog",       "lcc/data/3dgs/0.sog",
-                           "rad/a.rad",           "rad/a-0.radc",         "rad/b-0.radc",    "3dtiles/tileset.json",
-                           "3dtiles/b/c.GLB",     "3dtiles/b/a.json",     "3dtiles/b/a.png", "3dtiles/b/c d.bin",
-                           "3dtiles/b/e.gltf",    "3dtiles/f.glb"})
+  for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG",       "photos/report.html",
+                           "sog/meta.json",       "sog/sh0.webp",         "sog/scene.ply",      "sog/lod-meta.json",
+                           "sog/0_0/meta.json",   "sog/0_0/quats.webp",   "gltf/a.gltf",        "gltf/a.bin",
+                           "gltf/a.png",          "gltf/b.PLY",           "gltf/b.prj",         "lcc/data.bin",
+                           "lcc/a.lcc",           "lcc/a.lcc2",           "lcc/b.sog",          "lcc/data/3dgs/0.sog",
+                           "rad/a.rad",           "rad/a-0.radc",         "rad/b-0.radc",       "3dtiles/tileset.json",
+                           "3dtiles/b/c.GLB",     "3dtiles/b/a.json",     "3dtiles/b/a.png",    "3dtiles/b/c d.bin",
+                           "3dtiles/b/e.gltf",    "3dtiles/f.glb",        "3dtiles/g/1/02.glb", "3dtiles/g/1/a.glb"})
     write_text(folder.file(name), "x");
   // Only what a tileset, an external one or a .gltf names.
   write_text(folder.file("3dtiles/tileset.json"),
              R"({"root": {"content": {"url": "b/a.json"}, "children": [{"contents": [{"uri": "./b//c.GLB"},
-              {"uri": "../rad/a.rad"}, {"uri": "none.glb"}, {"uri": "b"}, {"uri": "tileset.json"}]}]}})");
+              {"uri": "../rad/a.rad"}, {"uri": "none.glb"}, {"uri": "b"}, {"uri": "tileset.json"},
+              {"uri": "g/{level}/{x}.glb"}]}]}})");
   write_text(folder.file("3dtiles/b/a.json"), R"({"root": {"content": {"uri": "e.gltf", "x": "a.png"}}})");
   write_text(folder.file("3dtiles/b/e.gltf"), R"({"buffers": [{"uri": "c%20d.bin"}, {"uri": "data:,x"}]})");
   InputFiles inputs;
@@ -84,7 +85,7 @@ TEST_CASE(
   tiles.add_scene(folder.file("3dtiles/tileset.json"));
   CHECK(tiles.paths() == std::vector{folder.file("3dtiles/tileset.json"), folder.file("3dtiles/b/a.json"),
                                      folder.file("3dtiles/b/c d.bin"), folder.file("3dtiles/b/c.GLB"),
-                                     folder.file("3dtiles/b/e.gltf")});
+                                     folder.file("3dtiles/b/e.gltf"), folder.file("3dtiles/g/1/02.glb")});
 }
 
 TEST_CASE("a file that was rewritten, extended or replaced has changed; a removed one has not") {

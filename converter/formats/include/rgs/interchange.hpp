@@ -147,8 +147,9 @@ struct ReadOptions {
   /// Pages that count 0 are not read, except from a file with positions in its source that fits whole.
   std::vector<std::uint32_t> page_counts = {};
   /// Receives the Gaussians in their order, piece by piece, as `cloud` of what is known of the file; it may change them.
-  /// A piece's `origin` may be its own.   /// Pieces of formats that are FormatInfo::in_parts are small, so the scene need not fit into memory; others come
-  /// whole. Implies keep_axes; the returned file has no `cloud` and no `source_index`. An error of it ends the reading.
+  /// Pieces of formats that are FormatInfo::in_parts are small, so the scene need not fit into memory; others come
+  /// whole. Means are relative to the piece's origin, which in a tileset is that of one content. Implies keep_axes; the
+  /// returned file has no `cloud` and no `source_index`. An error of it ends the reading.
   std::function<Status(SplatFile& piece)> visit = nullptr;
 };
 
@@ -176,7 +177,7 @@ struct WriteOptions {
   Origin origin = kNoOrigin;
   Crs crs = {};  ///< of origin + mean; stated in ply, compressed_ply, glb and, if it can be, spz of version 4
   bool keep_order = false;  ///< compressed.ply, sog: do not sort Gaussians, so that close ones are neighbours
-  unsigned threads = 0;     ///< sog; 0: as many as the machine runs at once. The file does not depend on it
+  unsigned threads = 0;     ///< sog, tileset; 0: as many as the machine runs at once. No file depends on it
   int spz_version = 3;      ///< 2, 3 or 4; docs/user/INTERCHANGE.md says which viewer reads which
   /// Refuse to clamp: bad_value if WriteReport::any(), or if the format has no field for an origin.
   bool strict = false;
@@ -229,7 +230,7 @@ Result<LevelsReport> write_streamed_sog(const PagedFile& file, const WriteOption
 /// Writes an .rgs with levels as an explicit tileset of 3D Tiles 1.1: tile after tile, each an SPZ inside a .glb, then
 /// tileset.json. A tile holds the pages some levels below one page: as many levels as keep it at most at 32 Ki Gaussians.
 /// Coarser levels are left out. `folder`, a name: of the tiles. Otherwise as write_streamed_sog(). Memory: that of one
-/// tile.
+/// tile a thread.
 Result<LevelsReport> write_tileset(const PagedFile& file, const WriteOptions& options, int sh_degree,
                                    const std::string& folder, const PutFile& put);
 /// The same of a scene without levels, as one tile. `splats` are in kAxes3dTiles or of undeclared axes.

@@ -23,14 +23,14 @@ struct LevelTree {
     float error = 0;  ///< as in FORMAT.md, world units a pixel; 0: not stated, and so is that of level 0
   };
   std::vector<Node> nodes;
-  SplatFile file;  ///< all but `cloud` and aa_mode, which each piece has
-  /// Receives the Gaussians of a node, in the axes of the file. Bytes of pieces add to those of `file`.
+  SplatFile file;  ///< all but `cloud`, aa_mode and position_rounding, which each piece has
+  /// Receives the Gaussians of a node, in the axes and with the origin of the file. Bytes of pieces add to those of `file`.
   using Visit = std::function<Status(std::uint32_t node, SplatFile piece)>;
   /// Visits all nodes, always in the same order, until `visit` fails. Memory: that of one of the file's parts.
   std::function<Status(const Visit& visit)> read;
 };
 
-/// A .ssog, lod-meta.json or .lcc, `bytes`, which must outlive the result; `folder` holds the files beside it. Without
+/// A .ssog, lod-meta.json, tileset.json or .lcc, `bytes`, which must outlive the result; `folder` holds the files beside it. Without
 /// nodes above others if the file has one level. Errors: as read_splats(), also from `read`.
 Result<LevelTree> open_levels(std::span<const std::byte> bytes, const std::string& folder, const ReadOptions& options);
 
