@@ -198,6 +198,8 @@ class Cutter {
           const Region& child = levels[level - 1][r.first_child + k];
           r.most_pages += r.n_children == 1 ? child.most_pages : usual(child);
         }
+        // Pages do not lie where several regions below them do: as few as may be.
+        if (r.n_children > 1) r.most_pages = std::max(up_to(r.most_pages, lod::kMaxChildren), up_to(r.n, most_rows_));
         r.most_pages = std::min(r.most_pages, r.n);
       }
     }
@@ -483,7 +485,9 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
         lod::LevelRows& to = out.rows[level];
         std::vector<std::byte> packed(rows.size() * to.row_bytes());
         for (std::size_t i = 0; i < rows.size(); ++i) {
-          const auto position = static_cast<std::uint32_t>(n_read + positions[order[i]]);
+          const std::uint32_t at = positions[order[i]];
+          const auto position =
+              piece.source_index.empty() ? static_cast<std::uint32_t>(n_read + at) : piece.source_index[at];
           to.pack(rows[order[i]], position, &packed[i * to.row_bytes()]);
           if (level == 0 && encode.keep_permutation) out.positions[first + i] = position;
         }

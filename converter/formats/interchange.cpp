@@ -342,7 +342,7 @@ constexpr Format kFormats[] = {
      detail::is_sog, detail::decode_sog, detail::encode_sog},
     {{SplatFormat::rad, "rad", "", "Spark 2 (three.js), also with .radc beside it; its tree of an .rgs with levels",
       "mean FP32; rotation 24 bits; scale, opacity, colour, harmonics 8; read from FP16 or 32 too",
-      kAxes3dgs, 3, true, {.one_level = true}, false, true},
+      kAxes3dgs, 3, true, {.levels = true}, false, true},
      detail::is_rad, detail::decode_rad, detail::encode_rad},
     {{SplatFormat::lcc, "lcc", "", "XGRIDS, beside its index.bin, data.bin and shcoef.bin",
       "mean FP32; scale 16 bits; rotation 32; opacity, colour 8; harmonics 11, 10, 11",
@@ -551,6 +551,7 @@ FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options) {
 Result<LevelTree> open_levels(std::span<const std::byte> bytes, const std::string& folder, const ReadOptions& options) {
   return detail::guard_memory([&]() -> Result<LevelTree> {
     if (!detail::is_lcc(bytes)) {
+      if (detail::is_rad(bytes)) return detail::open_rad_levels(bytes, folder, options);
       if (!detail::is_streamed_sog(bytes)) return no_levels();
       return detail::open_streamed_sog_levels(bytes, folder, options);
     }

@@ -272,6 +272,63 @@ TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   CHECK_FALSE(has_levels(read_bytes(rgs)));
 }
 
+TEST_CASE("levels of an .rgs survive a .rad") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(20000, 1, 3);
+  for (float& x : cloud.log_scale) x = x / 4 - 2;
+  for (std::size_t i = 0; i < 900; ++i) cloud.mean[i] *= 40, cloud.log_scale[i] += 4;  // floaters
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), own = folder.file("own.rgs"),
+                    rad = folder.file("scene.rad"), kept = folder.file("kept.rgs"), again = folder.file("again.rgs");
+  REQUIRE(rgs_convert({"--lod", ply, own}).exit_code == 0);
+  REQUIRE(rgs_convert({own, rad}).exit_code == 0);
+  const std::uint32_t n_levels = read_splats(rad)->n_levels - 1;  // without the one Gaussian above all
+  CHECK(n_levels > 2);
+  // Chunks of which a page holds fewer than a region do not change that one page is drawn with all below it.
+  for (const std::string chunk_size : {"256", "32"}) {
+    CAPTURE(chunk_size);
+    const ProgramResult run = rgs_convert({"--keep-permutation", "--chunk-size", chunk_size, rad, kept});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK(run.out.find("not kept") == std::string::npos);
+    const Bytes bytes = read_bytes(kept);
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    CHECK(validate(*file));
+    CHECK(file->n_levels() == n_levels);
+    for (std::uint32_t level = 0; level < n_levels; ++level) {
+      CAPTURE(level);
+      float error = 0, least = std::numeric_limits<float>::max();
+      for (const lod::Page& page : file->pages()) {
+        if (page.level != level) continue;
+        error = std::max(error, page.error), least = std::min(least, page.error);
+      }
+      check_same(level_of(kept, level), level_of(rad, level), static_cast<double>(error));
+      if (level == 1) CHECK(least < 3);  // the scene is 16 units wide
+    }
+    CHECK(count_refuted(*file) == 0);
+    const auto leaves = read_splats(bytes, kKeepAxes), source = read_splats(rad);
+    REQUIRE(leaves);
+    REQUIRE(leaves->source_index.size() == 20000);
+    std::size_t moved = 0;
+    for (std::size_t i = 0; i < 20000; ++i)
+      moved += leaves->cloud.mean[3 * i] != source->cloud.mean[3 * std::size_t{leaves->source_index[i]}];
+    CHECK(moved == 0);
+    REQUIRE(rgs_convert({"--threads", "1", "--memory", "128MiB", "--scratch", folder.path().string(),
+                         "--keep-permutation", "--chunk-size", chunk_size, rad, again})
+                .exit_code == 0);
+    CHECK(read_bytes(again) == bytes);
+  }
+  REQUIRE(rgs_convert({"--level-of-detail", "1", rad, again}).exit_code == 0);
+  CHECK_FALSE(has_levels(read_bytes(again)));
+  const ProgramResult piped = run_shell("'" + built("rgs-convert") + "' --overwrite - '" + again + "' < '" + rad + "'");
+  CHECK(piped.exit_code == 0);
+  CHECK(has_levels(read_bytes(again)));
+  // Without a tree there are no levels to keep.
+  REQUIRE(rgs_convert({ply, rad}).exit_code == 0);
+  REQUIRE(rgs_convert({rad, again}).exit_code == 0);
+  CHECK_FALSE(has_levels(read_bytes(again)));
+}
+
 TEST_CASE("levels of an LCC become levels of an .rgs") {
   const TemporaryFolder folder;
   std::vector<SplatCloud> cells{ordinary_cloud(4000, 3, 1), ordinary_cloud(3, 3, 2), ordinary_cloud(2000, 3, 3)};
