@@ -28,6 +28,7 @@
 #include <utility>
 
 #include "json_member.hpp"
+#include "level_choice.hpp"
 #include "quantised.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/page.hpp"
@@ -257,11 +258,6 @@ struct Meta {
   bool tree = false;
   std::vector<Piece> pieces;
 };
-
-// Whether a name is that of a file in the folder.
-bool is_beside(const std::string& name) {
-  return !name.empty() && name[0] != '.' && name.find_first_of(std::string_view("/\\\0", 3)) == name.npos;
-}
 
 Result<Meta> parse_meta(Bytes bytes, const DecodeLimits& limits) {
   const auto head = read_head(bytes, 0, kRadMagic);
@@ -654,9 +650,7 @@ class Reader {
       if (!n_levels) return tl::unexpected(n_levels.error());
       file.n_levels = *n_levels;
       file.finest = wanted == 0;
-      if (wanted >= *n_levels)
-        return make_error(Errc::bad_argument, Error::kNone, "the file has no such level of detail (0 is the finest)",
-                          *n_levels, wanted);
+      if (Status s = check_level(*n_levels, options_); !s) return s;
       if (*n_levels > 1 && !options_.level_of_detail) file.unused.emplace_back("levels of detail but the finest");
     }
     for (std::uint32_t i = 0; i < meta_.n; ++i) {

@@ -22,6 +22,7 @@
 #include "gltf_document.hpp"
 #include "gltf_splats.hpp"
 #include "json_member.hpp"
+#include "level_choice.hpp"
 #include "matrix_similarity.hpp"
 #include "rgs/file.hpp"
 #include "rgs/splat_edit.hpp"
@@ -262,10 +263,7 @@ Result<SplatFile> decode_tileset_folder(std::span<const std::byte> bytes, const 
   Tree tree(folder);
   if (Status s = tree.add_tileset(bytes); !s) return tl::unexpected(s.error());
   const std::uint64_t n_levels = tree.tiles.front().level + 1, level = options.level_of_detail.value_or(0);
-  if (level >= n_levels) {
-    return make_error(Errc::bad_argument, Error::kNone, "the file has no such level of detail (0 is the finest)",
-                      n_levels, level);
-  }
+  if (const Status s = check_level(n_levels, options); !s) return tl::unexpected(s.error());
   StatedScene stated{.axes = kAxes3dTiles};
   SplatFile file;
   std::vector<ScenePart> parts;
