@@ -14,6 +14,7 @@
 #include "check_error.hpp"
 #include "convert.hpp"
 #include "convert_scenes.hpp"
+#include "counted_memory.hpp"
 #include "interchange_samples.hpp"
 #include "lcc_samples.hpp"
 #include "rgs/levels_writer.hpp"
@@ -440,6 +441,30 @@ TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaus
   tree.nodes = {{0, LevelTree::kNoParent, 2000}};
   for (std::uint32_t k = 0; k < 7; ++k) tree.nodes.push_back({6 - k, k == 0 ? LevelTree::kNoParent : k, 100});
   CHECK(convert().error().code == Errc::limit_exceeded);
+  // They are counted before there are regions, of which each takes some hundred bytes.
+  constexpr std::uint32_t kMany = 50'000;
+  tree.nodes.resize(1);
+  for (std::uint32_t level = 31; level > 0; --level)
+    tree.nodes.push_back({level - 1, static_cast<std::uint32_t>(tree.nodes.size() - 1), 1});
+  tree.nodes[0] = {31, LevelTree::kNoParent, 1};
+  tree.nodes.resize(kMany, {0, LevelTree::kNoParent, 1});
+  tree.read = [&](const LevelTree::Visit& visit) -> Status {
+    for (std::uint32_t node = 0; node < kMany; ++node) {
+      SplatFile piece;
+      piece.cloud.resize(1, 0);
+      piece.cloud.set(0, cloud.view().splat(0));
+      if (Status s = visit(node, std::move(piece)); !s) return s;
+    }
+    return {};
+  };
+  const auto kept = KeptLevels::open(tree, kAxes3dgs, options.encode);
+  REQUIRE(kept);
+  SceneScan scan(3, BadPolicy::drop);
+  lod::StreamedLevels levels;
+  const std::int64_t before = live_bytes();
+  reset_peak_bytes();
+  CHECK(kept->arrange(scan, options.encode, {}, levels).error().code == Errc::limit_exceeded);
+  if (counts_memory()) CHECK(peak_bytes() - before < 100 * static_cast<std::int64_t>(kMany));
   tree.read = [](const LevelTree::Visit&) -> Status { throw std::bad_alloc(); };
   CHECK(KeptLevels::open(tree, kAxes3dgs, options.encode).error().code == Errc::host_out_of_memory);
 }
