@@ -5,11 +5,10 @@
 #include <cstdint>
 #include <cstdlib>
 #include <span>
-#include <vector>
 
+#include "check_levels.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/interchange.hpp"
-#include "rgs/level_tree.hpp"
 #include "rgs/splat_edit.hpp"
 
 namespace {
@@ -34,26 +33,6 @@ void check_writer(rgs::SplatCloud cloud) {
   require(again && again->cloud.size() == cloud.size() && again->cloud.sh_degree <= cloud.sh_degree);
 }
 
-// `n`: Gaussians that are read without levels.
-void check_levels(std::span<const std::byte> bytes, std::uint64_t n) {
-  const auto tree = rgs::open_levels(bytes, "no folder", {});
-  if (!tree || tree->nodes.empty()) return;
-  std::uint64_t n_finest = 0;
-  std::vector<bool> is_leaf(tree->nodes.size(), true);
-  for (std::size_t i = tree->nodes.size(); i-- > 0;) {
-    const rgs::LevelTree::Node& node = tree->nodes[i];
-    n_finest += is_leaf[i] ? node.n : 0;
-    if (node.parent == rgs::LevelTree::kNoParent) continue;
-    require(node.parent < i && tree->nodes[node.parent].level > node.level);
-    is_leaf[node.parent] = false;
-  }
-  require(n_finest == n);
-  (void)tree->read([&](std::uint32_t node, const rgs::SplatFile& piece) -> rgs::Status {
-    require(piece.cloud.size() == tree->nodes[node].n);
-    return {};
-  });
-}
-
 }  // namespace
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
@@ -65,7 +44,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   require(file->format == kFormat && file->cloud.view().consistent());
   require(file->cloud.size() <= 1032 * size / 16 + (1u << 20));  // every format spends at least 16 bytes unpacked
-  if (kFormat == rgs::SplatFormat::rad || kFormat == rgs::SplatFormat::ssog) check_levels(bytes, file->cloud.size());
+  if (kFormat == rgs::SplatFormat::rad || kFormat == rgs::SplatFormat::ssog)
+    rgs::test::check_levels(bytes, "no folder", file->cloud.size());
   // Streamed SOG is written from levels.
   if (rgs::format_info(kFormat).writable && kFormat != rgs::SplatFormat::ssog) check_writer(file->cloud);
   return 0;

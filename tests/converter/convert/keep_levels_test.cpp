@@ -382,6 +382,44 @@ TEST_CASE("levels of an LCC become levels of an .rgs") {
   CHECK(convert_damaged(1, {"--strict"}).exit_code == 4);
 }
 
+TEST_CASE("levels of an LCC2 become levels of an .rgs") {
+  const TemporaryFolder folder;
+  SplatCloud fine = ordinary_cloud(6000, 1, 1), coarse;
+  for (float& x : fine.log_scale) x = x / 4 - 1;
+  coarse.resize(1500, 1);
+  for (std::uint64_t i = 0; i < 1500; ++i) coarse.set(i, fine.view().splat(4 * i));
+  const auto node = [](int file, int start, int count) {
+    return json{{"data", {{"3dgs", {{"name", file}, {"start", start}, {"count", count}}}}}};
+  };
+  json above = node(1, 0, 1500);
+  above["child"] = {{"0", node(0, 0, 4000)}, {"1", node(0, 4000, 2000)}};
+  const json meta = {{"lodSplats", {6000, 1500}},
+                     {"totalLevels", 2},
+                     {"splatType", ".spz"},
+                     {"root", {{"splatFiles", {"0.spz", "1.spz"}}, {"child", {above}}}}};
+  write_bytes(folder.file("a.lcc2"), bytes_of(meta.dump()));
+  write_bytes(folder.file("0.spz"), encode_splats(fine.view(), SplatFormat::spz).value());
+  write_bytes(folder.file("1.spz"), encode_splats(coarse.view(), SplatFormat::spz).value());
+  const std::string rgs = folder.file("a.rgs");
+  const ProgramResult run = rgs_convert({folder.file("a.lcc2"), rgs});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("not kept") == std::string::npos);
+  const Bytes bytes = read_bytes(rgs);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(validate(*file));
+  CHECK(count_refuted(*file) == 0);
+  CHECK(file->head().declarations().axes == kAxes3dgs);
+  for (std::uint32_t level = 0; level < 2; ++level) {
+    float error = 0;
+    for (const lod::Page& page : file->pages()) error = std::max(error, page.level == level ? page.error : 0);
+    check_same(level_of(rgs, level), level_of(folder.file("a.lcc2"), level), static_cast<double>(error));
+  }
+  REQUIRE(rgs_convert({"--level-of-detail", "1", folder.file("a.lcc2"), rgs}).exit_code == 0);
+  CHECK(read_splats(rgs)->cloud.size() == 1500);
+}
+
 TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaussians") {
   SplatCloud cloud = ordinary_cloud(2000, 0, 9);
   LevelTree tree;

@@ -33,7 +33,7 @@ struct LevelTree {
   std::function<Status(const Visit& visit)> read = [](const Visit&) { return Status(); };
 };
 
-/// A .ssog, lod-meta.json, .rad or .lcc, `bytes`, which must outlive the result; `folder` holds the files beside it.
+/// A .ssog, lod-meta.json, .rad, .lcc or .lcc2, `bytes`, which must outlive the result; `folder` holds files beside it.
 /// Without nodes above others if the file has one level. Errors: as read_splats(), also from `read`.
 Result<LevelTree> open_levels(std::span<const std::byte> bytes, const std::string& folder, const ReadOptions& options);
 
