@@ -566,7 +566,13 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
       const Status measured = lod::each_at_once(regions.size(), lod::most_at_once(options, kMeasuring * most), measure);
       if (!measured) return measured;
     }
-    return lod::build_above(encode, options, {0, static_cast<std::uint32_t>(out.pages.back().size())}, out);
+    // Pages of regions above several are larger than those that are built, and so are groups of them.
+    const std::uint64_t usual = std::uint64_t{build.page_chunks} * build.chunk_size;
+    std::uint64_t largest = usual;
+    for (const lod::Page& page : out.pages.back()) largest = std::max<std::uint64_t>(largest, page.count);
+    lod::StreamOptions above = options;
+    above.memory_bytes = options.memory_bytes / largest * usual;
+    return lod::build_above(encode, above, {0, static_cast<std::uint32_t>(out.pages.back().size())}, out);
   });
 }
 
