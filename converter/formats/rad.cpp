@@ -30,7 +30,6 @@
 #include "json_member.hpp"
 #include "level_choice.hpp"
 #include "quantised.hpp"
-#include "rgs/encode.hpp"
 #include "rgs/page.hpp"
 #include "rgs/quantize.hpp"
 #include "signature.hpp"
@@ -455,7 +454,7 @@ std::vector<std::uint32_t> halving_cuts(const std::vector<Node>& nodes, std::uin
 }
 
 using Rows = std::vector<std::uint32_t>;
-constexpr std::uint64_t kMostRows = std::uint64_t{lod::kPageChunks} * EncodeOptions().chunk_size;  // of a part: a page
+constexpr std::uint64_t kMostRows = std::uint64_t{lod::kPageChunks} * 256;  // of a part: a page of usual chunks
 
 // Cuts rows into as few parts of nearly the same size as hold at most kMostRows each: cells of a k-d tree.
 void cut_apart(const SplatCloud& cloud, std::span<std::uint32_t> rows, const auto& put) {

@@ -467,7 +467,8 @@ TEST_CASE("a cut that does not halve is no level, nor a part that would be the s
   Bytes damaged = tree_of(counts, starts);
   const std::array begin{0.F, 1.F, 2.F};
   const float nan = std::numeric_limits<float>::quiet_NaN();
-  const auto first = std::ranges::search(damaged, std::as_bytes(std::span(begin))).begin() - damaged.begin();
+  const auto raw = std::as_bytes(std::span(begin));
+  const auto first = std::search(damaged.begin(), damaged.end(), raw.begin(), raw.end()) - damaged.begin();
   for (std::size_t i = 0; i < 3603; i += 3) put(damaged, static_cast<std::size_t>(first) + 4 * i, nan);
   const auto unordered = open_levels(damaged, "", {});
   REQUIRE(unordered);
