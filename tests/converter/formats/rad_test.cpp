@@ -1,8 +1,12 @@
 // rad_test.cpp - .rad of Spark: files of its own tool, every encoding that it reads, trees, files that are written,
 // hostile files.
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <array>
 #include <cstring>
 #include <functional>
+#include <limits>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <numeric>
 #include <string>
