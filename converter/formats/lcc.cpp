@@ -565,14 +565,11 @@ Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBesid
   const Status status = each_chunk(
       *lcc2, wanted, fetch, options.limits, [&](std::span<const std::uint32_t> of_chunk, SplatFile& chunk) -> Status {
         const std::uint64_t n = chunk.cloud.size();
-        if (std::ranges::all_of(of_chunk, [&](std::uint32_t i) { return wanted[i]; })) {
-          std::optional<std::uint64_t> stated = 0;
-          for (const std::uint32_t i : of_chunk)
-            stated = stated && parts[i].count ? std::optional(*stated + *parts[i].count) : std::nullopt;
-          if (stated && *stated != n) return another_count(*stated, n);
-        } else {
-          if (const auto stated = count_runs(*lcc2, of_chunk); stated != n)
-            return another_count(stated.value_or(Error::kNone), n);
+        std::optional<std::uint64_t> stated = 0;  // by wanted ones, which may share it with others
+        for (const std::uint32_t i : of_chunk)
+          if (wanted[i]) stated = stated && parts[i].count ? std::optional(*stated + *parts[i].count) : std::nullopt;
+        if (stated && *stated != n) {
+          if (count_runs(*lcc2, of_chunk) != n) return another_count(*stated, n);
           std::vector<std::uint64_t> kept;
           for (const std::uint32_t i : of_chunk)
             for (std::uint64_t k = 0; k < *parts[i].count && wanted[i]; ++k) kept.push_back(parts[i].start + k);

@@ -434,6 +434,11 @@ TEST_CASE("LCC2: nodes are those of the tree, of which a level may be read") {
     });
     CHECK(open_levels(unclear.at("a.lcc2"), folder.path().string(), {})->nodes.empty());
     CHECK(read_folder(unclear, "a.lcc2")->cloud.size() == finest->cloud.size());
+    // Nor does a coarser node of the same Gaussians, which takes nothing from the finest.
+    const Files shared =
+        edited(all, "a.lcc2", [](json& meta) { meta["root"]["child"][0]["data"] = node(3, 8)["data"]; });
+    CHECK(open_levels(shared.at("a.lcc2"), folder.path().string(), {})->nodes.empty());
+    CHECK(read_folder(shared, "a.lcc2")->cloud.mean == finest->cloud.mean);
     const Files wrong =
         edited(all, "a.lcc2", [](json& meta) { meta["root"]["child"][0]["data"]["3dgs"]["count"] = 5; });
     const auto damaged = open_levels(wrong.at("a.lcc2"), folder.path().string(), {});
