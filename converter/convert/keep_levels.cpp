@@ -108,12 +108,12 @@ void close_gaps(std::span<LevelTree::Node> nodes, const std::vector<bool>& lives
     node.level = static_cast<std::uint32_t>(std::count(is_used.begin(), is_used.begin() + node.level, true));
 }
 
-// Regions of all levels: nodes, and repeated ones where a level is lacking.
-RegionLevels regions_of(const LevelTree& tree, std::span<const std::uint64_t> n_kept, const std::vector<bool>& lives) {
+// Regions of all levels: nodes, and repeated ones where a level is lacking. Errors: limit_exceeded.
+Result<RegionLevels> regions_of(const LevelTree& tree, std::span<const std::uint64_t> n_kept,
+                                const std::vector<bool>& lives) {
   const std::size_t n = tree.nodes.size();
   std::vector<std::vector<std::uint32_t>> children(n);
-  RegionLevels levels(1);
-  std::vector<Region> roots;
+  std::vector<std::uint32_t> roots;
   const auto region = [&](std::uint32_t node) {
     Region r;
     r.nodes = {node};
@@ -125,11 +125,25 @@ RegionLevels regions_of(const LevelTree& tree, std::span<const std::uint64_t> n_
     if (!lives[i]) continue;
     std::uint32_t parent = tree.nodes[i].parent;
     while (parent != LevelTree::kNoParent && n_kept[parent] == 0) parent = tree.nodes[parent].parent;
-    parent == LevelTree::kNoParent ? roots.push_back(region(i)) : children[parent].push_back(i);
+    (parent == LevelTree::kNoParent ? roots : children[parent]).push_back(i);
     highest = std::max(highest, tree.nodes[i].level);
   }
-  levels.resize(highest + 1);
-  levels[highest] = std::move(roots);
+  // Each node is repeated down to its own level or, without children, to the leaves: count before there is memory.
+  std::vector<std::uint32_t> above(n, highest + 1);  // the parent's level
+  std::uint64_t n_all = 0, n_nodes = 0;
+  for (std::uint32_t i = 0; i < n; ++i) {
+    n_nodes += n_kept[i];
+    if (!lives[i]) continue;
+    for (const std::uint32_t child : children[i]) above[child] = tree.nodes[i].level;
+    n_all += n_kept[i] * (above[i] - (children[i].empty() ? 0 : tree.nodes[i].level));
+  }
+  if (n_all > (1 + kMostRepeats) * n_nodes)
+    return make_error(Errc::limit_exceeded, Error::kNone,
+                      "so many regions lack levels of detail that their Gaussians would be repeated more than 4 "
+                      "times; pass --lod, which builds new ones",
+                      (1 + kMostRepeats) * n_nodes, n_all);
+  RegionLevels levels(highest + 1);
+  for (const std::uint32_t root : roots) levels[highest].push_back(region(root));
   for (std::uint32_t level = highest; level > 0; --level) {
     std::vector<Region>& below = levels[level - 1];
     for (Region& r : levels[level]) {
@@ -198,6 +212,8 @@ class Cutter {
           const Region& child = levels[level - 1][r.first_child + k];
           r.most_pages += r.n_children == 1 ? child.most_pages : usual(child);
         }
+        // Pages do not lie where several regions below them do: as few as may be.
+        if (r.n_children > 1) r.most_pages = std::max(up_to(r.most_pages, lod::kMaxChildren), up_to(r.n, most_rows_));
         r.most_pages = std::min(r.most_pages, r.n);
       }
     }
@@ -426,7 +442,9 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
                            lod::StreamedLevels& out) const {
   return detail::guard_memory([&]() -> Status {
     const lod::BuildOptions build = lod::build_options(encode, options);
-    RegionLevels levels = regions_of(tree_, n_kept_, find_living(tree_, n_kept_, is_leaf_));
+    auto found_regions = regions_of(tree_, n_kept_, find_living(tree_, n_kept_, is_leaf_));
+    if (!found_regions) return tl::unexpected(found_regions.error());
+    RegionLevels& levels = *found_regions;
     join_small(build.chunk_size, levels);
 
     // The place of each node's Gaussians.
@@ -453,13 +471,6 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
       bytes += level_bytes.back();
       n_all += first;
     }
-    const std::uint64_t most_kept =
-        (1 + kMostRepeats) * std::accumulate(n_kept_.begin(), n_kept_.end(), std::uint64_t{0});
-    if (n_all > most_kept)
-      return make_error(Errc::limit_exceeded, Error::kNone,
-                        "so many regions lack levels of detail that their Gaussians would be repeated more than 4 "
-                        "times; pass --lod, which builds new ones",
-                        most_kept, n_all);
     out.n_leaves = levels.front().back().end();
     if (out.n_leaves != scan.n_kept())
       return make_error(Errc::read_failed, Error::kNone, "the source changed while it was read");
@@ -487,7 +498,9 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
         lod::LevelRows& to = out.rows[level];
         std::vector<std::byte> packed(rows.size() * to.row_bytes());
         for (std::size_t i = 0; i < rows.size(); ++i) {
-          const auto position = static_cast<std::uint32_t>(n_read + positions[order[i]]);
+          const std::uint32_t at = positions[order[i]];
+          const auto position =
+              piece.source_index.empty() ? static_cast<std::uint32_t>(n_read + at) : piece.source_index[at];
           to.pack(rows[order[i]], position, &packed[i * to.row_bytes()]);
           if (level == 0 && encode.keep_permutation) out.positions[first + i] = position;
         }
@@ -556,7 +569,13 @@ Status KeptLevels::arrange(const SceneScan& scan, const EncodeOptions& encode, c
       const Status measured = lod::each_at_once(regions.size(), lod::most_at_once(options, kMeasuring * most), measure);
       if (!measured) return measured;
     }
-    return lod::build_above(encode, options, {0, static_cast<std::uint32_t>(out.pages.back().size())}, out);
+    // Pages of regions above several are larger than those that are built, and so are groups of them.
+    const std::uint64_t usual = std::uint64_t{build.page_chunks} * build.chunk_size;
+    std::uint64_t largest = usual;
+    for (const lod::Page& page : out.pages.back()) largest = std::max<std::uint64_t>(largest, page.count);
+    lod::StreamOptions above = options;
+    above.memory_bytes = options.memory_bytes / largest * usual;
+    return lod::build_above(encode, above, {0, static_cast<std::uint32_t>(out.pages.back().size())}, out);
   });
 }
 

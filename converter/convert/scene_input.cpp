@@ -90,8 +90,10 @@ Result<SplatFile> SceneInput::read(ReadOptions options) const {
 }
 
 Result<LevelTree> SceneInput::levels(const ReadOptions& options) const {
-  // Of standard input nothing lies beside; a zip archive needs nothing.
-  if (path_ == "-" && (bytes_.empty() || bytes_.front() != std::byte{'P'})) return LevelTree();
+  if (path_ == "-") {  // nothing lies beside; a zip archive or a .rad may need nothing
+    const bool alone = !bytes_.empty() && (bytes_.front() == std::byte{'P'} || bytes_.front() == std::byte{'R'});
+    return alone ? open_levels(bytes_, "", options) : LevelTree();
+  }
   const std::string folder = std::filesystem::path(path_).parent_path().string();
   return open_levels(bytes_, folder.empty() ? "." : folder, options);
 }

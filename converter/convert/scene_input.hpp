@@ -34,7 +34,7 @@ class SceneInput {
   std::uint64_t hash() const;
   /// The whole scene, in the axes of the file.
   Result<SplatFile> read(ReadOptions options) const;
-  /// The levels that the file has of its own: open_levels(); none of standard input that is no zip archive.
+  /// The levels that the file has of its own: open_levels(); none of standard input but of a zip archive or .rad.
   Result<LevelTree> levels(const ReadOptions& options) const;
   /// For an .rgs with levels: how many Gaussians of each page `passing` keeps; of pages missing at the end, all. Empty
   /// for other files. `passing` gets some pages at a time, in the axes of the file and with only its origin, and

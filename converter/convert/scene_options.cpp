@@ -175,9 +175,10 @@ void SceneOptions::add_to(CLI::App& app) {
              "Keep at most this many (200k, 1.5M) after --crop and --min-opacity: of an .rgs with levels of "
              "detail the finest cut with no more, of others those with the largest opacity times "
              "area");
-  app.add_option("--level-of-detail", level_of_detail,
-                 "Level to read of .rgs, streamed SOG, .rad and tilesets (3D Tiles) with levels of detail; 0, the "
-                 "default: the scene's own Gaussians");
+  app.add_option(
+      "--level-of-detail", level_of_detail,
+      "Level to read of .rgs, streamed SOG, .rad, .lcc, .lcc2 and tilesets (3D Tiles) with levels of detail; "
+      "0, the default: the scene's own Gaussians");
   app.add_option("--aa,--aa-mode", asked.aa_mode,
                  "Anti-aliasing that the scene was trained with [the input's, else classic]")
       ->transform(tool::one_of<AaMode>({{"undeclared", AaMode::undeclared},

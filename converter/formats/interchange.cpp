@@ -17,6 +17,7 @@
 #include "gltf_splats.hpp"
 #include "ksplat.hpp"
 #include "lcc.hpp"
+#include "level_choice.hpp"
 #include "npz.hpp"
 #include "pieces.hpp"
 #include "rad.hpp"
@@ -146,10 +147,7 @@ Result<SplatFile> decode_levels(Bytes bytes, const ReadOptions& options) {
                       paged->n_pages(), 0);
   }
   if (options.level_of_detail) {
-    if (*options.level_of_detail >= paged->n_levels()) {
-      return make_error(Errc::bad_argument, Error::kNone, "the file has no such level of detail (0 is the finest)",
-                        paged->n_levels(), *options.level_of_detail);
-    }
+    if (const Status s = detail::check_level(paged->n_levels(), options); !s) return tl::unexpected(s.error());
     pages = lod::pages_of_level(paged->pages(), *options.level_of_detail);
   } else if (options.max_count) {
     if (!options.page_counts.empty() && options.page_counts.size() != paged->n_pages())
@@ -347,15 +345,15 @@ constexpr Format kFormats[] = {
      detail::is_sog, detail::decode_sog, detail::encode_sog},
     {{SplatFormat::rad, "rad", "", "Spark 2 (three.js), also with .radc beside it; its tree of an .rgs with levels",
       "mean FP32; rotation 24 bits; scale, opacity, colour, harmonics 8; read from FP16 or 32 too",
-      kAxes3dgs, 3, true, {.one_level = true}, false, true},
+      kAxes3dgs, 3, true, {.levels = true}, false, true},
      detail::is_rad, detail::decode_rad, detail::encode_rad},
     {{SplatFormat::lcc, "lcc", "", "XGRIDS, beside its index.bin, data.bin and shcoef.bin",
       "mean FP32; scale 16 bits; rotation 32; opacity, colour 8; harmonics 11, 10, 11",
       kAxesLcc, 3, false, {.levels = true}, true, true},
      detail::is_lcc, read_within<detail::decode_lone_lcc>},
-    {{SplatFormat::lcc2, "lcc2", "", "XGRIDS, beside its .sog or .spz; the finest level",
+    {{SplatFormat::lcc2, "lcc2", "", "XGRIDS, beside its .sog or .spz",
       "that of .sog or .spz",
-      kAxesLcc, 3, false, {.aa_mode = true}, true, true},
+      kAxesLcc, 3, false, {.levels = true, .aa_mode = true}, true, true},
      detail::is_lcc2, read_within<detail::decode_lone_lcc>},
     {{SplatFormat::ksplat, "ksplat", "", "GaussianSplats3D, levels 0 to 2; written with level 1",
       "level 0 FP32, 1 and 2 FP16; opacity, colour 8 bits",
@@ -401,36 +399,53 @@ tl::unexpected<Error> no_levels() {
   return make_error(Errc::bad_argument, Error::kNone, "no levels of detail are read from this file");
 }
 
-// An .lcc or .lcc2 with the files in its folder; the chunks of an .lcc2, which may be thousands, one at a time.
-Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOptions& options) {
-  if (options.level_of_detail) return no_levels();
-  std::vector<MappedFile> files;
-  std::uint64_t total = bytes.size();
-  Status unchanged;
-  const bool is_lcc = detail::is_lcc(bytes);
-  const detail::FetchBeside fetch = [&](const std::string& name) -> Result<Bytes> {
-    if (!is_lcc && !files.empty()) {
-      if (unchanged) unchanged = files.back().check_unchanged();
-      files.pop_back();
+// Files in the folder of an .lcc, or the chunks of an .lcc2, which may be thousands, one at a time.
+class LccFiles {
+ public:
+  LccFiles(std::string folder, bool one_at_a_time) : folder_(std::move(folder)), one_at_a_time_(one_at_a_time) {}
+  Result<Bytes> fetch(const std::string& name) {
+    if (one_at_a_time_ && !files_.empty()) {
+      if (unchanged_) unchanged_ = files_.back().check_unchanged();
+      files_.pop_back();
     }
-    auto file = MappedFile::open(folder + "/" + name);
+    auto file = MappedFile::open(folder_ + "/" + name);
     if (!file) return tl::unexpected(file.error());
-    total += file->bytes().size();
-    files.push_back(std::move(*file));
-    return files.back().bytes();
-  };
-  auto splats = (is_lcc ? detail::decode_lcc : detail::decode_lcc2)(bytes, fetch, options);
-  for (const MappedFile& file : files) {
-    if (unchanged) unchanged = file.check_unchanged();
+    bytes_ += file->bytes().size();
+    files_.push_back(std::move(*file));
+    return files_.back().bytes();
   }
-  if (!unchanged) return tl::unexpected(unchanged.error());
-  return finish(std::move(splats), is_lcc ? SplatFormat::lcc : SplatFormat::lcc2, total, options);
+  // Of all that was fetched so far.
+  std::uint64_t bytes() const { return bytes_; }
+  Status check_unchanged() {
+    for (const MappedFile& file : files_) {
+      if (unchanged_) unchanged_ = file.check_unchanged();
+    }
+    return unchanged_;
+  }
+
+ private:
+  std::string folder_;
+  bool one_at_a_time_ = false;
+  std::vector<MappedFile> files_;
+  std::uint64_t bytes_ = 0;
+  Status unchanged_;
+};
+
+Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOptions& options) {
+  const bool is_lcc = detail::is_lcc(bytes);
+  LccFiles files(folder, !is_lcc);
+  auto splats = (is_lcc ? detail::decode_lcc : detail::decode_lcc2)(
+      bytes, [&](const std::string& name) { return files.fetch(name); }, options);
+  if (const Status s = files.check_unchanged(); !s) return tl::unexpected(s.error());
+  return finish(std::move(splats), is_lcc ? SplatFormat::lcc : SplatFormat::lcc2, bytes.size() + files.bytes(),
+                options);
 }
 
 Result<SplatFile> decode_format(Bytes bytes, const Format& format, const ReadOptions& options) {
-  const bool may_have_levels = format.info.format == SplatFormat::ssog || format.info.format == SplatFormat::rad ||
-                               format.info.format == SplatFormat::tileset;
-  if (options.level_of_detail && !has_levels(bytes) && !may_have_levels) return no_levels();
+  const auto& keeps = format.info.keeps;
+  const bool may_have_levels =
+      format.info.format == SplatFormat::rgs ? has_levels(bytes) : keeps.levels || keeps.one_level;
+  if (options.level_of_detail && !may_have_levels) return no_levels();
   if (format.read != nullptr) return format.read(bytes, options);
   if (const char* advice = advice_for(bytes)) return make_error(Errc::unsupported_feature, 0, advice);
   static const std::string none = "is not a " + format_list() + " file";
@@ -555,30 +570,21 @@ FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options) {
 
 Result<LevelTree> open_levels(std::span<const std::byte> bytes, const std::string& folder, const ReadOptions& options) {
   return detail::guard_memory([&]() -> Result<LevelTree> {
-    if (!detail::is_lcc(bytes)) {
+    const bool is_lcc = detail::is_lcc(bytes);
+    if (!is_lcc && !detail::is_lcc2(bytes)) {
       if (detail::is_tileset(bytes)) return detail::open_tileset_levels(bytes, folder, options);
+      if (detail::is_rad(bytes)) return detail::open_rad_levels(bytes, folder, options);
       if (!detail::is_streamed_sog(bytes)) return no_levels();
       return detail::open_streamed_sog_levels(bytes, folder, options);
     }
-    const auto files = std::make_shared<std::vector<MappedFile>>();
-    std::uint64_t total = bytes.size();
-    auto tree = detail::open_lcc_levels(
-        bytes,
-        [&](const std::string& name) -> Result<Bytes> {
-          auto file = MappedFile::open(folder + "/" + name);
-          if (!file) return tl::unexpected(file.error());
-          total += file->bytes().size();
-          files->push_back(std::move(*file));
-          return files->back().bytes();
-        },
-        options.limits);
+    const auto files = std::make_shared<LccFiles>(folder, !is_lcc);
+    auto tree = (is_lcc ? detail::open_lcc_levels : detail::open_lcc2_levels)(
+        bytes, [files](const std::string& name) { return files->fetch(name); }, options.limits);
     if (!tree) return tree;
-    tree->file.bytes = total;
+    tree->file.bytes = bytes.size() + files->bytes();
     tree->read = [files, read = std::move(tree->read)](const LevelTree::Visit& visit) -> Status {
       const Status status = read(visit);
-      for (const MappedFile& file : *files) {
-        if (const Status s = file.check_unchanged(); !s) return s;
-      }
+      if (const Status s = files->check_unchanged(); !s) return s;
       return status;
     };
     return tree;

@@ -16,7 +16,9 @@
 #include <array>
 #include <cmath>
 #include <filesystem>
+#include <functional>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
@@ -24,6 +26,7 @@
 #include <vector>
 
 #include "json_member.hpp"
+#include "level_choice.hpp"
 #include "pieces.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
@@ -78,8 +81,11 @@ void note_georeference(const json& root, std::vector<std::string>& unused) {
   if (code && *code != 0) unused.push_back("coordinate reference system EPSG:" + std::to_string(*code));
 }
 
-void note_levels(std::uint64_t n_levels, std::vector<std::string>& unused) {
-  if (n_levels > 1) unused.push_back(std::to_string(n_levels - 1) + " coarser levels of detail");
+void note_levels(std::uint64_t n_levels, const ReadOptions& options, SplatFile& file) {
+  file.n_levels = static_cast<std::uint32_t>(std::min<std::uint64_t>(n_levels, ~std::uint32_t{0}));
+  file.finest = options.level_of_detail.value_or(0) == 0;
+  if (n_levels > 1 && !options.level_of_detail)
+    file.unused.insert(file.unused.begin(), std::to_string(n_levels - 1) + " coarser levels of detail");
 }
 
 SplatFile file_of(SplatFormat format) {
@@ -234,15 +240,16 @@ Splat read_record(const Lcc& lcc, const Run& run, std::uint64_t i) {
   return s;
 }
 
-Result<Lcc> open_lcc(Bytes bytes, const FetchBeside& fetch, const DecodeLimits& limits) {
+Status check_count(std::uint64_t n, const DecodeLimits& limits) {
+  if (n <= limits.max_gaussians) return {};
+  return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
+}
+
+Result<Lcc> open_lcc(Bytes bytes, const FetchBeside& fetch) {
   const auto root = parse_json(bytes);
   if (!root) return tl::unexpected(root.error());
   auto meta = parse_meta(*root);
   if (!meta) return tl::unexpected(meta.error());
-  if (meta->n.front() > limits.max_gaussians) {
-    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians,
-                      meta->n.front());
-  }
   // Linux tells Index.bin, as the white paper writes, from index.bin, as the files are called.
   const auto open = [&](std::string name, const char* missing) -> Result<Bytes> {
     auto file = fetch(name);
@@ -267,6 +274,33 @@ Result<Lcc> open_lcc(Bytes bytes, const FetchBeside& fetch, const DecodeLimits& 
   if (open("collision.lci", "")) lcc.file.unused.emplace_back("collision mesh");
   note_georeference(*root, lcc.file.unused);
   return lcc;
+}
+
+struct Cells {
+  std::vector<std::vector<Run>> runs;  // of each cell the levels that it has, the finest first
+  std::uint64_t n = 0;
+  std::uint64_t n_dropped = 0;  // Gaussians of cells without the finest level, which have no place in the scene
+};
+
+// The `n_levels` finest.
+Result<Cells> find_cells(const Lcc& lcc, std::uint64_t n_levels) {
+  Cells cells;
+  for (std::uint64_t level = 0; level < n_levels && (level == 0 || cells.n != 0); ++level) {
+    const auto runs = find_runs(lcc, level);
+    if (!runs) {
+      Error error = runs.error();
+      if (level > 0)
+        error.what = "a coarser level of the .lcc is cut off or contradicts it; the finest is read alone or with --lod";
+      return tl::unexpected(error);
+    }
+    for (const Run& run : *runs) {
+      if (level == 0) cells.runs.resize(run.cell + 1);
+      const bool has_place = run.cell < cells.runs.size() && (level == 0 || !cells.runs[run.cell].empty());
+      if (has_place) cells.runs[run.cell].push_back(run);
+      (has_place ? cells.n : cells.n_dropped) += run.n;
+    }
+  }
+  return cells;
 }
 
 // ---- LCC2 -----------------------------------------------------------------------------------------------------------
@@ -317,44 +351,135 @@ Result<Tree> parse_tree(const json& root, const json& top) {
   return tree;
 }
 
-struct Finest {
-  // In the order of their files, each with its Gaussians, if the nodes say how many.
-  std::map<std::uint64_t, std::optional<std::uint64_t>> chunks;
-  std::uint64_t n_coarser = 0;  // nodes of coarser levels without any below
+// Gaussians of a node: a run of a chunk's.
+struct Part {
+  std::uint64_t file = 0, start = 0;
+  std::optional<std::uint64_t> count;  // if the node says how many; not 0
+  std::uint64_t level = 0;
+  std::uint32_t parent = LevelTree::kNoParent;  // the next part above
+  bool has_finest = false;                      // is of the finest level, or above one that is
 };
 
-Result<Finest> finest_chunks(const json& top, const Tree& tree) {
-  Finest finest;
-  auto& chunks = finest.chunks;
-  std::vector<std::pair<const json*, std::uint64_t>> open{{&top, 0}};  // nodes, with their depth
+struct Lcc2 {
+  Tree tree;
+  std::vector<Part> parts;  // parents come before those below them
+  SplatFile file;           // without Gaussians
+};
+
+Result<std::vector<Part>> find_parts(const json& top, const Tree& tree, std::uint64_t& n_coarser) {
+  struct Open {
+    const json* node = nullptr;
+    std::uint64_t depth = 0;
+    std::uint32_t parent = LevelTree::kNoParent;
+  };
+  std::vector<Part> parts;
+  bool has_finest = false;
+  std::vector<Open> open{{&top}};
   while (!open.empty()) {
-    const auto [node, depth] = open.back();
+    auto [node, depth, parent] = open.back();
     open.pop_back();
-    if (depth < tree.n_levels) {
-      const json* children = json_member(*node, "child");
-      const bool has_children = children != nullptr && children->is_structured() && !children->empty();
-      const json* data = json_member(*node, "data");
-      const json* splats = data != nullptr ? json_member(*data, "3dgs") : nullptr;
-      const auto file = splats != nullptr ? whole(json_member(*splats, "name")) : std::nullopt;
-      if (!has_children && file && file != tree.environment) ++finest.n_coarser;
-      if (!has_children) continue;
-      for (const json& child : *children) open.emplace_back(&child, depth + 1);
-      continue;
-    }
+    const json* children = depth < tree.n_levels ? json_member(*node, "child") : nullptr;
+    const bool has_children = children != nullptr && children->is_structured() && !children->empty();
     const json* data = json_member(*node, "data");
-    const json* splats = data != nullptr ? json_member(*data, "3dgs") : nullptr;
-    if (splats == nullptr || splats->is_null()) continue;
-    const auto file = whole(json_member(*splats, "name")), count = whole(json_member(*splats, "count"));
-    if (!file || *file >= tree.files.size()) {
-      return make_error(Errc::bad_value, 0, "a node of the .lcc2 names a chunk that root.splatFiles lacks",
-                        tree.files.size(), file.value_or(Error::kNone));
+    const json* splats = data != nullptr && depth > 0 ? json_member(*data, "3dgs") : nullptr;
+    if (splats != nullptr && !splats->is_null()) {
+      const auto file = whole(json_member(*splats, "name")), count = whole(json_member(*splats, "count"));
+      const bool is_finest = depth == tree.n_levels, is_known = file && *file < tree.files.size();
+      if (is_finest && !is_known) {
+        return make_error(Errc::bad_value, 0, "a node of the .lcc2 names a chunk that root.splatFiles lacks",
+                          tree.files.size(), file.value_or(Error::kNone));
+      }
+      if (is_known && file != tree.environment) {
+        has_finest = has_finest || is_finest;
+        n_coarser += !is_finest && !has_children ? 1 : 0;
+        if (count != std::uint64_t{0}) {
+          const auto start = whole(json_member(*splats, "start"));
+          parts.push_back({*file, start.value_or(0), count, tree.n_levels - depth, parent, is_finest});
+          parent = static_cast<std::uint32_t>(parts.size() - 1);
+        }
+      }
     }
-    if (file == tree.environment) continue;
-    const auto [known, is_new] = chunks.emplace(*file, count);
-    if (!is_new) known->second = known->second && count ? std::optional(*known->second + *count) : std::nullopt;
+    if (!has_children) continue;
+    for (const json& child : *children) open.push_back({&child, depth + 1, parent});
   }
-  if (chunks.empty()) return bad_json("the .lcc2 has no chunks of its finest level");
-  return finest;
+  if (!has_finest) return bad_json("the .lcc2 has no chunks of its finest level");
+  for (std::size_t i = parts.size(); i-- > 0;) {
+    if (parts[i].has_finest && parts[i].parent != LevelTree::kNoParent) parts[parts[i].parent].has_finest = true;
+  }
+  return parts;
+}
+
+Result<Lcc2> open_lcc2(Bytes bytes) {
+  const auto root = parse_json(bytes);
+  if (!root) return tl::unexpected(root.error());
+  static const json none;
+  const json* stated = json_member(*root, "root");
+  const json& top = stated != nullptr ? *stated : none;
+  auto tree = parse_tree(*root, top);
+  if (!tree) return tl::unexpected(tree.error());
+  std::uint64_t n_coarser = 0;
+  auto parts = find_parts(top, *tree, n_coarser);
+  if (!parts) return tl::unexpected(parts.error());
+  Lcc2 lcc2{std::move(*tree), std::move(*parts), file_of(SplatFormat::lcc2)};
+  std::vector<std::string>& unused = lcc2.file.unused;
+  if (n_coarser != 0) unused.push_back(std::to_string(n_coarser) + " nodes that have only coarser levels");
+  if (lcc2.tree.environment) unused.emplace_back("environment");
+  if (const json* meshes = json_member(top, "meshFiles"); meshes != nullptr && !meshes->empty())
+    unused.emplace_back("meshes");
+  note_georeference(*root, unused);
+  return lcc2;
+}
+
+// Parts of each chunk, by the Gaussians with which they begin.
+using PartsByFile = std::map<std::uint64_t, std::vector<std::uint32_t>>;
+PartsByFile by_file(const Lcc2& lcc2) {
+  PartsByFile of_file;
+  for (std::uint32_t i = 0; i < lcc2.parts.size(); ++i) of_file[lcc2.parts[i].file].push_back(i);
+  for (auto& [file, parts] : of_file)
+    std::ranges::stable_sort(parts, {}, [&](std::uint32_t i) { return lcc2.parts[i].start; });
+  return of_file;
+}
+
+// How many Gaussians parts of a chunk hold that follow one another; nullopt: they do not.
+std::optional<std::uint64_t> count_runs(const Lcc2& lcc2, std::span<const std::uint32_t> parts) {
+  constexpr std::uint64_t kMost = std::uint64_t{1} << 32;
+  std::uint64_t end = 0;
+  for (const std::uint32_t i : parts) {
+    if (lcc2.parts[i].start != end || lcc2.parts[i].count.value_or(kMost) >= kMost - end) return std::nullopt;
+    end += *lcc2.parts[i].count;
+  }
+  return end;
+}
+
+// Decodes chunks of which parts are wanted, one at a time, in their order. `visit` gets all parts of a chunk.
+using VisitChunk = std::function<Status(std::span<const std::uint32_t> parts, SplatFile& chunk)>;
+Status each_chunk(const Lcc2& lcc2, const std::vector<bool>& wanted, const FetchBeside& fetch,
+                  const DecodeLimits& limits, const VisitChunk& visit) {
+  std::set<std::string> names;
+  const bool is_spz = lcc2.tree.chunks == SplatFormat::spz;
+  ReadOptions options{.limits = limits, .format = lcc2.tree.chunks, .keep_axes = true};
+  for (const auto& [file, parts] : by_file(lcc2)) {
+    if (std::ranges::none_of(parts, [&](std::uint32_t i) { return wanted[i]; })) continue;
+    if (!names.insert(lcc2.tree.files[file]).second)
+      return make_error(Errc::bad_value, 0, "root.splatFiles names a chunk twice", Error::kNone, file);
+    const auto bytes = fetch(lcc2.tree.files[file]);
+    if (!bytes) {
+      Error error = bytes.error();
+      error.what = "cannot open a chunk that root.splatFiles names";
+      return tl::unexpected(error);
+    }
+    // A georeference of an SPZ does not move it: that of the .lcc2 speaks for all.
+    auto chunk = is_spz ? decode_spz(*bytes, options, false) : decode_sog(*bytes, options);
+    if (!chunk) return tl::unexpected(chunk.error());
+    chunk->bytes = bytes->size();
+    options.limits.max_gaussians -= chunk->cloud.size();
+    if (Status s = visit(parts, *chunk); !s) return s;
+  }
+  return {};
+}
+
+tl::unexpected<Error> another_count(std::uint64_t stated, std::uint64_t n) {
+  return make_error(Errc::size_mismatch, 0, "a chunk has another number of Gaussians than its nodes", stated, n);
 }
 
 }  // namespace
@@ -372,57 +497,40 @@ Result<SplatFile> decode_lone_lcc(std::span<const std::byte>, const DecodeLimits
 }
 
 Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options) {
-  auto lcc = open_lcc(bytes, fetch, options.limits);
+  auto lcc = open_lcc(bytes, fetch);
   if (!lcc) return tl::unexpected(lcc.error());
-  const auto runs = find_runs(*lcc, 0);
-  if (!runs) return tl::unexpected(runs.error());
+  if (Status s = check_level(lcc->meta.n_levels, options); !s) return tl::unexpected(s.error());
+  auto cells = find_cells(*lcc, options.level_of_detail.value_or(0) + std::uint64_t{1});
+  if (!cells) return tl::unexpected(cells.error());
+  std::erase_if(cells->runs, [](const std::vector<Run>& cell) { return cell.empty(); });
+  std::uint64_t n = 0;
+  for (const std::vector<Run>& cell : cells->runs) n += cell.back().n;
+  if (Status s = check_count(n, options.limits); !s) return tl::unexpected(s.error());
   SplatFile file = std::move(lcc->file);
-  PieceFiller filler(file, lcc->meta.n.front(), lcc->meta.sh ? 3 : 0, options);
-  for (const Run& run : *runs) {
-    for (std::uint64_t i = 0; i < run.n; ++i) {
-      if (const Status s = filler.add(read_record(*lcc, run, i)); !s) return tl::unexpected(s.error());
+  PieceFiller filler(file, n, lcc->meta.sh ? 3 : 0, options);
+  for (const std::vector<Run>& cell : cells->runs) {
+    for (std::uint64_t i = 0; i < cell.back().n; ++i) {
+      if (const Status s = filler.add(read_record(*lcc, cell.back(), i)); !s) return tl::unexpected(s.error());
     }
   }
-  std::vector<std::string> levels;
-  note_levels(lcc->meta.n_levels, levels);
-  file.unused.insert(file.unused.begin(), levels.begin(), levels.end());
+  note_levels(lcc->meta.n_levels, options, file);
   return file;
 }
 
 Result<LevelTree> open_lcc_levels(std::span<const std::byte> bytes, const FetchBeside& fetch,
                                   const DecodeLimits& limits) {
-  const auto lcc = open_lcc(bytes, fetch, limits);
+  const auto lcc = open_lcc(bytes, fetch);
   if (!lcc) return tl::unexpected(lcc.error());
+  const auto cells = find_cells(*lcc, lcc->meta.n_levels);
+  if (!cells) return tl::unexpected(cells.error());
+  if (Status s = check_count(cells->n, limits); !s) return tl::unexpected(s.error());
   LevelTree tree;
   tree.file = lcc->file;
   tree.file.n_levels = static_cast<std::uint32_t>(lcc->meta.n_levels);
-  std::vector<std::vector<Run>> of_cell;  // by level
-  std::uint64_t n = 0, n_dropped = 0;
-  for (std::uint64_t level = 0; level < lcc->meta.n_levels && (level == 0 || n != 0); ++level) {
-    const auto runs = find_runs(*lcc, level);
-    if (!runs) {
-      Error error = runs.error();
-      if (level > 0)
-        error.what = "a coarser level of the .lcc is cut off or contradicts it; pass --lod, which builds new ones";
-      return tl::unexpected(error);
-    }
-    for (const Run& run : *runs) {
-      if (level == 0) of_cell.resize(run.cell + 1);
-      // A cell without the finest level has no place in the scene.
-      if (run.cell < of_cell.size() && (level == 0 || !of_cell[run.cell].empty())) {
-        of_cell[run.cell].push_back(run);
-        n += run.n;
-      } else {
-        n_dropped += run.n;
-      }
-    }
-  }
-  if (n > limits.max_gaussians)
-    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
-  if (n_dropped != 0)
-    tree.file.unused.push_back(std::to_string(n_dropped) + " Gaussians of cells without a finest level");
+  if (cells->n_dropped != 0)
+    tree.file.unused.push_back(std::to_string(cells->n_dropped) + " Gaussians of cells without a finest level");
   std::vector<Run> all;
-  for (const std::vector<Run>& cell : of_cell) {
+  for (const std::vector<Run>& cell : cells->runs) {
     for (auto run = cell.rbegin(); run != cell.rend(); ++run) {
       const auto parent = run == cell.rbegin() ? LevelTree::kNoParent : static_cast<std::uint32_t>(all.size() - 1);
       tree.nodes.push_back({static_cast<std::uint32_t>(run->level), parent, run->n});
@@ -442,49 +550,85 @@ Result<LevelTree> open_lcc_levels(std::span<const std::byte> bytes, const FetchB
 }
 
 Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options) {
-  const auto root = parse_json(bytes);
-  if (!root) return tl::unexpected(root.error());
-  static const json none;
-  const json* stated = json_member(*root, "root");
-  const json& top = stated != nullptr ? *stated : none;
-  const auto tree = parse_tree(*root, top);
-  if (!tree) return tl::unexpected(tree.error());
-  const auto finest = finest_chunks(top, *tree);
-  if (!finest) return tl::unexpected(finest.error());
-  SplatFile file = file_of(SplatFormat::lcc2);
-  std::set<std::string> names;
-  ReadOptions of_chunk{.limits = options.limits, .format = tree->chunks, .keep_axes = true};
-  for (const auto& [index, count] : finest->chunks) {
-    if (!names.insert(tree->files[index]).second) {
-      return make_error(Errc::bad_value, 0, "root.splatFiles names a chunk twice", Error::kNone, index);
-    }
-    const auto chunk_bytes = fetch(tree->files[index]);
-    if (!chunk_bytes) {
-      Error error = chunk_bytes.error();
-      error.what = "cannot open a chunk that root.splatFiles names";
-      return tl::unexpected(error);
-    }
-    // A georeference of an SPZ does not move it: that of the .lcc2 speaks for all.
-    const auto chunk = tree->chunks == SplatFormat::spz ? decode_spz(*chunk_bytes, of_chunk, false)
-                                                        : decode_sog(*chunk_bytes, of_chunk);
-    if (!chunk) return tl::unexpected(chunk.error());
-    if (count && *count != chunk->cloud.size()) {
-      return make_error(Errc::size_mismatch, 0, "a chunk has another number of Gaussians than its nodes", *count,
-                        chunk->cloud.size());
-    }
-    if (names.size() == 1) file.aa_mode = chunk->aa_mode;
-    of_chunk.limits.max_gaussians -= chunk->cloud.size();
-    append_splats(file.cloud, chunk->cloud);
-    if (const Status s = hand_over(file, options); !s) return tl::unexpected(s.error());
+  const auto lcc2 = open_lcc2(bytes);
+  if (!lcc2) return tl::unexpected(lcc2.error());
+  const auto& parts = lcc2->parts;
+  if (Status s = check_level(lcc2->tree.n_levels, options); !s) return tl::unexpected(s.error());
+  const std::uint64_t level = options.level_of_detail.value_or(0);
+  std::vector<bool> wanted;
+  for (const Part& part : parts) {
+    const bool is_highest = part.parent == LevelTree::kNoParent || parts[part.parent].level > level;
+    wanted.push_back(part.has_finest && part.level <= level && is_highest);
   }
-  note_levels(tree->n_levels, file.unused);
-  if (finest->n_coarser != 0)
-    file.unused.push_back(std::to_string(finest->n_coarser) + " nodes that have only coarser levels");
-  if (tree->environment) file.unused.emplace_back("environment");
-  if (const json* meshes = json_member(top, "meshFiles"); meshes != nullptr && !meshes->empty())
-    file.unused.emplace_back("meshes");
-  note_georeference(*root, file.unused);
+  SplatFile file = lcc2->file;
+  bool is_first = true;
+  const Status status = each_chunk(
+      *lcc2, wanted, fetch, options.limits, [&](std::span<const std::uint32_t> of_chunk, SplatFile& chunk) -> Status {
+        const std::uint64_t n = chunk.cloud.size();
+        std::optional<std::uint64_t> stated = 0;  // by wanted ones, which may share it with others
+        for (const std::uint32_t i : of_chunk)
+          if (wanted[i]) stated = stated && parts[i].count ? std::optional(*stated + *parts[i].count) : std::nullopt;
+        if (stated && *stated != n) {
+          if (count_runs(*lcc2, of_chunk) != n) return another_count(*stated, n);
+          std::vector<std::uint64_t> kept;
+          for (const std::uint32_t i : of_chunk)
+            for (std::uint64_t k = 0; k < *parts[i].count && wanted[i]; ++k) kept.push_back(parts[i].start + k);
+          keep_splats(chunk.cloud, kept);
+        }
+        if (std::exchange(is_first, false)) file.aa_mode = chunk.aa_mode;
+        append_splats(file.cloud, chunk.cloud);
+        return hand_over(file, options);
+      });
+  if (!status) return tl::unexpected(status.error());
+  note_levels(lcc2->tree.n_levels, options, file);
   return file;
+}
+
+Result<LevelTree> open_lcc2_levels(std::span<const std::byte> bytes, const FetchBeside& fetch,
+                                   const DecodeLimits& limits) {
+  auto opened = open_lcc2(bytes);
+  if (!opened) return tl::unexpected(opened.error());
+  const auto lcc2 = std::make_shared<const Lcc2>(std::move(*opened));
+  LevelTree tree;
+  tree.file = lcc2->file;
+  tree.file.n_levels = static_cast<std::uint32_t>(std::min<std::uint64_t>(lcc2->tree.n_levels, ~std::uint32_t{0}));
+  std::vector<std::uint32_t> node_of(lcc2->parts.size(), LevelTree::kNoParent);
+  std::vector<bool> wanted;
+  std::uint64_t n = 0;
+  for (const Part& part : lcc2->parts) wanted.push_back(part.has_finest);
+  for (const auto& [file, parts] : by_file(*lcc2)) {
+    const bool is_wanted = std::ranges::any_of(parts, [&](std::uint32_t i) { return wanted[i]; });
+    const auto of_file = count_runs(*lcc2, parts);
+    if (is_wanted && !of_file) return tree;  // which Gaussians are whose is not known
+    n += is_wanted ? *of_file : 0;
+    if (Status s = check_count(n, limits); !s) return tl::unexpected(s.error());
+  }
+  for (std::size_t i = 0; i < wanted.size(); ++i) {
+    if (!wanted[i]) continue;
+    const Part& part = lcc2->parts[i];
+    const std::uint32_t parent = part.parent == LevelTree::kNoParent ? part.parent : node_of[part.parent];
+    node_of[i] = static_cast<std::uint32_t>(tree.nodes.size());
+    tree.nodes.push_back({static_cast<std::uint32_t>(part.level), parent, *part.count});
+  }
+  tree.read = [lcc2, node_of, wanted, fetch, limits](const LevelTree::Visit& visit) {
+    const auto visit_parts = [&](std::span<const std::uint32_t> parts, SplatFile& chunk) -> Status {
+      const auto stated = count_runs(*lcc2, parts);
+      if (stated != chunk.cloud.size()) return another_count(stated.value_or(Error::kNone), chunk.cloud.size());
+      for (const std::uint32_t i : parts) {
+        if (!wanted[i]) continue;
+        SplatFile piece;
+        piece.bytes = std::exchange(chunk.bytes, 0);
+        piece.aa_mode = chunk.aa_mode;
+        piece.cloud.resize(*lcc2->parts[i].count, chunk.cloud.sh_degree);
+        for (std::uint64_t k = 0; k < piece.cloud.size(); ++k)
+          piece.cloud.set(k, chunk.cloud.view().splat(lcc2->parts[i].start + k));
+        if (Status s = visit(node_of[i], std::move(piece)); !s) return s;
+      }
+      return {};
+    };
+    return each_chunk(*lcc2, wanted, fetch, limits, visit_parts);
+  };
+  return tree;
 }
 
 }  // namespace rgs::detail

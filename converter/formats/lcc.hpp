@@ -22,7 +22,8 @@ bool is_lcc2(std::span<const std::byte> bytes);
 /// Refuses bytes without a folder.
 Result<SplatFile> decode_lone_lcc(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
-/// The JSON (`bytes`) with the files that `fetch` returns. SplatFile::unused names coarser levels, the environment, the
+/// The JSON (`bytes`) with the files that `fetch` returns: of each cell or node that has the finest level that of
+/// ReadOptions::level_of_detail, or the next finer one. SplatFile::unused names coarser levels, the environment, the
 /// collision mesh and a georeference. Error offsets are in the file that the text names.
 Result<SplatFile> decode_lcc(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options);
 /// Cells with a finest level as chains of the levels that they have. What `fetch` returns must outlive the result.
@@ -30,5 +31,8 @@ Result<LevelTree> open_lcc_levels(std::span<const std::byte> bytes, const FetchB
                                   const DecodeLimits& limits);
 /// Chunks are .sog or .spz.
 Result<SplatFile> decode_lcc2(std::span<const std::byte> bytes, const FetchBeside& fetch, const ReadOptions& options);
+/// Nodes with a finest level as those of the tree; none where nodes do not say which Gaussians of a chunk are theirs.
+Result<LevelTree> open_lcc2_levels(std::span<const std::byte> bytes, const FetchBeside& fetch,
+                                   const DecodeLimits& limits);
 
 }  // namespace rgs::detail

@@ -20,13 +20,17 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <numbers>
+#include <numeric>
 #include <optional>
 #include <utility>
 
 #include "json_member.hpp"
+#include "level_choice.hpp"
 #include "quantised.hpp"
+#include "rgs/page.hpp"
 #include "rgs/quantize.hpp"
 #include "signature.hpp"
 #include "sog.hpp"
@@ -254,11 +258,6 @@ struct Meta {
   std::vector<Piece> pieces;
 };
 
-// Whether a name is that of a file in the folder.
-bool is_beside(const std::string& name) {
-  return !name.empty() && name[0] != '.' && name.find_first_of(std::string_view("/\\\0", 3)) == name.npos;
-}
-
 Result<Meta> parse_meta(Bytes bytes, const DecodeLimits& limits) {
   const auto head = read_head(bytes, 0, kRadMagic);
   if (!head) return tl::unexpected(head.error());
@@ -440,6 +439,82 @@ Result<std::uint32_t> settle_tree(std::vector<Node>& nodes) {
   return highest + 1;
 }
 
+// Cuts by height, the finest first, of which each has at most half the Gaussians of the one before, but more than one.
+std::vector<std::uint32_t> halving_cuts(const std::vector<Node>& nodes, std::uint32_t n_levels) {
+  std::vector<std::int64_t> n(n_levels + 1);  // of each cut, as the difference from the one before
+  for (const Node& node : nodes) {
+    ++n[node.height];
+    --n[node.parent == kNone ? n_levels : nodes[node.parent].height];
+  }
+  std::partial_sum(n.begin(), n.end(), n.begin());
+  std::vector<std::uint32_t> cuts{0};
+  for (std::uint32_t height = 1; height < n_levels; ++height)
+    if (n[height] > 1 && n[height] <= n[cuts.back()] / 2) cuts.push_back(height);
+  return cuts;
+}
+
+using Rows = std::vector<std::uint32_t>;
+constexpr std::uint64_t kMostRows = std::uint64_t{lod::kPageChunks} * 256;  // of a part: a page of usual chunks
+
+// Cuts rows into as few parts of nearly the same size as hold at most kMostRows each: cells of a k-d tree.
+void cut_apart(const SplatCloud& cloud, std::span<std::uint32_t> rows, const auto& put) {
+  const std::uint64_t n_parts = (rows.size() + kMostRows - 1) / kMostRows;
+  if (n_parts <= 1) return put(Rows(rows.begin(), rows.end()));
+  constexpr float kLowest = std::numeric_limits<float>::lowest();  // also for what is no number, which has no order
+  const auto at = [&](std::uint32_t row, std::size_t axis) {
+    const float x = cloud.mean[3 * std::size_t{row} + axis];
+    return std::isfinite(x) ? x : kLowest;
+  };
+  std::size_t axis = 0;
+  float widest = -1;
+  for (std::size_t k = 0; k < 3; ++k) {
+    float low = -kLowest, high = kLowest;
+    for (const std::uint32_t row : rows) low = std::min(low, at(row, k)), high = std::max(high, at(row, k));
+    if (high - low > widest) axis = k, widest = high - low;
+  }
+  const std::uint64_t n_first = rows.size() * (n_parts / 2) / n_parts;
+  std::ranges::nth_element(rows, rows.begin() + static_cast<std::ptrdiff_t>(n_first), {},
+                           [&](std::uint32_t row) { return std::pair(at(row, axis), row); });
+  cut_apart(cloud, rows.first(n_first), put);
+  cut_apart(cloud, rows.subspan(n_first), put);
+}
+
+// Gaussians of each of the nodes that it appends: those of the coarsest cut, then those below them on the next finer.
+std::vector<Rows> parts_of(const std::vector<Node>& tree, const std::vector<std::uint32_t>& cuts,
+                           const SplatCloud& cloud, std::vector<LevelTree::Node>& nodes) {
+  std::vector<Rows> parts;
+  const auto add = [&](Rows rows, std::size_t level, std::uint32_t parent) {
+    cut_apart(cloud, rows, [&](Rows part) {
+      std::size_t own = level;  // not that of a coarser cut that would be the same
+      const auto is_finer = [&](std::uint32_t row) { return tree[row].height <= cuts[own - 1]; };
+      while (own > 0 && std::ranges::all_of(part, is_finer)) --own;
+      nodes.push_back({static_cast<std::uint32_t>(own), parent, part.size()});
+      parts.push_back(std::move(part));
+    });
+  };
+  Rows top;
+  for (std::uint32_t i = 0; i < tree.size(); ++i)
+    if (tree[i].height <= cuts.back() && (tree[i].parent == kNone || tree[tree[i].parent].height > cuts.back()))
+      top.push_back(i);
+  add(std::move(top), cuts.size() - 1, LevelTree::kNoParent);
+  for (std::uint32_t i = 0; i < parts.size(); ++i) {
+    if (nodes[i].level == 0) continue;
+    const std::size_t level = nodes[i].level - 1;
+    Rows open = parts[i], finer;
+    while (!open.empty()) {
+      const std::uint32_t row = open.back();
+      open.pop_back();
+      if (tree[row].height <= cuts[level]) {
+        finer.push_back(row);
+      } else {
+        for (std::uint32_t k = 0; k < tree[row].n_children; ++k) open.push_back(tree[row].first_child + k);
+      }
+    }
+    add(std::move(finer), level, i);
+  }
+  return parts;
+}
+
 // Spark's profile of an alpha a above 1 is 1 - (1 - exp(-r^2 / 2))^w. Its `lodInflate` draws the same as a Gaussian
 // whose opacity is 1 and whose scales are w^(1/3) times as large: this is its logarithm.
 float widen(float alpha) {
@@ -455,25 +530,63 @@ class Reader {
       : bytes_(bytes), fetch_(fetch), options_(options) {}
 
   Result<SplatFile> read() {
-    auto meta = parse_meta(bytes_, options_.limits);
-    if (!meta) return tl::unexpected(meta.error());
-    meta_ = std::move(*meta);
+    if (Status s = open(); !s) return tl::unexpected(s.error());
     if (options_.level_of_detail && !meta_.tree)
       return make_error(Errc::bad_argument, Error::kNone, "no levels of detail are read from this file");
-    stored_ = bytes_.size();
-    // Before memory for the scene: what it unfolds to, and the tree.
-    if (Status s = for_each_chunk([&](Bytes file, const Chunk& chunk) { return look_at(file, chunk); }); !s)
-      return tl::unexpected(s.error());
     SplatFile file;
     if (Status s = choose(file); !s) return tl::unexpected(s.error());
-    cloud_.resize(kept_.size(), meta_.sh_degree);
-    if (Status s = for_each_chunk([&](Bytes from, const Chunk& chunk) { return decode(from, chunk); }); !s)
-      return tl::unexpected(s.error());
+    if (Status s = decode_kept(); !s) return tl::unexpected(s.error());
     file.cloud = std::move(cloud_);
     return file;
   }
 
+  // Nodes are the parts of halving_cuts(), of which finer ones replace the one that their Gaussians are below. All
+  // Gaussians stay in memory.
+  Result<LevelTree> levels() {
+    if (Status s = open(); !s) return tl::unexpected(s.error());
+    LevelTree tree;
+    tree.file.format = SplatFormat::rad;
+    if (!meta_.tree) return tree;
+    const auto n_levels = settle_tree(nodes_);
+    if (!n_levels) return tl::unexpected(n_levels.error());
+    tree.file.n_levels = *n_levels;
+    kept_.resize(meta_.n);
+    std::iota(kept_.begin(), kept_.end(), 0U);
+    if (Status s = decode_kept(); !s) return tl::unexpected(s.error());
+    const auto cloud = std::make_shared<const SplatCloud>(std::move(cloud_));
+    const auto parts = parts_of(nodes_, halving_cuts(nodes_, *n_levels), *cloud, tree.nodes);
+    std::vector<std::uint32_t> places(meta_.n);  // of leaves, among those that read() returns
+    for (std::uint32_t i = 0, n_leaves = 0; i < meta_.n; ++i) places[i] = nodes_[i].n_children == 0 ? n_leaves++ : 0;
+    tree.read = [cloud, parts, places](const LevelTree::Visit& visit) -> Status {
+      for (std::uint32_t node = 0; node < parts.size(); ++node) {
+        SplatFile piece;
+        piece.cloud.resize(parts[node].size(), cloud->sh_degree);
+        for (std::size_t i = 0; i < parts[node].size(); ++i) {
+          piece.cloud.set(i, cloud->view().splat(parts[node][i]));
+          piece.source_index.push_back(places[parts[node][i]]);
+        }
+        if (Status s = visit(node, std::move(piece)); !s) return s;
+      }
+      return {};
+    };
+    return tree;
+  }
+
  private:
+  // What the file unfolds to and its tree, before memory for the scene.
+  Status open() {
+    auto meta = parse_meta(bytes_, options_.limits);
+    if (!meta) return tl::unexpected(meta.error());
+    meta_ = std::move(*meta);
+    stored_ = bytes_.size();
+    return for_each_chunk([&](Bytes file, const Chunk& chunk) { return look_at(file, chunk); });
+  }
+
+  Status decode_kept() {
+    cloud_.resize(kept_.size(), meta_.sh_degree);
+    return for_each_chunk([&](Bytes from, const Chunk& chunk) { return decode(from, chunk); });
+  }
+
   Status for_each_chunk(const auto& visit) {
     base_ = 0;
     for (const Piece& piece : meta_.pieces) {
@@ -536,9 +649,7 @@ class Reader {
       if (!n_levels) return tl::unexpected(n_levels.error());
       file.n_levels = *n_levels;
       file.finest = wanted == 0;
-      if (wanted >= *n_levels)
-        return make_error(Errc::bad_argument, Error::kNone, "the file has no such level of detail (0 is the finest)",
-                          *n_levels, wanted);
+      if (Status s = check_level(*n_levels, options_); !s) return s;
       if (*n_levels > 1 && !options_.level_of_detail) file.unused.emplace_back("levels of detail but the finest");
     }
     for (std::uint32_t i = 0; i < meta_.n; ++i) {
@@ -642,6 +753,10 @@ class Reader {
   std::array<std::optional<Values>, kMaxShDegree> palettes_;
 };
 
+Result<std::vector<std::byte>> no_files(const std::string&) {
+  return make_error(Errc::unsupported_feature, 0, "a .rad without the .radc files of its chunks: name the file");
+}
+
 }  // namespace
 
 std::array<float, 4> decode_octahedral(const std::array<std::uint8_t, 3>& code) {
@@ -659,10 +774,7 @@ bool is_rad(std::span<const std::byte> bytes) {
 }
 
 Result<SplatFile> decode_rad(std::span<const std::byte> bytes, const ReadOptions& options) {
-  const FetchFile none = [](const std::string&) -> Result<std::vector<std::byte>> {
-    return make_error(Errc::unsupported_feature, 0, "a .rad without the .radc files of its chunks: name the file");
-  };
-  return Reader(bytes, none, options).read();
+  return Reader(bytes, no_files, options).read();
 }
 
 Result<SplatFile> decode_rad_folder(std::span<const std::byte> bytes, const std::string& folder,
@@ -671,6 +783,14 @@ Result<SplatFile> decode_rad_folder(std::span<const std::byte> bytes, const std:
   auto file = Reader(bytes, fetch_from(folder, total), options).read();
   if (file) file->bytes = bytes.size() + total / 2;  // each is read twice
   return file;
+}
+
+Result<LevelTree> open_rad_levels(std::span<const std::byte> bytes, const std::string& folder,
+                                  const ReadOptions& options) {
+  std::uint64_t total = 0;
+  auto tree = Reader(bytes, folder.empty() ? no_files : fetch_from(folder, total), options).levels();
+  if (tree) tree->file.bytes = bytes.size() + total / 2;
+  return tree;
 }
 
 }  // namespace rgs::detail

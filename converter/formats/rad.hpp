@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "rgs/interchange.hpp"
+#include "rgs/level_tree.hpp"
 
 namespace rgs::detail {
 
@@ -26,6 +27,9 @@ Result<SplatFile> decode_rad(std::span<const std::byte> bytes, const ReadOptions
 /// The same, of which chunks may be .radc files in `folder`. Error offsets in a chunk are in its own file.
 Result<SplatFile> decode_rad_folder(std::span<const std::byte> bytes, const std::string& folder,
                                     const ReadOptions& options);
+/// open_levels(), without nodes if there is no tree. An empty `folder` holds no .radc files.
+Result<LevelTree> open_rad_levels(std::span<const std::byte> bytes, const std::string& folder,
+                                  const ReadOptions& options);
 
 /// A unit quaternion x, y, z, w with w >= 0 as its axis on an octahedron and its angle.
 std::array<float, 4> decode_octahedral(const std::array<std::uint8_t, 3>& code);

@@ -15,6 +15,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <string_view>
 
 #include "json_member.hpp"
 #include "pieces.hpp"
@@ -94,8 +95,7 @@ std::vector<std::string> file_names(const json* object, std::size_t count) {
   for (const json& name : *files) {
     if (!name.is_string()) return {};
     names.push_back(name.get<std::string>());
-    if (names.back().empty() || names.back()[0] == '.' || names.back().find_first_of("/\\") != std::string::npos)
-      return {};
+    if (!is_beside(names.back())) return {};
   }
   return names;
 }
@@ -392,6 +392,10 @@ Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const ReadOptions
   auto file = decode_sog_files(*meta, fetch, options);
   if (file) file->bytes = bytes.size();
   return file;
+}
+
+bool is_beside(const std::string& name) {
+  return !name.empty() && name[0] != '.' && name.find_first_of(std::string_view("/\\\0", 3)) == name.npos;
 }
 
 FetchFile fetch_from(const std::string& folder, std::uint64_t& total) {

@@ -25,6 +25,8 @@ Result<SplatFile> decode_sog_folder(std::span<const std::byte> bytes, const std:
 
 /// Returns the bytes of one of the scene's files by its name.
 using FetchFile = std::function<Result<std::vector<std::byte>>(const std::string&)>;
+/// Whether a name is that of a file in the scene's folder.
+bool is_beside(const std::string& name);
 /// Of files in `folder`, whose sizes it adds to `total`. Both must outlive it.
 FetchFile fetch_from(const std::string& folder, std::uint64_t& total);
 /// meta.json (`bytes`) with images from `fetch`; SplatFile::bytes is the caller's.

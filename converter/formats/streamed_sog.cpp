@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "json_member.hpp"
+#include "level_choice.hpp"
 #include "pieces.hpp"
 #include "quantised.hpp"
 #include "rgs/splat_edit.hpp"
@@ -68,10 +69,9 @@ std::string folder_of(const std::string& name) {
 
 // Whether a relative path stays below its folder and has one spelling.
 bool is_inside(const std::string& path) {
-  if (path.empty() || path.find('\\') != path.npos) return false;
   for (std::size_t first = 0; first <= path.size();) {
     const std::size_t end = std::min(path.find('/', first), path.size());
-    if (end == first || path[first] == '.') return false;
+    if (!is_beside(path.substr(first, end - first))) return false;
     first = end + 1;
   }
   return true;
@@ -134,10 +134,7 @@ Result<Meta> parse_meta(std::span<const std::byte> bytes, const ReadOptions& opt
   Meta meta;
   meta.n_levels = *n_levels;
   const std::uint64_t wanted = options.level_of_detail.value_or(0);
-  if (wanted >= meta.n_levels) {
-    return make_error(Errc::bad_argument, Error::kNone, "the file has no such level of detail (0 is the finest)",
-                      meta.n_levels, wanted);
-  }
+  if (Status s = check_level(meta.n_levels, options); !s) return tl::unexpected(s.error());
   if (Status s = read_filenames(root, meta); !s) return tl::unexpected(s.error());
   const json* tree = json_member(root, "tree");
   std::vector<const json*> nodes{tree};  // not by recursion: depth is the file's

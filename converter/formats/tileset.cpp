@@ -25,6 +25,7 @@
 #include "gltf_splats.hpp"
 #include "implicit_tiling.hpp"
 #include "json_member.hpp"
+#include "level_choice.hpp"
 #include "matrix_similarity.hpp"
 #include "pieces.hpp"
 #include "rgs/file.hpp"
@@ -523,10 +524,7 @@ Result<SplatFile> decode_tileset_folder(std::span<const std::byte> bytes, const 
   const auto tileset = Tree(folder).read(bytes);
   if (!tileset) return tl::unexpected(tileset.error());
   const std::uint64_t n_levels = tileset->tiles.front().level + 1, level = options.level_of_detail.value_or(0);
-  if (level >= n_levels) {
-    return make_error(Errc::bad_argument, Error::kNone, "the file has no such level of detail (0 is the finest)",
-                      n_levels, level);
-  }
+  if (const Status s = check_level(n_levels, options); !s) return tl::unexpected(s.error());
   SplatCloud cloud;
   std::vector<ScenePart> parts;
   std::vector<Origin> origins;

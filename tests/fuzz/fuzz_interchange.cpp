@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <span>
 
+#include "check_levels.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/interchange.hpp"
 #include "rgs/splat_edit.hpp"
@@ -43,6 +44,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   require(file->format == kFormat && file->cloud.view().consistent());
   require(file->cloud.size() <= 1032 * size / 16 + (1u << 20));  // every format spends at least 16 bytes unpacked
+  if (kFormat == rgs::SplatFormat::rad || kFormat == rgs::SplatFormat::ssog)
+    rgs::test::check_levels(bytes, "no folder", file->cloud.size());
   // Streamed SOG is written from levels.
   if (rgs::format_info(kFormat).writable && kFormat != rgs::SplatFormat::ssog) check_writer(file->cloud);
   return 0;

@@ -8,6 +8,8 @@
 #include <fstream>
 #include <span>
 
+#include "check_levels.hpp"
+#include "rgs/file.hpp"
 #include "rgs/interchange.hpp"
 #include "temporary_folder.hpp"
 
@@ -40,5 +42,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   require(file->cloud.view().consistent());
   if (file->format == rgs::SplatFormat::lcc) require(file->cloud.size() <= size / 32);
+  const auto json = rgs::MappedFile::open(folder.file("a.lcc"));
+  require(json.has_value());
+  if (file->format != rgs::SplatFormat::tileset)
+    rgs::test::check_levels(json->bytes(), folder.path().string(), file->cloud.size());
+  options.level_of_detail = 1;
+  const auto coarser = rgs::read_splats(folder.file("a.lcc"), options);
+  if (coarser) require(coarser->cloud.view().consistent());
   return 0;
 }

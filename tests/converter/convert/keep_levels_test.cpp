@@ -15,6 +15,7 @@
 #include "check_error.hpp"
 #include "convert.hpp"
 #include "convert_scenes.hpp"
+#include "counted_memory.hpp"
 #include "interchange_samples.hpp"
 #include "lcc_samples.hpp"
 #include "rgs/levels_writer.hpp"
@@ -334,6 +335,63 @@ TEST_CASE("regions are drawn whole, and those of few Gaussians are joined") {
   CHECK_FALSE(has_levels(read_bytes(rgs)));
 }
 
+TEST_CASE("levels of an .rgs survive a .rad") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(20000, 1, 3);
+  for (float& x : cloud.log_scale) x = x / 4 - 2;
+  for (std::size_t i = 0; i < 900; ++i) cloud.mean[i] *= 40, cloud.log_scale[i] += 4;  // floaters
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), own = folder.file("own.rgs"),
+                    rad = folder.file("scene.rad"), kept = folder.file("kept.rgs"), again = folder.file("again.rgs");
+  REQUIRE(rgs_convert({"--lod", ply, own}).exit_code == 0);
+  REQUIRE(rgs_convert({own, rad}).exit_code == 0);
+  const std::uint32_t n_levels = read_splats(rad)->n_levels - 1;  // without the one Gaussian above all
+  CHECK(n_levels > 2);
+  // Chunks of which a page holds fewer than a region do not change that one page is drawn with all below it.
+  for (const std::string chunk_size : {"256", "32"}) {
+    CAPTURE(chunk_size);
+    const ProgramResult run = rgs_convert({"--keep-permutation", "--chunk-size", chunk_size, rad, kept});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK(run.out.find("not kept") == std::string::npos);
+    const Bytes bytes = read_bytes(kept);
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    CHECK(validate(*file));
+    CHECK(file->n_levels() == n_levels);
+    for (std::uint32_t level = 0; level < n_levels; ++level) {
+      CAPTURE(level);
+      float error = 0, least = std::numeric_limits<float>::max();
+      for (const lod::Page& page : file->pages()) {
+        if (page.level != level) continue;
+        error = std::max(error, page.error), least = std::min(least, page.error);
+      }
+      check_same(level_of(kept, level), level_of(rad, level), static_cast<double>(error));
+      if (level == 1) CHECK(least < 3);  // the scene is 16 units wide
+    }
+    CHECK(count_refuted(*file) == 0);
+    const auto leaves = read_splats(bytes, kKeepAxes), source = read_splats(rad);
+    REQUIRE(leaves);
+    REQUIRE(leaves->source_index.size() == 20000);
+    std::size_t moved = 0;
+    for (std::size_t i = 0; i < 20000; ++i)
+      moved += leaves->cloud.mean[3 * i] != source->cloud.mean[3 * std::size_t{leaves->source_index[i]}];
+    CHECK(moved == 0);
+    REQUIRE(rgs_convert({"--threads", "1", "--memory", "128MiB", "--scratch", folder.path().string(),
+                         "--keep-permutation", "--chunk-size", chunk_size, rad, again})
+                .exit_code == 0);
+    CHECK(read_bytes(again) == bytes);
+  }
+  REQUIRE(rgs_convert({"--level-of-detail", "1", rad, again}).exit_code == 0);
+  CHECK_FALSE(has_levels(read_bytes(again)));
+  const ProgramResult piped = run_shell("'" + built("rgs-convert") + "' --overwrite - '" + again + "' < '" + rad + "'");
+  CHECK(piped.exit_code == 0);
+  CHECK(has_levels(read_bytes(again)));
+  // Without a tree there are no levels to keep.
+  REQUIRE(rgs_convert({ply, rad}).exit_code == 0);
+  REQUIRE(rgs_convert({rad, again}).exit_code == 0);
+  CHECK_FALSE(has_levels(read_bytes(again)));
+}
+
 TEST_CASE("levels of an LCC become levels of an .rgs") {
   const TemporaryFolder folder;
   std::vector<SplatCloud> cells{ordinary_cloud(4000, 3, 1), ordinary_cloud(3, 3, 2), ordinary_cloud(2000, 3, 3)};
@@ -384,6 +442,44 @@ TEST_CASE("levels of an LCC become levels of an .rgs") {
   CHECK(convert_damaged(31, {"--on-bad", "drop"}).exit_code == 0);
   CHECK(convert_damaged(1, {"--on-bad", "refuse"}).exit_code == 4);
   CHECK(convert_damaged(1, {"--strict"}).exit_code == 4);
+}
+
+TEST_CASE("levels of an LCC2 become levels of an .rgs") {
+  const TemporaryFolder folder;
+  SplatCloud fine = ordinary_cloud(6000, 1, 1), coarse;
+  for (float& x : fine.log_scale) x = x / 4 - 1;
+  coarse.resize(1500, 1);
+  for (std::uint64_t i = 0; i < 1500; ++i) coarse.set(i, fine.view().splat(4 * i));
+  const auto node = [](int file, int start, int count) {
+    return json{{"data", {{"3dgs", {{"name", file}, {"start", start}, {"count", count}}}}}};
+  };
+  json above = node(1, 0, 1500);
+  above["child"] = {{"0", node(0, 0, 4000)}, {"1", node(0, 4000, 2000)}};
+  const json meta = {{"lodSplats", {6000, 1500}},
+                     {"totalLevels", 2},
+                     {"splatType", ".spz"},
+                     {"root", {{"splatFiles", {"0.spz", "1.spz"}}, {"child", {above}}}}};
+  write_bytes(folder.file("a.lcc2"), bytes_of(meta.dump()));
+  write_bytes(folder.file("0.spz"), encode_splats(fine.view(), SplatFormat::spz).value());
+  write_bytes(folder.file("1.spz"), encode_splats(coarse.view(), SplatFormat::spz).value());
+  const std::string rgs = folder.file("a.rgs");
+  const ProgramResult run = rgs_convert({folder.file("a.lcc2"), rgs});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("not kept") == std::string::npos);
+  const Bytes bytes = read_bytes(rgs);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(validate(*file));
+  CHECK(count_refuted(*file) == 0);
+  CHECK(file->head().declarations().axes == kAxes3dgs);
+  for (std::uint32_t level = 0; level < 2; ++level) {
+    float error = 0;
+    for (const lod::Page& page : file->pages()) error = std::max(error, page.level == level ? page.error : 0);
+    check_same(level_of(rgs, level), level_of(folder.file("a.lcc2"), level), static_cast<double>(error));
+  }
+  REQUIRE(rgs_convert({"--level-of-detail", "1", folder.file("a.lcc2"), rgs}).exit_code == 0);
+  CHECK(read_splats(rgs)->cloud.size() == 1500);
 }
 
 TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaussians") {
@@ -451,6 +547,30 @@ TEST_CASE("a tree of nodes with several children, stated errors and damaged Gaus
   tree.nodes = {{0, LevelTree::kNoParent, 2000}};
   for (std::uint32_t k = 0; k < 7; ++k) tree.nodes.push_back({6 - k, k == 0 ? LevelTree::kNoParent : k, 100});
   CHECK(convert().error().code == Errc::limit_exceeded);
+  // They are counted before there are regions, of which each takes some hundred bytes.
+  constexpr std::uint32_t kMany = 50'000;
+  tree.nodes.resize(1);
+  for (std::uint32_t level = 31; level > 0; --level)
+    tree.nodes.push_back({level - 1, static_cast<std::uint32_t>(tree.nodes.size() - 1), 1});
+  tree.nodes[0] = {31, LevelTree::kNoParent, 1};
+  tree.nodes.resize(kMany, {0, LevelTree::kNoParent, 1});
+  tree.read = [&](const LevelTree::Visit& visit) -> Status {
+    for (std::uint32_t node = 0; node < kMany; ++node) {
+      SplatFile piece;
+      piece.cloud.resize(1, 0);
+      piece.cloud.set(0, cloud.view().splat(0));
+      if (Status s = visit(node, std::move(piece)); !s) return s;
+    }
+    return {};
+  };
+  const auto kept = KeptLevels::open(tree, kAxes3dgs, options.encode);
+  REQUIRE(kept);
+  SceneScan scan(3, BadPolicy::drop);
+  lod::StreamedLevels levels;
+  const std::int64_t before = live_bytes();
+  reset_peak_bytes();
+  CHECK(kept->arrange(scan, options.encode, {}, levels).error().code == Errc::limit_exceeded);
+  if (counts_memory()) CHECK(peak_bytes() - before < 100 * static_cast<std::int64_t>(kMany));
   tree.read = [](const LevelTree::Visit&) -> Status { throw std::bad_alloc(); };
   CHECK(KeptLevels::open(tree, kAxes3dgs, options.encode).error().code == Errc::host_out_of_memory);
 }

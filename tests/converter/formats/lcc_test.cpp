@@ -39,6 +39,12 @@ Result<SplatFile> read_folder(const Files& files, const char* name, const ReadOp
   return read_splats(folder.file(name), options);
 }
 
+ReadOptions level_of_detail(std::uint32_t level) {
+  ReadOptions options = kKeepAxes;
+  options.level_of_detail = level;
+  return options;
+}
+
 void check_refused(const Files& files, const char* name, Errc code, std::uint64_t offset) {
   const auto file = read_folder(files, name);
   REQUIRE_FALSE(file);
@@ -163,6 +169,36 @@ TEST_CASE("LCC: cells are chains of the levels that they have, the coarsest firs
   CHECK(open(without)->file.unused == std::vector<std::string>{"2 Gaussians of cells without a finest level"});
 }
 
+TEST_CASE("LCC: a level is that of each cell, or the next finer one that it has") {
+  const Files files = lcc({cell_cloud(8, 1), cell_cloud(2, 2), cell_cloud(9, 3)});
+  const Files stated = edited(files, "a.lcc", [](json& meta) { meta["splats"] = {19, 4, 4}; });
+  std::vector<std::uint64_t> n;
+  for (std::uint32_t level = 0; level < kLevels; ++level) {
+    const auto file = read_folder(stated, "a.lcc", level_of_detail(level));
+    REQUIRE(file);
+    CHECK(file->n_levels == kLevels);
+    CHECK(file->finest == (level == 0));
+    CHECK(file->unused.empty());
+    n.push_back(file->cloud.size());
+    // Coarser ones are far away; the second cell has none.
+    CHECK(file->cloud.mean[0] + (level == 0 ? 100 : 0) > 50);
+    if (level > 0) CHECK(file->cloud.mean[3 * 2] < 50);
+    if (level == 0) CHECK(file->cloud.mean == read_folder(stated, "a.lcc")->cloud.mean);
+  }
+  CHECK(n == std::vector<std::uint64_t>{19, 2 + 2 + 2, 2 + 2 + 2});
+  CHECK(read_folder(stated, "a.lcc", level_of_detail(kLevels)).error().code == Errc::bad_argument);
+  // Of a cell without the finest level nothing is read, and what is not asked for may be missing.
+  Files damaged = stated;
+  put(damaged.at("index.bin"), 2 * kCell + 4 + 16 * 2, 200U);
+  CHECK(read_folder(damaged, "a.lcc", level_of_detail(1)));
+  CHECK(exit_code(read_folder(damaged, "a.lcc", level_of_detail(2)).error().code) == 4);
+  ReadOptions few = level_of_detail(1);
+  few.limits.max_gaussians = 6;
+  CHECK(read_folder(stated, "a.lcc", few));
+  few.limits.max_gaussians = 5;
+  CHECK(read_folder(stated, "a.lcc", few).error().code == Errc::limit_exceeded);
+}
+
 TEST_CASE("LCC is right, forward, up, and comes in 3DGS's frame") {
   const auto there = read_folder(lcc(kCells), "a.lcc"), here = read_folder(lcc(kCells), "a.lcc", {});
   REQUIRE(there);
@@ -230,9 +266,6 @@ TEST_CASE("LCC: what contradicts itself is refused where it does, and nothing is
   ReadOptions options = kKeepAxes;
   options.limits.max_gaussians = 13;
   CHECK(read_folder(files, "a.lcc", options).error().code == Errc::limit_exceeded);
-  options = {};
-  options.level_of_detail = 0;
-  CHECK(read_folder(files, "a.lcc", options).error().code == Errc::bad_argument);
   const auto lone = read_splats(files.at("a.lcc"));
   CHECK(lone.error().code == Errc::unsupported_feature);
   for (const std::string name : {"index.bin", "data.bin", "shcoef.bin"}) {
@@ -279,8 +312,8 @@ namespace {
 
 const std::vector<SplatCloud> kChunks{cell_cloud(4, 11), cell_cloud(3, 12), cell_cloud(6, 13), cell_cloud(8, 14)};
 
-json node(int file, std::optional<int> count) {
-  json out = {{"data", {{"3dgs", {{"name", file}, {"start", 0}}}}}};
+json node(int file, std::optional<int> count, int start = 0) {
+  json out = {{"data", {{"3dgs", {{"name", file}, {"start", start}}}}}};
   if (count) out["data"]["3dgs"]["count"] = *count;
   return out;
 }
@@ -296,7 +329,7 @@ Files lcc2(SplatFormat format, bool legacy = false) {
     names.push_back(legacy ? "/" + name : name + ending);
   }
   json coarse = node(0, 4);
-  coarse["child"] = {{"0", node(3, 5)}, {"1", node(2, 6)}, {"2", node(3, 3)}, {"3", node(1, 3)}};
+  coarse["child"] = {{"0", node(3, 5)}, {"1", node(2, 6)}, {"2", node(3, 3, 5)}, {"3", node(1, 3)}};
   json root = {{"data", {{"env", {{"name", 1}}}}}, {legacy ? "files" : "splatFiles", names}, {"child", {coarse}}};
   const json meta =
       legacy
@@ -330,6 +363,87 @@ TEST_CASE("LCC2: chunks of the finest level in the order of their files, in LCC'
     const TemporaryFolder folder;
     write_files(files, folder);
     CHECK(check_pieces(folder.file("a.lcc2")) < chunks.size());
+  }
+}
+
+TEST_CASE("LCC2: nodes are those of the tree, of which a level may be read") {
+  for (const SplatFormat format : {SplatFormat::sog, SplatFormat::spz}) {
+    const std::string ending = std::string(".") + format_name(format);
+    CAPTURE(ending);
+    // Below the first node another without Gaussians, and one of the coarser level alone.
+    const Files files = edited(lcc2(format), "a.lcc2", [](json& meta) {
+      meta["root"]["child"][0]["child"]["4"] = {{"data", {{"3dgs", nullptr}}}};
+      meta["root"]["child"].push_back({{"child", {node(4, 2)}}});
+      meta["root"]["child"].push_back(node(0, 4));
+      meta["root"]["child"][0]["data"]["3dgs"]["start"] = 4;
+      meta["root"]["splatFiles"].push_back("4" + meta["splatType"].get<std::string>());
+    });
+    Files all = files;
+    SplatCloud twice = kChunks[0];
+    append_splats(twice, kChunks[0]);
+    for (std::size_t i = 12; i < 24; ++i) twice.mean[i] += 100;
+    all["data/3dgs/0" + ending] = encode_splats(twice.view(), format, {.keep_order = true}).value();
+    all["4" + ending] = encode_splats(cell_cloud(2, 15).view(), format, {.keep_order = true}).value();
+    const TemporaryFolder folder;
+    write_files(all, folder);
+    const auto tree = open_levels(all.at("a.lcc2"), folder.path().string(), {});
+    REQUIRE(tree);
+    CHECK(tree->file.format == SplatFormat::lcc2);
+    CHECK(tree->file.axes == kAxesLcc);
+    CHECK(tree->file.unused == std::vector<std::string>{"1 nodes that have only coarser levels", "environment"});
+    std::vector<std::uint64_t> n;
+    std::uint32_t coarse = LevelTree::kNoParent;
+    for (std::uint32_t i = 0; i < tree->nodes.size(); ++i) {
+      n.push_back(tree->nodes[i].n);
+      if (tree->nodes[i].level == 1) coarse = i;
+    }
+    std::ranges::sort(n);
+    CHECK(n == std::vector<std::uint64_t>{2, 3, 4, 5, 6});
+    REQUIRE(coarse != LevelTree::kNoParent);
+    for (const LevelTree::Node& node : tree->nodes)
+      CHECK(node.parent == (node.level == 0 && node.n != 2 ? coarse : LevelTree::kNoParent));
+    SplatCloud leaves, above;
+    std::uint64_t bytes = tree->file.bytes;
+    REQUIRE(tree->read([&](std::uint32_t node, const SplatFile& piece) -> Status {
+      CHECK(piece.cloud.size() == tree->nodes[node].n);
+      append_splats(tree->nodes[node].level == 0 ? leaves : above, piece.cloud);
+      bytes += piece.bytes;
+      return {};
+    }));
+    const auto finest = read_splats(folder.file("a.lcc2"), kKeepAxes),
+               coarser = read_splats(folder.file("a.lcc2"), level_of_detail(1));
+    REQUIRE(finest);
+    CHECK(leaves.mean == finest->cloud.mean);
+    CHECK(bytes == finest->bytes + all.at("data/3dgs/0" + ending).size());
+    // The node's own Gaussians alone, and the finer ones where there is no node above.
+    REQUIRE(coarser);
+    CHECK(coarser->cloud.size() == 4 + 2);
+    CHECK_FALSE(coarser->finest);
+    above.resize(4, 3);
+    for (std::uint64_t i = 0; i < 12; ++i) CHECK(coarser->cloud.mean[i] == above.mean[i]);
+    CHECK(above.mean[0] > 50);
+    CHECK(read_folder(all, "a.lcc2", level_of_detail(2)).error().code == Errc::bad_argument);
+    ReadOptions few;
+    few.limits.max_gaussians = 19 + 4;
+    CHECK(open_levels(all.at("a.lcc2"), folder.path().string(), few).error().code == Errc::limit_exceeded);
+    // What does not say which Gaussians are whose has the finest level alone.
+    const Files unclear = edited(all, "a.lcc2", [](json& meta) {
+      for (json& child : meta["root"]["child"][0]["child"]) {
+        if (child["data"]["3dgs"].is_object()) child["data"]["3dgs"]["start"] = 0;
+      }
+    });
+    CHECK(open_levels(unclear.at("a.lcc2"), folder.path().string(), {})->nodes.empty());
+    CHECK(read_folder(unclear, "a.lcc2")->cloud.size() == finest->cloud.size());
+    // Nor does a coarser node of the same Gaussians, which takes nothing from the finest.
+    const Files shared =
+        edited(all, "a.lcc2", [](json& meta) { meta["root"]["child"][0]["data"] = node(3, 8)["data"]; });
+    CHECK(open_levels(shared.at("a.lcc2"), folder.path().string(), {})->nodes.empty());
+    CHECK(read_folder(shared, "a.lcc2")->cloud.mean == finest->cloud.mean);
+    const Files wrong =
+        edited(all, "a.lcc2", [](json& meta) { meta["root"]["child"][0]["data"]["3dgs"]["count"] = 5; });
+    const auto damaged = open_levels(wrong.at("a.lcc2"), folder.path().string(), {});
+    REQUIRE(damaged);
+    CHECK(damaged->read([](std::uint32_t, const SplatFile&) { return Status(); }).error().code == Errc::size_mismatch);
   }
 }
 
@@ -407,6 +521,7 @@ TEST_CASE("LCC2: what names no chunk in the folder, or one twice, is refused") {
 TEST_CASE("a damaged .lcc2 is refused or read, but never crashes") {
   const Files files = lcc2(SplatFormat::spz);
   const Bytes& whole = files.at("a.lcc2");
+  const TemporaryFolder folder;
   SplitMix random(32);
   Files damaged = files;
   for (int i = 0; i < 400; ++i) {
@@ -416,6 +531,9 @@ TEST_CASE("a damaged .lcc2 is refused or read, but never crashes") {
     // A name may have changed into that of no file.
     if (!file) CHECK((exit_code(file.error().code) == 4 || file.error().code == Errc::open_failed));
     if (file) CHECK(file->cloud.size() <= 21);
+    write_files(damaged, folder);
+    const auto tree = open_levels(damaged.at("a.lcc2"), folder.path().string(), {});
+    if (tree) (void)tree->read([](std::uint32_t, const SplatFile&) { return Status(); });
   }
   // Nodes as deep as the text is long.
   std::string deep = R"({"totalLevels": 200000, "lodSplats": [], "root": )";

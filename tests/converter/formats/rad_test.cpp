@@ -1,14 +1,19 @@
 // rad_test.cpp - .rad of Spark: files of its own tool, every encoding that it reads, trees, files that are written,
 // hostile files.
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <array>
 #include <cstring>
 #include <functional>
+#include <limits>
+#include <map>
 #include <nlohmann/json.hpp>
 #include <numeric>
 #include <string>
 
 #include "golden_files.hpp"
 #include "interchange_samples.hpp"
+#include "rgs/level_tree.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/splat_edit.hpp"
@@ -194,6 +199,32 @@ Bytes tree_of(const std::vector<std::uint16_t>& counts, const std::vector<std::u
              {{"lodTree", true}});
 }
 
+// The means' x of each node, and of the leaves by their positions.
+struct NodesRead {
+  std::vector<std::vector<float>> x;
+  std::map<std::uint32_t, float> leaves;
+};
+NodesRead read_nodes(const LevelTree& tree) {
+  NodesRead out;
+  std::vector<bool> is_leaf(tree.nodes.size(), true);
+  for (const LevelTree::Node& node : tree.nodes)
+    if (node.parent != LevelTree::kNoParent) is_leaf[node.parent] = false;
+  REQUIRE(tree.read([&](std::uint32_t node, const SplatFile& piece) -> Status {
+    CHECK(node == out.x.size());
+    CHECK(piece.cloud.size() == tree.nodes[node].n);
+    CHECK(is_leaf[node] == (tree.nodes[node].level == 0));
+    REQUIRE(piece.source_index.size() == piece.cloud.size());
+    out.x.emplace_back();
+    for (std::uint64_t i = 0; i < piece.cloud.size(); ++i) {
+      out.x.back().push_back(piece.cloud.mean[3 * i]);
+      if (is_leaf[node]) CHECK(out.leaves.emplace(piece.source_index[i], out.x.back().back()).second);
+    }
+    std::ranges::sort(out.x.back());
+    return {};
+  }));
+  return out;
+}
+
 Bytes rgs_of(const SplatCloud& leaves, const EncodeOptions& options = {}) {
   Bytes bytes;
   EncodeOptions direct = options;
@@ -367,6 +398,88 @@ TEST_CASE("a level is a cut through the tree by generations above the leaves") {
     CHECK(file.error().code == Errc::bad_value);
     CHECK(file.error().offset == 8);
   }
+}
+
+TEST_CASE("levels are cuts that halve, in parts of at most a page, which those below them replace") {
+  // Four below each: 1, 4, 16, 64, 256, 1024 and 4096 leaves.
+  constexpr std::uint32_t kInner = 1365;
+  std::vector<std::uint16_t> counts(kInner + 4096);
+  std::vector<std::uint32_t> starts(counts.size());
+  for (std::uint32_t i = 0; i < kInner; ++i) counts[i] = 4, starts[i] = 4 * i + 1;
+  const Bytes bytes = tree_of(counts, starts);
+  const auto tree = open_levels(bytes, "", {});
+  REQUIRE(tree);
+  CHECK(tree->file.format == SplatFormat::rad);
+  CHECK(tree->file.bytes == bytes.size());
+  CHECK(tree->file.unused.empty());
+  const NodesRead nodes = read_nodes(*tree);
+  std::map<std::uint32_t, std::uint64_t> n_of_level;
+  std::vector<std::vector<float>> below(tree->nodes.size());
+  for (std::size_t i = 0; i < tree->nodes.size(); ++i) {
+    const LevelTree::Node& node = tree->nodes[i];
+    n_of_level[node.level] += node.n;
+    CHECK(node.error == 0);
+    CHECK(node.n <= 1536);
+    if (node.parent == LevelTree::kNoParent) continue;
+    CHECK(node.parent < i);
+    CHECK(tree->nodes[node.parent].level == node.level + 1);
+    below[node.parent].insert(below[node.parent].end(), nodes.x[i].begin(), nodes.x[i].end());
+  }
+  // Without the one Gaussian above all.
+  CHECK(n_of_level == std::map<std::uint32_t, std::uint64_t>{{0, 4096}, {1, 1024}, {2, 256}, {3, 64}, {4, 16}, {5, 4}});
+  CHECK(tree->nodes.size() == 5 + 3);  // the leaves are three parts, side by side
+  CHECK(nodes.x[5].back() < nodes.x[6].front());
+  for (std::size_t i = 0; i < tree->nodes.size(); ++i) {
+    if (tree->nodes[i].level == 0) continue;
+    std::vector<float> expected;
+    for (const float x : nodes.x[i])
+      for (int k = 1; k <= 4; ++k) expected.push_back(4 * x + static_cast<float>(k));
+    std::ranges::sort(below[i]);
+    CHECK(below[i] == expected);
+  }
+  // Positions are those in what is read without levels.
+  const auto leaves = read_splats(bytes);
+  REQUIRE(nodes.leaves.size() == leaves->cloud.size());
+  for (const auto& [position, x] : nodes.leaves) CHECK(x == leaves->cloud.mean[3 * std::size_t{position}]);
+  ReadOptions few;
+  few.limits.max_gaussians = counts.size() - 1;
+  CHECK(open_levels(bytes, "", few).error().code == Errc::limit_exceeded);
+}
+
+TEST_CASE("a cut that does not halve is no level, nor a part that would be the same") {
+  // As above: 2, 4, 5, 6, 8, then 2, 3, 4, 5, 7 and 1, 2, 7, then 0 and 7.
+  const auto tree = open_levels(tree_of({2, 3, 0, 1, 0, 0, 0, 1, 0}, {1, 3, 0, 6, 0, 0, 0, 8, 0}), "", {});
+  REQUIRE(tree);
+  const NodesRead nodes = read_nodes(*tree);
+  CHECK(nodes.x == std::vector<std::vector<float>>{{0, 7}, {2, 4, 5, 6, 8}});
+  // 1,800 leaves and one above 1,802 more: the coarsest part that has nothing below it is one of leaves.
+  std::vector<std::uint16_t> counts(3603);
+  counts[1800] = 1802;
+  std::vector<std::uint32_t> starts(3603);
+  starts[1800] = 1801;
+  const auto mixed = open_levels(tree_of(counts, starts), "", {});
+  REQUIRE(mixed);
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> kinds;
+  for (const LevelTree::Node& node : mixed->nodes) kinds.emplace_back(node.level, node.parent);
+  constexpr std::uint32_t kNone = LevelTree::kNoParent;
+  CHECK(kinds == std::vector<std::pair<std::uint32_t, std::uint32_t>>{{0, kNone}, {1, kNone}, {0, 1}, {0, 1}});
+  CHECK(read_nodes(*mixed).leaves.size() == 3602);
+  // Without a tree there are no levels, and what has no order is cut apart all the same.
+  const auto none = open_levels(rad(3, three()), "", {});
+  REQUIRE(none);
+  CHECK(none->nodes.empty());
+  Bytes damaged = tree_of(counts, starts);
+  const std::array begin{0.F, 1.F, 2.F};
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  const auto raw = std::as_bytes(std::span(begin));
+  const auto first = std::search(damaged.begin(), damaged.end(), raw.begin(), raw.end()) - damaged.begin();
+  for (std::size_t i = 0; i < 3603; i += 3) put(damaged, static_cast<std::size_t>(first) + 4 * i, nan);
+  const auto unordered = open_levels(damaged, "", {});
+  REQUIRE(unordered);
+  CHECK(unordered->nodes.size() == 4);
+  // Files beside it are read if there is a folder.
+  CHECK(open_levels(read_bytes(golden("chunked-lod.rad")), (golden_folder() / "rad").string(), {})->nodes.size() == 3);
+  CHECK(open_levels(read_bytes(golden("chunked-lod.rad")), "", {}).error().code == Errc::unsupported_feature);
 }
 
 TEST_CASE("a scene is written within half a step, in its order, in chunks of 65,536") {
@@ -564,4 +677,12 @@ TEST_CASE("damaged .rad files are refused or read, but never crash") {
   check_hostile(encode_splats(ordinary_cloud(30, 2, 5).view(), SplatFormat::rad).value(), 3);
   check_hostile(with_levels(rgs_of(ordinary_cloud(100, 0, 5))), 4);
   check_hostile(read_bytes(golden("palette.rad")), 5, 300);
+  const Bytes whole = tree_of({2, 3, 0, 1, 0, 0, 0, 1, 0}, {1, 3, 0, 6, 0, 0, 0, 8, 0});
+  SplitMix random(7);
+  for (int i = 0; i < 1000; ++i) {
+    Bytes damaged = whole;
+    damaged[random.below(damaged.size())] = static_cast<std::byte>(random.below(256));
+    const auto tree = open_levels(damaged, "", {});
+    if (tree) (void)tree->read([](std::uint32_t, const SplatFile&) { return Status(); });
+  }
 }

@@ -271,6 +271,7 @@ TEST_CASE("SOG texts that contradict their images, or point elsewhere, are refus
   refused([](json& m, Files&) { m["sh0"]["codebook"].erase(0); }, Errc::bad_syntax);
   refused([](json& m, Files&) { m["means"]["maxs"][0] = 1e300; }, Errc::bad_syntax);
   refused([](json& m, Files&) { m["quats"]["files"] = {"../quats.webp"}; }, Errc::bad_syntax);
+  refused([](json& m, Files&) { m["quats"]["files"] = {std::string("quats.webp\0x", 12)}; }, Errc::bad_syntax);
   refused([](json& m, Files&) { m["quats"]["files"] = {"none.webp"}; }, Errc::missing_section);
   refused([](json&, Files& f) { f["quats.webp"] = webp(3, 2, [](int, int) { return 251; }); }, Errc::bad_value);
   refused(

@@ -294,6 +294,7 @@ TEST_CASE("streamed SOGs that contradict themselves, or point elsewhere, are ref
   for (const char* name :
        {"../meta.json", "/meta.json", "0_0/../1_0/meta.json", "0_0//meta.json", "", "0_0\\meta.json"})
     refused([&](json& m, Files&) { m["filenames"][0] = name; }, Errc::bad_syntax);
+  refused([&](json& m, Files&) { m["filenames"][0] = std::string("0_0/meta.json\0x", 15); }, Errc::bad_syntax);
   refused([](json& m, Files&) { m["filenames"][0] = m["filenames"][1]; }, Errc::bad_syntax);
   refused([](json& m, Files&) { m["filenames"][0] = "2_0/meta.json"; }, Errc::missing_section);
   refused([](json&, Files& f) { f.erase("0_0/sh0.webp"); }, Errc::missing_section);

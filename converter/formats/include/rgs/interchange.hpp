@@ -110,7 +110,7 @@ struct SplatFile {
   std::optional<Declarations> declarations = std::nullopt;
   std::optional<Provenance> provenance = std::nullopt;
   std::vector<std::uint32_t> source_index = {};
-  /// From an .rgs, .ssog, .rad or tileset with levels of detail: the number of levels, and whether `cloud` is level 0.
+  /// From a file with levels of detail, if one may be chosen: the number of levels, and whether `cloud` is level 0.
   std::uint32_t n_levels = 0;
   bool finest = true;
   /// What the file also holds and SplatCloud has no field for, one phrase each: extensions of SPZ that do not change
@@ -137,7 +137,7 @@ struct ReadOptions {
   /// mean; SplatFile::unused names them.
   bool skip_unknown_extensions = false;
   Axes spz_axes = kAxes3dgs;  ///< of an SPZ that declares none by a coordinate record
-  /// For an .rgs, .ssog, .rad or tileset with levels: read this level (0: finest; of a .rad the Gaussians that have at
+  /// For an .rgs, .ssog, .rad, .lcc, .lcc2 or tileset: read this level (0: finest; of a .rad the Gaussians that have at
   /// most so many generations below them, and whose parents have more), or of an .rgs the finest cut of at most max_count
   /// Gaussians (lod::finest_cut()). Neither: level 0. A level of a file without levels is bad_argument; files without
   /// levels are read whole whatever max_count is.

@@ -13,7 +13,8 @@
 namespace RGS_API rgs {
 
 /// Trees of nodes: a region of streamed SOG is a chain of one node per level, that of the coarsest level first. The
-/// nodes without children are together what read_splats() reads, in the order in which `read` visits them.
+/// nodes without children are together what read_splats() reads, in the order in which `read` visits them, or in that of
+/// `source_index`.
 struct LevelTree {
   static constexpr std::uint32_t kNoParent = ~std::uint32_t{0};
   struct Node {
@@ -24,14 +25,17 @@ struct LevelTree {
   };
   std::vector<Node> nodes;
   SplatFile file;  ///< all but `cloud`, aa_mode and position_rounding, which each piece has
-  /// Receives the Gaussians of a node, in the axes and with the origin of the file. Bytes of pieces add to those of `file`.
+  /// Receives the Gaussians of a node, in the axes and with the origin of the file, with their positions in what
+  /// read_splats() reads as `source_index`, unless they follow those of the piece before. Bytes of pieces add to those of
+  /// `file`.
   using Visit = std::function<Status(std::uint32_t node, SplatFile piece)>;
-  /// Visits all nodes, always in the same order, until `visit` fails. Memory: that of one of the file's parts.
-  std::function<Status(const Visit& visit)> read;
+  /// Visits all nodes, always in the same order, until `visit` fails. Memory: that of one of the file's parts; of a .rad
+  /// the tree itself holds all Gaussians.
+  std::function<Status(const Visit& visit)> read = [](const Visit&) { return Status(); };
 };
 
-/// A .ssog, lod-meta.json, tileset.json or .lcc, `bytes`, which must outlive the result; `folder` holds the files beside it. Without
-/// nodes above others if the file has one level. Errors: as read_splats(), also from `read`.
+/// A .ssog, lod-meta.json, tileset.json, .rad, .lcc or .lcc2, `bytes`, which must outlive the result; `folder` holds files
+/// beside it. Without nodes above others if the file has one level. Errors: as read_splats(), also from `read`.
 Result<LevelTree> open_levels(std::span<const std::byte> bytes, const std::string& folder, const ReadOptions& options);
 
 }  // namespace rgs
