@@ -87,8 +87,10 @@ class Writer {
     double rounding = 0;
     WriteReport clamped;
   };
-  // The content of a tile; its coordinates are relative to the origin. On any thread.
-  Result<Content> encode(SplatCloud cloud) const {
+  // The content of a tile; its coordinates are relative to its centre. On any thread.
+  Result<Content> encode(SplatCloud cloud, const Origin& centre) const {
+    cloud.mean_rest.resize(cloud.mean.size());
+    rebase_exactly(cloud.mean, cloud.mean_rest, kNoOrigin, centre);
     convert_axes(cloud, from_, content_);
     const auto rounding = position_rounding(cloud.view(), SplatFormat::spz_glb);
     if (!rounding) return tl::unexpected(rounding.error());
@@ -101,19 +103,26 @@ class Writer {
     return content;
   }
 
-  Result<Json> put(const Content& content, const Box& bounds, double error, const std::string& name) {
+  // `above`: the centre of the tile above, if there is one.
+  Result<Json> put(const Content& content, const Box& bounds, double error, const std::string& name, Origin centre,
+                   std::optional<Origin> above) {
     if (Status s = put_(folder_ + "/" + name, content.glb); !s) return tl::unexpected(s.error());
-    report.position_rounding = std::max(report.position_rounding, content.rounding);
+    if (error == 0) report.position_rounding = std::max(report.position_rounding, content.rounding);
     detail::add_report(report.clamped, content.clamped);
     report.n_stored += content.n;
     ++report.n_regions;
     const WorldBox box = detail::turned_box(bounds, from_, tile_, kNoOrigin);
+    convert_axes(centre, from_, tile_);
+    if (above) convert_axes(*above, from_, tile_);
     std::array<double, 12> volume{};  // the middle, then half of each side
+    std::array<double, 16> moved{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
     for (std::size_t k = 0; k < 3; ++k) {
-      volume[k] = 0.5 * (box.min[k] + box.max[k]);
+      volume[k] = 0.5 * (box.min[k] + box.max[k]) - centre[k];
+      moved[12 + k] = above ? centre[k] - (*above)[k] : centre[k] + origin_[k];
       volume[3 + 4 * k] = 0.5 * (box.max[k] - box.min[k]);
     }
     Json json;
+    if (moved[12] != 0 || moved[13] != 0 || moved[14] != 0) json["transform"] = moved;
     json["boundingVolume"]["box"] = volume;
     json["geometricError"] = kScreenErrorPx * error;
     json["content"]["uri"] = escaped(folder_) + "/" + name;
@@ -123,8 +132,6 @@ class Writer {
   // `bounds`, `error`: of the whole scene.
   Status write_tree(Json root, const Box& bounds, double error) {
     root["refine"] = "REPLACE";
-    if (origin_ != kNoOrigin)
-      root["transform"] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, origin_[0], origin_[1], origin_[2], 1};
     double diagonal = 0;
     for (std::size_t k = 0; k < 3; ++k)
       diagonal = std::hypot(diagonal, static_cast<double>(bounds.max[k]) - static_cast<double>(bounds.min[k]));
@@ -151,6 +158,15 @@ class Writer {
   const std::string& folder_;
   const PutFile& put_;
 };
+
+// What a tile's content is relative to: the middle of a tile far from the scene's origin, where FP32 is coarse.
+Origin centre_of(const Box& bounds) {
+  constexpr double kFar = 4096;
+  Origin middle;
+  for (std::size_t k = 0; k < 3; ++k)
+    middle[k] = std::round(0.5 * (static_cast<double>(bounds.min[k]) + static_cast<double>(bounds.max[k]))) + 0.0;
+  return std::ranges::any_of(middle, [](double x) { return std::fabs(x) > kFar; }) ? middle : kNoOrigin;
+}
 
 // Most levels between a tile's page and those that it holds.
 std::uint32_t choose_depth(const std::vector<lod::Page>& pages) {
@@ -190,7 +206,10 @@ class LevelsWriter {
         const Result<Writer::Content>& content = *contents[i];
         if (!content) return tl::unexpected(content.error());
         Tile& tile = tiles_[first + i];
-        auto json = writer_.put(*content, pages_[tile.page].bounds, static_cast<double>(tile.error), tile.name);
+        std::optional<Origin> above;
+        if (tile.parent != kNoParent) above = centre_of(pages_[tiles_[tile.parent].page].bounds);
+        const Box& bounds = pages_[tile.page].bounds;
+        auto json = writer_.put(*content, bounds, static_cast<double>(tile.error), tile.name, centre_of(bounds), above);
         if (!json) return tl::unexpected(json.error());
         tile.json = *std::move(json);
         contents[i].reset();
@@ -234,7 +253,7 @@ class LevelsWriter {
     auto cloud = read_pages(file_, detail::pages_below(pages_, tile.page, tile.level).pages);
     if (!cloud) return tl::unexpected(cloud.error());
     strip_sh(*cloud, sh_degree_);
-    return writer_.encode(*std::move(cloud));
+    return writer_.encode(*std::move(cloud), centre_of(pages_[tile.page].bounds));
   }
 
   Json tree(std::size_t tile) {
@@ -293,9 +312,9 @@ Result<LevelsReport> write_tileset(const SplatView& splats, const WriteOptions& 
   return detail::guard_memory([&]() -> Result<LevelsReport> {
     Writer writer(options, folder, put);
     const Box bounds = bounds_of(splats);
-    const auto content = writer.encode(copy_of(splats));
+    const auto content = writer.encode(copy_of(splats), kNoOrigin);
     if (!content) return tl::unexpected(content.error());
-    auto root = writer.put(*content, bounds, 0, "0_0.glb");
+    auto root = writer.put(*content, bounds, 0, "0_0.glb", kNoOrigin, {});
     if (!root) return tl::unexpected(root.error());
     if (Status s = writer.write_tree(*std::move(root), bounds, 0); !s) return tl::unexpected(s.error());
     writer.report.n_levels = 1;

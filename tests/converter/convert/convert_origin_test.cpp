@@ -352,6 +352,41 @@ TEST_CASE("levels of scenes however far apart keep a quarter of a millimetre, th
   }
 }
 
+TEST_CASE("tiles keep half a millimetre however far apart they are, but where one spans the gap") {
+  const TemporaryFolder folder;
+  const std::string home = folder.file("home.ply"), away = folder.file("away.ply"), out = folder.file("out.rgs"),
+                    tiles = folder.file("tileset.json"), back = folder.file("back.ply");
+  const SplatCloud cloud = ordinary_cloud(40000, 0, 4);
+  auto positions = write_far_scene(home, cloud, {-5e4, 7, 0});
+  const auto others = write_far_scene(away, cloud, {5e4, 0, 1000});
+  positions.insert(positions.end(), others.begin(), others.end());
+  std::sort(positions.begin(), positions.end());
+  converted({home, away, out, "--merge", "--lod"});
+  converted({out, tiles});
+  converted({tiles, back, "--lod", "--profile=direct", "--to", "rgs"});
+  const SplatFile file = read(back);
+  REQUIRE(file.cloud.size() == positions.size());
+  std::size_t n_kept = 0;
+  for (std::size_t i = 0; i < file.cloud.size(); ++i) {
+    Position p{};
+    for (std::size_t k = 0; k < 3; ++k) {
+      p[k] = file.origin[k] + static_cast<double>(file.cloud.mean[3 * i + k]) +
+             static_cast<double>(file.cloud.mean_rest[3 * i + k]);
+    }
+    constexpr double kKept = 0x1p-12 + 0x1p-13 + 1e-6;  // of origins of pages and an SPZ
+    const auto is_same = [&](const Position& q) {
+      return std::fabs(p[0] - q[0]) <= kKept && std::fabs(p[1] - q[1]) <= kKept && std::fabs(p[2] - q[2]) <= kKept;
+    };
+    for (auto q = std::lower_bound(positions.begin(), positions.end(), Position{p[0] - kKept, -1e9, -1e9});
+         q != positions.end() && (*q)[0] <= p[0] + kKept; ++q) {
+      if (!is_same(*q)) continue;
+      ++n_kept;
+      break;
+    }
+  }
+  CHECK(n_kept >= positions.size() / 2);
+}
+
 TEST_CASE("cameras in the world see a far scene as they see it near the world's origin") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(3000, 0, 5);
