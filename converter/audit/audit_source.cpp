@@ -55,7 +55,8 @@ Result<Source> Source::relative_to(const Origin& origin) const {
     return source;
   }
   SplatFile file = *file_;
-  rebase_means(file.cloud.mean, file.origin, origin);
+  file.cloud.mean_rest.resize(file.cloud.mean.size());
+  rebase_exactly(file.cloud.mean, file.cloud.mean_rest, file.origin, origin);
   file.origin = origin;
   source.stated_ = stated_;
   source.stated_.origin = origin;

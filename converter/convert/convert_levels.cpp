@@ -18,6 +18,11 @@ Result<ConvertSummary> convert_levels(const PagedFile& source, SplatFormat forma
   const EncodeOptions& encode = options.encode;
   WriteOptions write = write_options(options);
   write.origin = source.head().declarations().origin;
+  if (source.n_pages_with_origins() != 0 && format != SplatFormat::tileset && !options.allow_rounding)
+    return make_error(
+        Errc::unsupported_feature, source.head().find(SectionType::levels)->offset,
+        "its pages have origins of their own, without which FP32 rounds positions by more than a millimetre; "
+        "write a PLY or tileset, or pass --allow-rounding");
   clock.begin("encode", 0, "");
   const PutFile put = [&](const std::string& name, std::span<const std::byte> bytes) {
     return output.put(name, bytes);

@@ -162,6 +162,10 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
 Result<ConvertSummary> convert_scene(LoadedScene&& scene, SplatFormat format, const std::string& output_path,
                                      const ConvertOptions& options, const StageObserver& observer) {
   const std::uint64_t n_filtered = scene.n_source - scene.cloud.size();
+  if (format == SplatFormat::ply && scene.origin == kNoOrigin && !scene.cloud.mean_rest.empty()) {
+    scene.origin = {1, 0, 0};  // with any origin a PLY has positions in FP64
+    rebase_exactly(scene.cloud.mean, scene.cloud.mean_rest, kNoOrigin, scene.origin);
+  }
   ConvertOptions with_positions = options;
   with_positions.encode.source_index = scene.source_index;
   auto summary = format == SplatFormat::rgs

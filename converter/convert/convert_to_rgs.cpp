@@ -230,10 +230,10 @@ Status check_rounding(double position_rounding, double max_rounding) {
 }
 
 Result<double> choose_page_origins(EncodeOptions& encode, MeanRounding rounding, bool allow_rounding) {
-  const double most = max_rounding(encode, allow_rounding);
-  encode.page_origins = encode.profile != Profile::archive && rounding.rest > most / 4;
-  const double left = rounding.lost + (encode.page_origins ? most / 4 : rounding.rest);
-  return check_rounding(left, most).map([left] { return left; });
+  const double millimetre = max_rounding(encode, false);
+  encode.page_origins = encode.profile != Profile::archive && rounding.rest > millimetre / 4;
+  const double left = rounding.lost + (encode.page_origins ? millimetre / 4 : rounding.rest);
+  return check_rounding(left, max_rounding(encode, allow_rounding)).map([left] { return left; });
 }
 
 Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const SceneScan& scan,

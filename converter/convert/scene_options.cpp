@@ -105,6 +105,7 @@ Similarity place(const SceneOptions& options, std::size_t input, const Axes& axe
   convert_axes(file.cloud, file.axes, axes);
   convert_axes(file.origin, file.axes, axes);
   const Similarity placed = options.placement(input);
+  if (placed.translation != glm::dvec3(0)) file.cloud.mean_rest.resize(file.cloud.mean.size());
   transform_splats(file.cloud, file.origin, placed);
   return placed;
 }
@@ -292,8 +293,7 @@ Outcome<LoadedScene> load_scene(const SceneOptions& options, ConvertOptions& con
   merge_parts(scene.cloud, parts, scene.origin);
   const double most = max_rounding(encode, convert.allow_rounding);
   const double rounded = largest_rest(scene.cloud.mean_rest);
-  const bool is_float = to == SplatFormat::ply && scene.origin == kNoOrigin;
-  if (!keeps_rests || is_float || rounded <= most / 4) {
+  if (!keeps_rests || rounded <= max_rounding(encode, false) / 4) {
     scene.cloud.mean_rest.clear();
     scene.position_rounding = rounded;
     if (auto s = check_rounding(rounded, most); !s) return failed(inputs.front().path(), s.error());

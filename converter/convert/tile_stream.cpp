@@ -5,7 +5,6 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -16,7 +15,7 @@ namespace {
 
 constexpr std::uint64_t kRows = 65536;
 
-// Of a PLY a piece has Gaussians, origin and rounding alone.
+// Of a PLY a piece has Gaussians and origin alone.
 Status read_tile(const Tile& tile, const std::function<Status(SplatFile& piece)>& visit) {
   if (!tile.ply) return tile.read(visit).map([](const SplatFile&) {});
   SplatFile piece;
@@ -32,7 +31,6 @@ Status read_tile(const Tile& tile, const std::function<Status(SplatFile& piece)>
     for (std::size_t k = 0; k < rows.size(); ++k) block.set(k, rows[k]);
     const std::uint64_t begin = tile.ply->row_offset(first), end = tile.ply->row_offset(first + rows.size() - 1);
     if (tile.file != nullptr && end != Error::kNone) tile.file->advise(MappedFile::Access::done, begin, end - begin);
-    piece.position_rounding = tile.ply->position_rounding();
     if (Status s = visit(piece); !s) return s;
   }
   return {};
@@ -89,12 +87,10 @@ void TileStream::place(std::size_t i, SplatFile& piece) const {
     moved.translation = {0, 0, 0};
     from = placed_origin(tiles_[i], piece.origin, axes_);
   }
+  if (from != origin_ || moved.translation != glm::dvec3(0)) cloud.mean_rest.resize(cloud.mean.size());
   transform_splats(cloud, moved);
-  // Of the file's own rounding, what is known is a rest.
-  const double lost = cloud.mean_rest.empty() ? piece.position_rounding * moved.scale : 0;
-  if (from != origin_) cloud.mean_rest.resize(cloud.mean.size());
-  rebase_exactly(cloud.mean, cloud.mean_rest, from, origin_);
-  rounding_.add({lost, largest_rest(cloud.mean_rest)});
+  if (from != origin_) rebase_exactly(cloud.mean, cloud.mean_rest, from, origin_);
+  rounding_.add({piece.position_rounding * moved.scale, largest_rest(cloud.mean_rest)});
 }
 
 Result<TileStream> TileStream::open(std::vector<Tile> tiles, const Axes& axes, std::size_t& failed) {

@@ -58,7 +58,6 @@ Result<SplatFile> decode_ply(Bytes bytes, const ReadOptions& options) {
   for (std::uint64_t first = 0; first < ply->size() && options.visit; first += rows.size()) {
     rows.resize(std::min(detail::kPieceRows, ply->size() - first));
     ply->read(first, rows);
-    file.position_rounding = ply->position_rounding();
     if (const Status s = detail::hand_over(rows, ply->sh_degree(), file, options); !s) return tl::unexpected(s.error());
   }
   if (options.visit) return file;
@@ -200,6 +199,9 @@ Result<SplatFile> decode_levels(Bytes bytes, const ReadOptions& options) {
   declare_as(paged->head().declarations(), paged->head().provenance(), file);
   file.n_levels = paged->n_levels();
   file.finest = leaves;
+  if (leaves && !options.visit) {
+    if (const Status s = validate(*paged); !s) return tl::unexpected(s.error());
+  }
   const std::size_t at_once = options.visit ? kPagesAtOnce : pages.size();
   for (std::span<const std::uint32_t> rest(pages); !rest.empty();) {
     const auto some = rest.first(std::min(at_once, rest.size()));
@@ -207,7 +209,7 @@ Result<SplatFile> decode_levels(Bytes bytes, const ReadOptions& options) {
     auto cloud = read_pages(*paged, some);
     if (!cloud) return tl::unexpected(cloud.error());
     file.cloud = std::move(*cloud);
-    file.position_rounding = std::max(file.position_rounding, largest_rest(file.cloud.mean_rest));
+    if (!options.visit) file.position_rounding = largest_rest(file.cloud.mean_rest);
     if (const Status s = detail::hand_over(file, options); !s) return tl::unexpected(s.error());
   }
   if (leaves && !options.visit && paged->has_source_index() && file.declarations->n_source >> 32 == 0) {

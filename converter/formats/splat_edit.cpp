@@ -149,7 +149,7 @@ void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
     const glm::dvec3 moved = similarity.rotation * centre * similarity.scale + similarity.translation;
     for (int k = 0; k < 3; ++k) mean[k] = static_cast<float>(moved[k]);
     for (int k = 0; k < 3 && rest != nullptr; ++k)
-      rest[k] = static_cast<float>(moved[k] - static_cast<double>(mean[k]));
+      rest[k] = std::isfinite(mean[k]) ? static_cast<float>(moved[k] - static_cast<double>(mean[k])) : 0;
     for (int k = 0; k < 3; ++k) cloud.log_scale[3 * i + static_cast<std::size_t>(k)] += log_factor;
     if (turns) turn_quaternion(turn, &cloud.rotation[4 * i]);
   }

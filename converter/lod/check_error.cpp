@@ -68,9 +68,15 @@ float error_against(const SplatView& children, const SplatView& page, float stat
   const Gaussians framed = without_outermost(group);
   const std::size_t n = std::min(result.size(), group.size() / 2);  // as many as there are suffice at any footprint
   // The builder's footprints, or coarser ones that reach what is refuted.
-  const float pixel = std::max(footprint_of(areas(group), n), std::min(kFirst * stated, kFarAway));
-  Measured measured;
-  measure(framed, group, result, pixel, std::max(pixel, extent(framed) / kMostOfFrame), measured);
+  const float least = footprint_of(areas(group), n);
+  float pixel = std::max(least, std::min(kFirst * stated, kFarAway));
+  const auto measured_at = [&](float footprint) {
+    Measured measured;
+    measure(framed, group, result, footprint, std::max(footprint, extent(framed) / kMostOfFrame), measured);
+    return measured;
+  };
+  Measured measured = measured_at(pixel);
+  if (measured.covered[0] <= 0 && pixel > least) measured = measured_at(pixel = least);  // so far away nothing shows
   if (may_look_same && looks_same(measured)) return 0;
   // A page that is good at one footprint counts as good at coarser ones. There the whole may miss by a little what its
   // classes of size, judged by themselves, do not.

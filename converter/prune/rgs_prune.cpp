@@ -155,6 +155,13 @@ Step<rgs::ConvertSummary> write_scene(const Options& o, SplatFormat to, rgs::Spl
   options.encode.provenance = rgs::Provenance{file.bytes, hash, name, "rgs-prune " RGS_VERSION};
   if (!options.encode.depth) options.cameras = std::move(cameras);  // else the .rgs's declared range
   options.output = o.file();
+  const double rest = rgs::largest_rest(file.cloud.mean_rest);
+  if (to == SplatFormat::rgs && !rgs::check_rounding(rest, rgs::max_rounding(options.encode, false))) {
+    return failed(o.output, {rgs::Errc::unsupported_feature, rgs::Error::kNone,
+                             "FP32 rounds positions so far from the origin by more than a millimetre; write a PLY, and "
+                             "rgs-convert --lod that",
+                             rgs::Error::kNone, rgs::Error::kNone, 0});
+  }
   const int degree = file.cloud.sh_degree;
   rgs::LoadedScene scene;
   scene.cloud = std::move(file.cloud);

@@ -63,8 +63,9 @@ NearMeans near_means(std::span<const Splat> splats, float metres_per_unit) {
   NearMeans near;
   const auto has_rest = [](const Splat& s) { return std::ranges::any_of(s.mean_rest, [](float x) { return x != 0; }); };
   if (!std::ranges::any_of(splats, has_rest)) return near;
-  // FP32 numbers below 4096 are exact to a quarter of a millionth of 1000: of a metre, if the unit is known.
-  const double reach = 4096 / (metres_per_unit > 0 ? static_cast<double>(metres_per_unit) : 1);
+  // FP32 numbers below 4096 have steps of 2^-12: less than a quarter of a millimetre.
+  const double unit = metres_per_unit > 0 ? static_cast<double>(metres_per_unit) : 1;
+  const double reach = std::exp2(std::floor(std::log2(4096 / unit)));
   const auto is_near = [reach](float x, float origin) {
     const double from = static_cast<double>(origin), apart = std::fabs(static_cast<double>(x) - from);
     return apart <= (from != 0 ? std::min(reach, 0.5 * std::fabs(from)) : reach);
@@ -73,10 +74,12 @@ NearMeans near_means(std::span<const Splat> splats, float metres_per_unit) {
     const Splat& s = splats[i];
     bool fits = !near.origins.empty();
     for (std::size_t k = 0; k < 3 && fits; ++k) fits = is_near(s.mean[k], near.origins.back().offset[k]);
-    if (!fits && near.origins.size() < std::numeric_limits<std::uint16_t>::max()) {
+    constexpr std::size_t kMost = std::numeric_limits<std::uint16_t>::max();
+    if (!fits && near.origins.size() < kMost) {
       PageOrigin& origin = near.origins.emplace_back();
       origin.first = static_cast<std::uint32_t>(i);
-      for (std::size_t k = 0; k < 3; ++k) origin.offset[k] = is_near(s.mean[k], 0) ? 0 : s.mean[k];
+      const bool is_last = near.origins.size() == kMost;  // of a page of so many: FP32 alone for what is left
+      for (std::size_t k = 0; k < 3; ++k) origin.offset[k] = is_last || is_near(s.mean[k], 0) ? 0 : s.mean[k];
     }
     for (std::size_t k = 0; k < 3; ++k) {
       const double mean = static_cast<double>(s.mean[k]), origin = static_cast<double>(near.origins.back().offset[k]);

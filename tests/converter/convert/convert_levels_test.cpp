@@ -174,7 +174,7 @@ TEST_CASE("tiles at their places get levels without being in memory together") {
     const ProgramResult run = convert({"--lod"}, levels);
     CAPTURE(run.err);
     REQUIRE(run.exit_code == 0);
-    std::vector<std::string> leaves{levels, back};
+    std::vector<std::string> leaves{"--allow-rounding", levels, back};
     for (const char* option : {"--keep-permutation", "--keep-order"}) {
       if (std::ranges::find(arguments, option) != arguments.end()) leaves.insert(leaves.begin(), option);
     }

@@ -148,7 +148,8 @@ struct ReadOptions {
   std::vector<std::uint32_t> page_counts = {};
   /// Receives the Gaussians in their order, piece by piece, as `cloud` of what is known of the file; it may change them.
   /// Pieces of formats that are FormatInfo::in_parts are small, so the scene need not fit into memory; others come
-  /// whole. Means are relative to the piece's origin, which in a tileset is that of one content. Implies keep_axes; the
+  /// whole. Means are relative to the piece's origin, which in a tileset is that of one content; `position_rounding` is
+  /// what is lost, without what Splat::mean_rest holds. Implies keep_axes; the
   /// returned file has no `cloud` and no `source_index`. An error of it ends the reading.
   std::function<Status(SplatFile& piece)> visit = nullptr;
 };
