@@ -4,7 +4,6 @@
 
 #include <zlib.h>
 
-#include <algorithm>
 #include <cerrno>
 #include <cstdlib>
 #include <filesystem>
@@ -41,10 +40,19 @@ std::string folder_of_tiles(const std::string& path) {
   if (name.ends_with(kEnding)) name.resize(name.size() - kEnding.size());
   // Not that of tileset.json.
   if (name.starts_with(kTiles) && name.find_first_not_of('_', kTiles.size()) == name.npos) name += '_';
-  // A URI's path has neither, and "." and ".." are other folders.
-  std::ranges::replace_if(
-      name, [](char c) { return c == '\\' || c == ':'; }, '_');
-  return name.find_first_not_of('.') == name.npos ? "tiles" : name;
+  // "" and "." are this folder, ".." is another.
+  if (name.find_first_not_of('.') == name.npos) return '~' + name;
+  // A URI's path has neither \ nor :.
+  std::string folder;
+  for (const char c : name) {
+    const char* escape = c == '\\' ? "~b" : c == ':' ? "~c" : c == '~' ? "~~" : nullptr;
+    if (escape != nullptr) {
+      folder += escape;
+    } else {
+      folder += c;
+    }
+  }
+  return folder;
 }
 
 Result<StreamedOutput> StreamedOutput::create(const std::string& path, const AtomicFile::Options& options,

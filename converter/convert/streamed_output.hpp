@@ -17,8 +17,8 @@
 
 namespace rgs {
 
-/// The folder, beside a tileset's JSON, of its tiles: "tiles" of tileset.json, "b" of b.json, so that tilesets of one
-/// folder have folders of their own.
+/// The folder, beside a tileset's JSON, of its tiles: "tiles" of tileset.json, "b" of b.json, "b~cd" of b:d.json, so
+/// that tilesets of one folder have folders of their own.
 std::string folder_of_tiles(const std::string& path);
 
 /// A path that ends with ".json" is the last file put, and the others lie in folders beside it; any other is a zip

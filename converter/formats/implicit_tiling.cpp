@@ -9,6 +9,7 @@
 #include <bit>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <utility>
 
 #include "gltf_document.hpp"
 #include "json_member.hpp"
@@ -89,13 +90,20 @@ class SubtreeReader {
 
 }  // namespace
 
-std::string TilePlace::uri(std::string pattern) const {
-  for (const auto& [name, value] : {std::pair("{level}", level), {"{x}", x}, {"{y}", y}, {"{z}", z}}) {
-    const std::string number = std::to_string(value);
-    for (std::size_t at = 0; (at = pattern.find(name, at)) != pattern.npos; at += number.size())
-      pattern.replace(at, std::string_view(name).size(), number);
+std::string TilePlace::uri(std::string_view pattern) const {
+  std::string out;
+  for (std::size_t at = 0; at < pattern.size();) {
+    const std::size_t before = at;
+    for (const auto& [name, value] :
+         {std::pair<std::string_view, std::uint64_t>("{level}", level), {"{x}", x}, {"{y}", y}, {"{z}", z}}) {
+      if (!pattern.substr(at).starts_with(name)) continue;
+      out += std::to_string(value);
+      at += name.size();
+      break;
+    }
+    if (at == before) out += pattern[at++];
   }
-  return pattern;
+  return out;
 }
 
 Result<ImplicitTiling> read_implicit_tiling(const json& stated) {

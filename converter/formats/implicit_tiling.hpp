@@ -8,6 +8,7 @@
 #include <nlohmann/json_fwd.hpp>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "rgs/result.hpp"
@@ -31,7 +32,7 @@ struct TilePlace {
     return {level + 1, 2 * x + (k & 1), 2 * y + (k >> 1 & 1), 2 * z + (k >> 2)};
   }
   /// The template with this place.
-  std::string uri(std::string pattern) const;
+  std::string uri(std::string_view pattern) const;
 };
 
 /// Whether tiles, contents or subtrees exist, by level and along the Morton curve.

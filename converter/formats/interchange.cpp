@@ -11,6 +11,7 @@
 #include <limits>
 #include <memory>
 #include <string_view>
+#include <system_error>
 #include <utility>
 
 #include "compressed_ply.hpp"
@@ -26,6 +27,7 @@
 #include "rgs/paged_file.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/splat_edit.hpp"
+#include "rgs/tileset_files.hpp"
 #include "signature.hpp"
 #include "sog.hpp"
 #include "splat_records.hpp"
@@ -557,6 +559,23 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
     return splats;
   });
+}
+
+std::vector<std::string> files_of_tileset(const std::string& path) {
+  const std::filesystem::path parent = std::filesystem::path(path).parent_path();
+  std::vector<std::string> files;
+  (void)detail::guard_memory([&]() -> Result<bool> {
+    std::error_code ignored;
+    if (!std::filesystem::is_regular_file(path, ignored)) return false;
+    const auto file = MappedFile::open(path);
+    if (!file || !detail::is_tileset(file->bytes())) return false;
+    for (const std::string& name : detail::opened_by_tileset(file->bytes(), parent.empty() ? "." : parent.string())) {
+      std::string found = (parent / name).string();
+      if (found != path && std::filesystem::is_regular_file(found, ignored)) files.push_back(std::move(found));
+    }
+    return true;
+  });
+  return files;
 }
 
 FormatInfo::Keeps keeps_of(SplatFormat format, const WriteOptions& options) {

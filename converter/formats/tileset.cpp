@@ -40,6 +40,7 @@ using nlohmann::json;
 
 constexpr std::uint64_t kMaxJsonBytes = std::uint64_t{1} << 25;    // 300 bytes a tile; parsed many times as large
 constexpr std::uint64_t kMaxStreamBytes = std::uint64_t{1} << 28;  // of subtrees, which may share their buffers
+constexpr std::size_t kMaxUriBytes = 4096;                         // of a path; each tile of a tiling has its own
 constexpr std::size_t kMaxTiles = std::size_t{1} << 20;
 constexpr double kLeastScale = 1e-30, kMostScale = 1e30;  // whose logarithm and inverse FP32 holds with room
 constexpr std::array kKnownExtensions{"3DTILES_content_gltf", "3DTILES_metadata", "3DTILES_bounding_volume_S2",
@@ -96,6 +97,8 @@ class Tree {
     if (const json* extras = json_member(documents_.front()["asset"], "extras")) out_.extras = *extras;
     return std::move(out_);
   }
+  // Paths below the folder, also after an error.
+  const std::set<std::string>& opened() const { return opened_; }
 
  private:
   struct Pending {
@@ -213,6 +216,7 @@ class Tree {
     const auto open = [&](const std::string& path) -> Result<std::span<const std::byte>> {
       auto file = MappedFile::open(folder_ + "/" + path);
       if (!file) return tl::unexpected(file.error());
+      opened_.insert(path);
       return files.emplace_back(std::move(*file)).bytes();
     };
     const auto bytes = open(*name);
@@ -316,6 +320,7 @@ class Tree {
 
   // The path of a URI of a file in the folder `base`.
   static Result<std::string> name_of(const std::string& base, const std::string& uri) {
+    if (uri.size() > kMaxUriBytes) return bad("a URI of more than 4096 bytes", Errc::limit_exceeded);
     const auto path = file_within_folder(uri);
     if (!path)
       return bad("a file of a tile is not below the folder of what names it: copy it there", Errc::unsupported_feature);
@@ -331,6 +336,7 @@ class Tree {
       return bad("a content or a tileset is named twice: give each tile a file of its own", Errc::unsupported_feature);
     const auto file = MappedFile::open(folder_ + "/" + name);
     if (!file) return tl::unexpected(file.error());
+    opened_.insert(name);
     if (is_tileset(file->bytes())) return add(file->bytes(), folder_of(name), index);
     if (is_other_content(file->bytes())) {
       ++out_.n_other;
@@ -344,7 +350,7 @@ class Tree {
   Tileset out_;
   std::deque<json> documents_;
   std::vector<Pending> pending_;
-  std::set<std::string> named_, buffers_;
+  std::set<std::string> named_, buffers_, opened_;
   std::uint64_t json_bytes_ = 0, stream_bytes_ = 0;
 };
 
@@ -622,6 +628,26 @@ Result<LevelTree> open_tileset_levels(std::span<const std::byte> bytes, const st
     return {};
   };
   return tree;
+}
+
+std::vector<std::string> opened_by_tileset(std::span<const std::byte> bytes, const std::string& folder) {
+  Tree tree(folder);
+  (void)tree.read(bytes);
+  std::set<std::string> opened = tree.opened();
+  for (const std::string& name : tree.opened()) {
+    const auto file = MappedFile::open(folder + "/" + name);
+    if (!file || is_tileset(file->bytes()) || !is_gltf_text(file->bytes())) continue;
+    const json root = json::parse(text_of(file->bytes()), nullptr, false);
+    const json* buffers = json_member(root, "buffers");
+    if (buffers == nullptr || !buffers->is_array()) continue;
+    for (const json& buffer : *buffers) {
+      const json* uri = json_member(buffer, "uri");
+      const auto path =
+          uri != nullptr && uri->is_string() ? file_within_folder(uri->get_ref<const std::string&>()) : std::nullopt;
+      if (path) opened.insert((std::filesystem::path(name).parent_path() / *path).string());
+    }
+  }
+  return {opened.begin(), opened.end()};
 }
 
 }  // namespace rgs::detail

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "rgs/interchange.hpp"
 #include "rgs/level_tree.hpp"
@@ -25,6 +26,9 @@ Result<SplatFile> decode_tileset_folder(std::span<const std::byte> bytes, const 
 /// its Gaussians. All pieces have the file's origin. Its error is a 16th of geometricError, if that falls downwards.
 Result<LevelTree> open_tileset_levels(std::span<const std::byte> bytes, const std::string& folder,
                                       const ReadOptions& options);
+/// The paths below `folder` that reading opens, sorted; of a damaged tileset those before the damage. The buffers of a
+/// .gltf need not be there.
+std::vector<std::string> opened_by_tileset(std::span<const std::byte> bytes, const std::string& folder);
 /// Refuses it: its contents are files beside it.
 Result<SplatFile> decode_lone_tileset(std::span<const std::byte> bytes, const ReadOptions& options);
 

@@ -7,11 +7,8 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <filesystem>
 #include <map>
-#include <nlohmann/json.hpp>
-#include <set>
 #include <string_view>
 #include <system_error>
 #include <tuple>
@@ -20,6 +17,7 @@
 
 #include "console.hpp"
 #include "rgs/file.hpp"
+#include "rgs/tileset_files.hpp"
 
 namespace rgs::tool {
 namespace {
@@ -44,92 +42,6 @@ std::vector<std::string> files_of(const fs::path& folder, const std::array<std::
   }
   std::ranges::sort(paths);
   return paths;
-}
-
-// Values of "uri" and, of drafts before 1.0, "url" in a text of JSON, as paths that stay below its folder.
-std::vector<fs::path> named_by(const std::string& path) {
-  constexpr std::size_t kMaxBytes = std::size_t{1} << 25;  // of a tileset; a longer .gltf embeds its buffers
-  std::vector<fs::path> named;
-  const auto file = MappedFile::open(path);
-  if (!file || file->bytes().size() > kMaxBytes) return named;
-  const std::string_view text(reinterpret_cast<const char*>(file->bytes().data()), file->bytes().size());
-  std::string key;
-  const auto visit = [&](int, nlohmann::json::parse_event_t event, const nlohmann::json& value) {
-    if (event == nlohmann::json::parse_event_t::key) key = value.get_ref<const std::string&>();
-    if (event != nlohmann::json::parse_event_t::value || !value.is_string() || (key != "uri" && key != "url"))
-      return true;
-    std::string uri = value.get_ref<const std::string&>();
-    for (std::size_t at = 0; (at = uri.find('%', at)) < uri.size() - std::min<std::size_t>(uri.size(), 2); ++at) {
-      unsigned code = 0;
-      const char* digits = uri.data() + at + 1;
-      if (std::from_chars(digits, digits + 2, code, 16).ptr == digits + 2)
-        uri.replace(at, 3, 1, static_cast<char>(code));
-    }
-    const fs::path inside = fs::path(uri).lexically_normal();
-    if (!uri.starts_with("data:") && !inside.empty() && inside.is_relative() && *inside.begin() != "..")
-      named.push_back(inside);
-    return true;
-  };
-  const auto parsed = nlohmann::json::parse(text, visit, false);
-  return parsed.is_discarded() ? std::vector<fs::path>() : named;
-}
-
-// Whether a name is that of a template, whose variables in braces are numbers.
-bool matches(std::string_view name, std::string_view pattern) {
-  while (!pattern.empty()) {
-    if (name.empty()) return false;
-    if (pattern.front() == '{' && pattern.find('}') != pattern.npos) {
-      const std::size_t digits = std::min(name.find_first_not_of("0123456789"), name.size());
-      if (digits == 0) return false;
-      name.remove_prefix(digits);
-      pattern.remove_prefix(pattern.find('}') + 1);
-    } else {
-      if (name.front() != pattern.front()) return false;
-      name.remove_prefix(1);
-      pattern.remove_prefix(1);
-    }
-  }
-  return name.empty();
-}
-
-// A file, or, of the template of an implicit tiling, all that have its names.
-std::vector<fs::path> files_named(const fs::path& folder, const fs::path& name) {
-  const std::string pattern = (folder / name).lexically_normal().string();
-  if (name.string().find('{') == std::string::npos) return {pattern};
-  std::vector<fs::path> files;
-  fs::path above = folder;
-  for (const fs::path& part : name) {
-    if (part.string().find('{') != std::string::npos) break;
-    above /= part;
-  }
-  std::error_code failed;
-  for (fs::recursive_directory_iterator it(above, failed), end; !failed && it != end; it.increment(failed)) {
-    fs::path file = it->path().lexically_normal();
-    if (matches(file.string(), pattern)) files.push_back(std::move(file));
-  }
-  return files;
-}
-
-// The files that a tileset, its external ones and the .gltf of both name, each once, sorted.
-std::set<std::string> contents_of(const std::string& path, const fs::path& folder) {
-  constexpr std::size_t kMost = std::size_t{1} << 20;  // more tiles are not read
-  std::set<std::string> contents;
-  std::vector<std::pair<std::string, fs::path>> texts{{path, folder}};
-  while (!texts.empty()) {
-    const auto [text, base] = texts.back();
-    texts.pop_back();
-    for (const fs::path& name : named_by(text)) {
-      for (const fs::path& file : files_named(base, name)) {
-        std::error_code ignored;
-        if (contents.size() == kMost) return contents;
-        if (!fs::is_regular_file(file, ignored) || !contents.insert(file.string()).second) continue;
-        const std::string ending = lower_case(file.extension().string());
-        if (ending == ".json" || ending == ".gltf") texts.emplace_back(file.string(), file.parent_path());
-      }
-    }
-  }
-  contents.erase(fs::path(path).lexically_normal().string());
-  return contents;
 }
 
 }  // namespace
@@ -184,9 +96,7 @@ void InputFiles::add_scene(const std::string& path) {
   if (ending == ".lcc" || ending == ".gltf") add_all(folder, ".bin");
   if (ending == ".rad") add_all(folder, ".radc");
   if (ending == ".lcc2") add_all(folder / "data" / "3dgs", ".sog", ".spz");
-  if (ending == ".json" && place.filename() != "meta.json" && place.filename() != "lod-meta.json") {  // a tileset
-    for (const std::string& content : contents_of(path, folder)) add(content);
-  }
+  for (const std::string& file : files_of_tileset(path)) add(file);
   if (place.filename() != "lod-meta.json") return;
   std::vector<fs::path> sogs;
   std::error_code failed;

@@ -33,9 +33,8 @@ class InputFiles {
  public:
   /// Adds a file; ignores an empty path.
   void add(const std::string& path);
-  /// Adds a scene, with the pictures beside a SOG's meta.json, the SOGs below a lod-meta.json, the files that a
-  /// tileset and its contents name, the .bin beside an .lcc or .gltf, the chunks of an .lcc2 or .rad, the .prj of a
-  /// PLY.
+  /// Adds a scene, with the pictures beside a SOG's meta.json, the SOGs below a lod-meta.json, files_of_tileset(), the
+  /// .bin beside an .lcc or .gltf, the chunks of an .lcc2 or .rad, the .prj of a PLY.
   void add_scene(const std::string& path);
   /// Adds a camera file, or the files of a COLMAP model's folder.
   void add_cameras(const std::string& path);

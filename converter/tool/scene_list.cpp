@@ -8,6 +8,8 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <filesystem>
+#include <iterator>
 #include <memory>
 #include <set>
 #include <string_view>
@@ -15,6 +17,7 @@
 
 #include "input_files.hpp"
 #include "rgs/file.hpp"
+#include "rgs/tileset_files.hpp"
 
 namespace rgs::tool {
 namespace {
@@ -33,6 +36,14 @@ std::string_view text_of(std::span<const std::byte> bytes) {
 bool is_unfinished(std::string_view name) {
   constexpr std::string_view kMark = ".tmp-";
   return name.size() > kMark.size() + 6 && name.substr(name.size() - kMark.size() - 6, kMark.size()) == kMark;
+}
+
+// A folder of a streamed SOG as its writers call them: "2_13".
+bool is_level_and_number(std::string_view name) {
+  constexpr std::string_view kDigits = "0123456789";
+  const std::size_t level = std::min(name.find_first_not_of(kDigits), name.size());
+  const std::string_view rest = name.substr(level);
+  return level != 0 && rest.size() > 1 && rest[0] == '_' && rest.find_first_not_of(kDigits, 1) == rest.npos;
 }
 
 // Stricter than detect_format() where the name disagrees: many files are zip archives, and a text may begin with "ply".
@@ -87,27 +98,34 @@ class Walk {
                              Error::kNone, errno);
     std::ranges::sort(names);
     const std::string inside = path + "/";
-    // Folders that a streamed SOG names hold parts of it at several levels, and no scenes; so do the SOGs beside them,
-    // which an older scene may have left.
+    // Folders that a streamed SOG names hold parts of it at several levels, and no scenes; so do others that have the
+    // names of such, which an older scene may have left.
     std::string streamed;
     if (std::ranges::binary_search(names, kScene)) {
       const auto file = MappedFile::open(inside + kScene);
       if (file && detect_format(file->bytes()) == SplatFormat::ssog) streamed = text_of(file->bytes());
     }
     if (!streamed.empty()) {
-      for (const std::string& part : files_of_scene(inside + kScene))
-        if (part != inside + kScene && ::stat(part.c_str(), &info) == 0) parts_.emplace(info.st_dev, info.st_ino);
+      for (const std::filesystem::path part : files_of_scene(inside + kScene))
+        if (part.filename() != kScene && is_level_and_number(part.parent_path().filename().string()) &&
+            ::stat(part.c_str(), &info) == 0)
+          parts_.emplace(info.st_dev, info.st_ino);
     }
     const auto is_part = [&streamed](const std::string& name) {
       return streamed.find('"' + name + '/') != streamed.npos || streamed.find('"' + name + "\\/") != streamed.npos;
     };
-    // So are the files that a tileset names.
-    for (const std::string& name : names) {
-      if (format_of_name(name) != SplatFormat::tileset) continue;
-      const auto file = MappedFile::open(inside + name);
-      if (!file || detect_format(file->bytes()) != SplatFormat::tileset) continue;
-      for (const std::string& part : files_of_scene(inside + name))
-        if (part != inside + name && ::stat(part.c_str(), &info) == 0) parts_.emplace(info.st_dev, info.st_ino);
+    // Nor are the files that a tileset is read from. First come those that name others of the folder, as a rule.
+    std::vector<std::string> texts{"tileset.json"};
+    std::ranges::copy_if(names, std::back_inserter(texts), [this](const std::string& name) {
+      return (name.ends_with(".json") || name.ends_with(".JSON")) && name != "tileset.json" &&
+             (hidden_ || name[0] != '.') && !is_unfinished(name);
+    });
+    for (const std::string& name : texts) {
+      if (::stat((inside + name).c_str(), &info) != 0 || !S_ISREG(info.st_mode) ||
+          parts_.contains({info.st_dev, info.st_ino}))
+        continue;
+      for (const std::string& part : files_of_tileset(inside + name))
+        if (::stat(part.c_str(), &info) == 0) parts_.emplace(info.st_dev, info.st_ino);
     }
     above_.push_back(self);
     // So are the chunks that an .lcc2 names.

@@ -27,6 +27,7 @@
 #include "run_program.hpp"
 #include "sanitized.hpp"
 #include "skip.hpp"
+#include "streamed_output.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
@@ -724,6 +725,11 @@ TEST_CASE("a streamed SOG is one scene, and its parts are none") {
   CHECK(more.exit_code == 0);
   CHECK(more.n_lines == 4);
   for (const char* name : {"tree/b.ply", "tree/more/c.ply"}) CHECK(more.lines.at(name)["status"] == "converted");
+  // So is a SOG that it does not name.
+  fs::create_directories(f.in + "/tree/castle");
+  write_text(f.in + "/tree/castle/meta.json", R"({"version": 2, "count": 3, "means": {}})");
+  CHECK(convert_all(f.command()).lines.contains("tree/castle/meta.json"));
+  fs::remove_all(f.in + "/tree/castle");
   // Another file of that name is no scene.
   write_text(f.in + "/tree/lod-meta.json", "{}");
   CHECK(convert_all(f.command()).n_lines == 5);
@@ -748,6 +754,30 @@ TEST_CASE("a tileset is one scene, and its tiles are none") {
   for (const char* name : {"tree/b.ply", "tree/tiles/c.ply", "tree/d.tileset.json"})
     CHECK(more.lines.at(name)["status"] == "converted");
   CHECK(run_program({built("rgs-convert"), "--to", "tileset.json", f.in, f.out}).exit_code == 2);
+  // Whatever its name, and also if another names it.
+  fs::rename(f.in + "/tree/d.tileset.json", f.in + "/tree/d.json");
+  CHECK(convert_all(f.command()).n_lines == 5);
+  write_text(f.in + "/tree/e.json", R"({"asset": {"version": "1.1"}, "geometricError": 9,
+                                        "root": {"content": {"uri": "d.json"}}})");
+  const Batch named = convert_all(f.command());
+  CHECK(named.n_lines == 5);
+  CHECK(named.lines.at("tree/e.json")["status"] == "converted");
+  CHECK_FALSE(named.lines.contains("tree/d.json"));
+}
+
+TEST_CASE("tilesets of one folder have folders of their own") {
+  std::set<std::string> folders;
+  const std::vector<std::string> names{"tileset", "tiles", "tiles_", "tiles__", "a:b", "a_b", "a\\b", "a~b", "a~cb",
+                                       "a~bb",    "~",     "~~",     "~.",      "",    ".",   "..",   "...", "b"};
+  for (const std::string& name : names) {
+    const std::string folder = folder_of_tiles("x/" + name + ".json");
+    CAPTURE(name);
+    CHECK(folders.insert(folder).second);
+    CHECK(folder.find_first_of("/\\:") == folder.npos);
+    CHECK(folder.find_first_not_of('.') != folder.npos);
+  }
+  CHECK(folders.contains("tiles"));
+  CHECK(folders.contains("b"));
 }
 
 TEST_CASE("the chunks of an LCC2 are no scenes of their own") {

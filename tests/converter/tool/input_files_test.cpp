@@ -46,24 +46,15 @@ TEST_CASE(
     "a COLMAP model's files, a SOG's pictures, the files of a glTF or an LCC and photographs are inputs; others are "
     "not") {
   const TemporaryFolder folder;
-  for (const char* name : {"sparse/0", "photos", "sog/0_0", "gltf", "lcc/data/3dgs", "rad", "3dtiles/b", "3dtiles/g/1"})
+  for (const char* name : {"sparse/0", "photos", "sog/0_0", "gltf", "lcc/data/3dgs", "rad"})
     fs::create_directories(folder.path() / name);
-  for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG",       "photos/report.html",
-                           "sog/meta.json",       "sog/sh0.webp",         "sog/scene.ply",      "sog/lod-meta.json",
-                           "sog/0_0/meta.json",   "sog/0_0/quats.webp",   "gltf/a.gltf",        "gltf/a.bin",
-                           "gltf/a.png",          "gltf/b.PLY",           "gltf/b.prj",         "lcc/data.bin",
-                           "lcc/a.lcc",           "lcc/a.lcc2",           "lcc/b.sog",          "lcc/data/3dgs/0.sog",
-                           "rad/a.rad",           "rad/a-0.radc",         "rad/b-0.radc",       "3dtiles/tileset.json",
-                           "3dtiles/b/c.GLB",     "3dtiles/b/a.json",     "3dtiles/b/a.png",    "3dtiles/b/c d.bin",
-                           "3dtiles/b/e.gltf",    "3dtiles/f.glb",        "3dtiles/g/1/02.glb", "3dtiles/g/1/a.glb"})
+  for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG",  "photos/report.html",
+                           "sog/meta.json",       "sog/sh0.webp",         "sog/scene.ply", "sog/lod-meta.json",
+                           "sog/0_0/meta.json",   "sog/0_0/quats.webp",   "gltf/a.gltf",   "gltf/a.bin",
+                           "gltf/a.png",          "gltf/b.PLY",           "gltf/b.prj",    "lcc/data.bin",
+                           "lcc/a.lcc",           "lcc/a.lcc2",           "lcc/b.sog",     "lcc/data/3dgs/0.sog",
+                           "rad/a.rad",           "rad/a-0.radc",         "rad/b-0.radc"})
     write_text(folder.file(name), "x");
-  // Only what a tileset, an external one or a .gltf names.
-  write_text(folder.file("3dtiles/tileset.json"),
-             R"({"root": {"content": {"url": "b/a.json"}, "children": [{"contents": [{"uri": "./b//c.GLB"},
-              {"uri": "../rad/a.rad"}, {"uri": "none.glb"}, {"uri": "b"}, {"uri": "tileset.json"},
-              {"uri": "g/{level}/{x}.glb"}]}]}})");
-  write_text(folder.file("3dtiles/b/a.json"), R"({"root": {"content": {"uri": "e.gltf", "x": "a.png"}}})");
-  write_text(folder.file("3dtiles/b/e.gltf"), R"({"buffers": [{"uri": "c%20d.bin"}, {"uri": "data:,x"}]})");
   InputFiles inputs;
   inputs.add_cameras(folder.path().string());
   inputs.add_pictures(folder.file("photos"));
@@ -81,11 +72,53 @@ TEST_CASE(
   streamed.add_scene(folder.file("sog/lod-meta.json"));
   CHECK(streamed.paths() == std::vector{folder.file("sog/lod-meta.json"), folder.file("sog/0_0/meta.json"),
                                         folder.file("sog/0_0/quats.webp")});
-  InputFiles tiles;
-  tiles.add_scene(folder.file("3dtiles/tileset.json"));
-  CHECK(tiles.paths() == std::vector{folder.file("3dtiles/tileset.json"), folder.file("3dtiles/b/a.json"),
-                                     folder.file("3dtiles/b/c d.bin"), folder.file("3dtiles/b/c.GLB"),
-                                     folder.file("3dtiles/b/e.gltf"), folder.file("3dtiles/g/1/02.glb")});
+}
+
+TEST_CASE("what a tileset is read from are inputs, in whatever way it is named; others are not") {
+  const TemporaryFolder folder;
+  const auto at = [&](const std::string& name) { return folder.file("3d{x}tiles/" + name); };
+  for (const char* name : {"b", "h", "s"}) fs::create_directories(at(name));
+  fs::create_directory_symlink("h", at("g"));
+  for (const char* name : {"b/a.png", "b/c.GLB", "b/c d.bin", "b/g.bin", "f.glb", "h/000.glb", "h/1.glb", "s/1.json"})
+    write_text(at(name), "x");
+  // An external tileset, the .gltf that it names, a tiling whose bits are in a file of their own, and a damaged tile.
+  write_text(at("tileset.json"),
+             R"({"asset": {"version": "1.1"}, "geometricError": 1, "root": {"children": [
+                {"content": {"url": "b/a.tiles"}}, {"contents": [{"uri": "./b//c.GLB"}]},
+                {"content": {"uri": "g/{level}{x}{y}.glb"}, "implicitTiling": {"subdivisionScheme": "QUADTREE",
+                 "availableLevels": 1, "subtreeLevels": 1, "subtrees": {"uri": "s/{level}.json"}}},
+                {"content": {"uri": "../a.glb"}}, {"content": {"uri": "f.glb"}}]}})");
+  write_text(at("b/a.tiles"), R"({"asset": {"version": "1.0"}, "geometricError": 1,
+                                  "root": {"content": {"uri": "e.gltf", "x": "a.png"}}})");
+  write_text(at("b/e.gltf"), R"({"asset": {"version": "2.0"}, "accessors": [], "meshes": [], "buffers":
+                                 [{"uri": "c%20d.bin"}, {"uri": "data:,x"}, {"uri": "none.bin"}]})");
+  write_text(at("s/0.json"), R"({"buffers": [{"uri": "bits", "byteLength": 1}], "bufferViews": [{"buffer": 0,
+                                 "byteLength": 1}], "tileAvailability": {"bitstream": 0},
+                                 "contentAvailability": [{"constant": 1}],
+                                 "childSubtreeAvailability": {"constant": 0}})");
+  write_text(at("s/bits"), "\x01");
+  const auto inputs_of = [&](const std::string& scene) {
+    InputFiles inputs;
+    inputs.add_scene(scene);
+    return inputs.paths();
+  };
+  CHECK(inputs_of(at("tileset.json")) == std::vector{at("tileset.json"), at("b/a.tiles"), at("b/c d.bin"),
+                                                     at("b/c.GLB"), at("b/e.gltf"), at("g/000.glb"), at("s/0.json"),
+                                                     at("s/bits")});
+  const fs::path before = fs::current_path();
+  fs::current_path(at("b"));
+  CHECK(inputs_of("a.tiles") == std::vector<std::string>{"a.tiles", "c d.bin", "e.gltf"});
+  fs::current_path(before);
+  // Each tile of a tiling has a URI of that length.
+  std::string uri = "f.glb";
+  while (uri.size() <= 4096) uri.insert(0, "./");
+  const auto naming = [&](const std::string& file) {
+    write_text(at("long.json"), R"({"asset": {"version": "1.0"}, "geometricError": 1, "root": {"content": {"uri": ")" +
+                                    file + R"("}}})");
+    return inputs_of(at("long.json"));
+  };
+  CHECK(naming(uri) == std::vector{at("long.json")});
+  CHECK(naming(uri.substr(2)) == std::vector{at("long.json"), at("f.glb")});
 }
 
 TEST_CASE("a file that was rewritten, extended or replaced has changed; a removed one has not") {
