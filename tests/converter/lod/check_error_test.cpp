@@ -108,21 +108,3 @@ TEST_CASE("Gaussians that are too far or too large for the builder take no part"
     CHECK(measured < 3 * page.error);
   }
 }
-
-TEST_CASE("an error from which on nothing shows is checked where something does") {
-  rgs::test::SplitMix random(3);
-  SplatCloud children;
-  children.resize(1500, 0);
-  for (std::uint64_t i = 0; i < children.size(); ++i) {
-    rgs::Splat s;
-    for (float& x : s.mean) x = random.dyadic(-16, 16);
-    for (float& x : s.log_scale) x = -3;
-    s.opacity_logit = 1;
-    children.set(i, s);
-  }
-  SplatCloud page = rows(children, 0, 750);
-  rgs::Splat large = page.view().splat(0);
-  for (float& x : large.log_scale) x = 0;  // shows farther than the children
-  page.set(0, large);
-  CHECK(std::isfinite(error_against(children.view(), page.view(), 2, false)));
-}
