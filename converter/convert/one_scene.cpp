@@ -202,11 +202,25 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
     }
   }
   if (may_keep) {
+    const EncodeOptions encode = convert.encode;
+    const DeclaredLoss before = loss;
+    // Where levels cannot be kept the finest can often be read, if memory is not limited.
+    const auto is_without = [&](const Error& error) {
+      if (error.code != Errc::limit_exceeded && error.code != Errc::unsupported_feature) return false;
+      if (arguments.output.limits_memory) return false;
+      observer.finish();
+      convert.encode = encode;
+      loss = before;
+      loss.notes.push_back(std::string("levels of detail are not kept: ") + error.what);
+      return true;
+    };
     auto tree = first.levels(options.read_options());
-    if (!tree) return failed(first.path(), tree.error());
+    if (!tree && !is_without(tree.error())) return failed(first.path(), tree.error());
     const auto above = [](const LevelTree::Node& node) { return node.level > 0; };
-    if (std::ranges::any_of(tree->nodes, above))
-      return convert_kept(arguments, first, std::move(*tree), loss, observer);
+    if (tree && std::ranges::any_of(tree->nodes, above)) {
+      auto kept = convert_kept(arguments, first, std::move(*tree), loss, observer);
+      if (kept || !is_without(kept.error().error)) return kept;
+    }
   }
   if (streams_tiles(arguments, inputs, to)) return convert_tiles(arguments, inputs, loss, observer);
   std::vector<std::pair<const char*, double>> seconds;

@@ -38,12 +38,15 @@ class SubtreeReader {
     if (stated == nullptr || !stated->is_object())
       return bad("a subtree does not say which tiles, contents or subtrees there are");
     Availability out;
+    out.offset = json_offset_;
     if (const json* constant = json_member(*stated, "constant")) {
       if (*constant != 0 && *constant != 1) return bad("a constant availability is neither 0 nor 1");
       out.constant = *constant == 1;
       return out;
     }
-    const json* view = element("bufferViews", json_member(*stated, "bitstream"));
+    const json* bitstream = json_member(*stated, "bitstream");
+    if (bitstream == nullptr) bitstream = json_member(*stated, "bufferView");  // of drafts
+    const json* view = element("bufferViews", bitstream);
     if (view == nullptr) return bad("an availability has neither a constant nor a bitstream");
     const json* buffer = element("buffers", json_member(*view, "buffer"));
     const auto offset = gltf_whole(*view, "byteOffset", 0), length = gltf_whole(*view, "byteLength", std::nullopt);
@@ -180,11 +183,14 @@ Result<Subtree> Subtree::open(std::span<const std::byte> bytes, const ImplicitTi
   if (Status s = read(json_member(root, "childSubtreeAvailability"), n_level, out.children); !s)
     return tl::unexpected(s.error());
   if (const json* contents = json_member(root, "contentAvailability")) {
-    if (!contents->is_array() || contents->size() != n_contents)
-      return reader.bad("contentAvailability of a subtree is no array of one for each content of the tile");
-    for (const json& stated : *contents) {
+    const std::size_t n = contents->is_array() ? contents->size() : 1;  // an object: of drafts
+    for (std::size_t k = 0; k < n; ++k) {
+      const json& stated = contents->is_array() ? (*contents)[k] : *contents;
       if (Status s = read(&stated, n_tiles, out.contents.emplace_back()); !s) return tl::unexpected(s.error());
     }
+    while (out.contents.size() > n_contents && out.contents.back().is_none()) out.contents.pop_back();
+    if (out.contents.size() != n_contents)
+      return reader.bad("contentAvailability of a subtree is not one for each content of the tile");
   }
   out.has_metadata = json_member(root, "tileMetadata") != nullptr;
   out.json_bytes = text.size();

@@ -39,11 +39,13 @@ struct TilePlace {
 struct Availability {
   bool constant = false;            ///< of all, without a stream
   std::span<const std::byte> bits;  ///< from the lowest of each byte
-  std::uint64_t offset = 0;         ///< of the stream in its file
+  std::uint64_t offset = 0;         ///< of the stream in its file, or of the JSON
 
   bool has(std::uint64_t i) const {
     return bits.empty() ? constant : (std::to_integer<unsigned>(bits[i / 8]) >> (i % 8) & 1) != 0;
   }
+  /// Without looking at the stream.
+  bool is_none() const { return bits.empty() && !constant; }
   /// Errors: bad_value (the stream has another number of ones than were found from the root).
   Status check_count(std::uint64_t found) const;
 };

@@ -14,6 +14,8 @@
 #include <functional>
 #include <glm/gtc/type_ptr.hpp>
 #include <glm/mat4x4.hpp>
+#include <limits>
+#include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -42,7 +44,8 @@ constexpr std::uint64_t kMaxJsonBytes = std::uint64_t{1} << 25;    // 300 bytes 
 constexpr std::uint64_t kMaxStreamBytes = std::uint64_t{1} << 28;  // of subtrees, which may share their buffers
 constexpr std::size_t kMaxUriBytes = 4096;                         // of a path; each tile of a tiling has its own
 constexpr std::size_t kMaxTiles = std::size_t{1} << 20;
-constexpr double kLeastScale = 1e-30, kMostScale = 1e30;  // whose logarithm and inverse FP32 holds with room
+constexpr std::uint64_t kMaxAsked = std::uint64_t{1} << 26;  // contents of implicit tiles that may be there
+constexpr double kLeastScale = 1e-30, kMostScale = 1e30;     // whose logarithm and inverse FP32 holds with room
 constexpr std::array kKnownExtensions{"3DTILES_content_gltf", "3DTILES_metadata", "3DTILES_bounding_volume_S2",
                                       "3DTILES_bounding_volume_cylinder"};
 constexpr std::array kOtherContents{"b3dm", "i3dm", "pnts", "cmpt", "vctr", "geom"};
@@ -63,6 +66,17 @@ tl::unexpected<Error> bad(const char* what, Errc code = Errc::bad_syntax) {
 
 bool is_other_content(std::span<const std::byte> bytes) {
   return std::ranges::any_of(kOtherContents, [&](const char* magic) { return begins_with(bytes, magic); });
+}
+
+// Whether a glTF states no splats: one that names their extension may have them, and others are soon decoded.
+bool is_mesh(std::span<const std::byte> bytes, const std::string& folder) {
+  if (!is_gltf(bytes)) return false;
+  std::string_view text = text_of(bytes);
+  if (!is_gltf_text(bytes) && bytes.size() >= kGlbHeaderBytes + kChunkHeaderBytes)
+    text = text.substr(0, kGlbHeaderBytes + kChunkHeaderBytes + load<std::uint32_t>(bytes, kGlbHeaderBytes));
+  if (text.find("KHR_gaussian_splatting") != text.npos) return false;
+  const auto splats = is_gltf_text(bytes) ? decode_gltf_folder(bytes, folder, {}) : decode_gltf(bytes, {});
+  return !splats && splats.error().code == Errc::not_gaussian_splats;
 }
 
 struct Tileset {
@@ -212,12 +226,16 @@ class Tree {
     if (!name) return tl::unexpected(name.error());
     if (!named_.insert(*name).second)
       return bad("a subtree is named twice: its template lacks {level}, {x}, {y} or {z}", Errc::unsupported_feature);
-    std::deque<MappedFile> files;
+    std::map<std::string, MappedFile> files;
     const auto open = [&](const std::string& path) -> Result<std::span<const std::byte>> {
-      auto file = MappedFile::open(folder_ + "/" + path);
-      if (!file) return tl::unexpected(file.error());
-      opened_.insert(path);
-      return files.emplace_back(std::move(*file)).bytes();
+      auto found = files.find(path);
+      if (found == files.end()) {
+        auto file = open_named(path);
+        if (!file) return tl::unexpected(file.error());
+        opened_.insert(path);
+        found = files.emplace(path, std::move(*file)).first;
+      }
+      return found->second.bytes();
     };
     const auto bytes = open(*name);
     if (!bytes) return tl::unexpected(bytes.error());
@@ -238,6 +256,9 @@ class Tree {
 
     std::uint64_t n_tiles = 0, n_children = 0, first = 0, n_level = 1;  // first: of a level's bits
     std::vector<std::uint64_t> n_contents(subtree->contents.size());
+    std::vector<std::size_t> asked;
+    for (std::size_t k = 0; k < n_contents.size(); ++k)
+      if (!subtree->contents[k].is_none()) asked.push_back(k);
     std::vector<ImplicitTile> level{{root.place, root.index, 0}};
     for (std::uint64_t depth = 0; !level.empty(); ++depth) {
       std::vector<ImplicitTile> below;
@@ -245,7 +266,10 @@ class Tree {
       const bool is_last = depth + 1 == tiling.subtree_levels;
       for (const ImplicitTile& tile : level) {
         ++n_tiles;
-        for (std::size_t k = 0; k < subtree->contents.size(); ++k) {
+        n_asked_ += asked.size();
+        if (n_asked_ > kMaxAsked)
+          return bad("more than 64 million contents that implicit tiles may have", Errc::limit_exceeded);
+        for (const std::size_t k : asked) {
           if (!subtree->contents[k].has(first + tile.morton)) continue;
           ++n_contents[k];
           if (Status s = add_content(tile.place.uri(uris[k]), base, tile.index); !s) return s;
@@ -276,7 +300,7 @@ class Tree {
     Status s = subtree->tiles.check_count(n_tiles);
     for (std::size_t k = 0; s && k < n_contents.size(); ++k) s = subtree->contents[k].check_count(n_contents[k]);
     if (s) s = subtree->children.check_count(n_children);
-    for (const MappedFile& file : files)
+    for (const auto& [path, file] : files)
       if (const Status unchanged = file.check_unchanged(); !unchanged) return unchanged;
     return s;
   }
@@ -327,6 +351,12 @@ class Tree {
     return base + *path;
   }
 
+  Result<MappedFile> open_named(const std::string& name) const {
+    auto file = MappedFile::open(folder_ + "/" + name);
+    if (!file) file.error().what = "cannot open a file that a tile or a subtree names";
+    return file;
+  }
+
   Status add_content(const std::string& uri, const std::string& base, std::size_t index) {
     const auto found = name_of(base, uri);
     if (!found) return tl::unexpected(found.error());
@@ -334,11 +364,11 @@ class Tree {
     // Once, so that what is read is within the scene's size, and tilesets do not name each other.
     if (!named_.insert(name).second)
       return bad("a content or a tileset is named twice: give each tile a file of its own", Errc::unsupported_feature);
-    const auto file = MappedFile::open(folder_ + "/" + name);
+    const auto file = open_named(name);
     if (!file) return tl::unexpected(file.error());
     opened_.insert(name);
     if (is_tileset(file->bytes())) return add(file->bytes(), folder_of(name), index);
-    if (is_other_content(file->bytes())) {
+    if (is_other_content(file->bytes()) || is_mesh(file->bytes(), folder_ + "/" + folder_of(name))) {
       ++out_.n_other;
     } else {
       out_.tiles[index].contents.push_back(name);
@@ -351,7 +381,7 @@ class Tree {
   std::deque<json> documents_;
   std::vector<Pending> pending_;
   std::set<std::string> named_, buffers_, opened_;
-  std::uint64_t json_bytes_ = 0, stream_bytes_ = 0;
+  std::uint64_t json_bytes_ = 0, stream_bytes_ = 0, n_asked_ = 0;
 };
 
 // A viewer draws a tile whose geometricError covers at most so many pixels, unless told otherwise (CesiumJS,
@@ -384,14 +414,16 @@ TileNodes find_nodes(const std::vector<Tile>& tiles, std::span<const std::uint64
     out.nodes.push_back({0, node_above[i], n[i]});
     node_above[i] = static_cast<std::uint32_t>(out.of_tile[i]);
     out.repeats[i] = tiles[i].adds && leaves_below[i];
-    if (leaves_below[i]) out.nodes.back().error = static_cast<float>(tiles[i].error / kScreenErrorPx);
+    const double error = tiles[i].error / kScreenErrorPx;
+    if (leaves_below[i] && std::fabs(error) <= std::numeric_limits<float>::max())
+      out.nodes.back().error = static_cast<float>(error);
     if (out.repeats[i]) out.nodes.push_back({0, node_above[i], n[i]});
   }
   // An error that is no number above those of children means something else.
   std::vector<float> most(out.nodes.size());
   for (std::size_t i = out.nodes.size(); i-- > 0;) {
     LevelTree::Node& node = out.nodes[i];
-    if (!(node.error > most[i]) || !std::isfinite(node.error)) node.error = 0;
+    if (!(node.error > most[i])) node.error = 0;
     if (node.parent == LevelTree::kNoParent) continue;
     most[node.parent] = std::max({most[node.parent], most[i], node.error});
     out.nodes[node.parent].level = std::max(out.nodes[node.parent].level, node.level + 1);
@@ -431,6 +463,7 @@ Result<std::optional<SplatFile>> read_content(const std::string& path, const Rea
     return std::ranges::count_if(splats->cloud.mean, [](float x) { return !std::isfinite(x); });
   };
   const auto before = n_infinite();
+  if (similarity.translation != glm::dvec3(0)) splats->cloud.mean_rest.resize(splats->cloud.mean.size());
   transform_splats(splats->cloud, splats->origin, similarity);
   if (n_infinite() != before || std::ranges::any_of(splats->origin, [](double x) { return std::fabs(x) > kMaxOrigin; }))
     return bad("a transform moves Gaussians of a tile beyond FP32, or their origin beyond 1e12", Errc::bad_value);

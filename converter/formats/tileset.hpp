@@ -17,7 +17,8 @@ bool is_tileset(std::span<const std::byte> bytes);
 
 /// A tileset.json (`bytes`) with its contents and external tilesets below `folder`: of tiles that replace each other the
 /// finest, or those ReadOptions::level_of_detail above them, and all that add to each other. A tile's level is that of
-/// its highest child plus 1, so that a shorter branch ends with a finer one. Error offsets are in the tileset or in the content.
+/// its highest child plus 1, so that a shorter branch ends with a finer one. Contents without splats replace none.
+/// Error offsets are in the tileset or in the content.
 /// Errors: those of decode_gltf(); those of Subtree::open(); unsupported_feature (content that is named twice, required
 /// extensions, paths outside the folder); limit_exceeded (more than a million tiles).
 Result<SplatFile> decode_tileset_folder(std::span<const std::byte> bytes, const std::string& folder,

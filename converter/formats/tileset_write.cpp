@@ -1,5 +1,6 @@
 // tileset_write.cpp - writes a scene, or the levels of an .rgs, as an explicit tileset of 3D Tiles 1.1, which tileset.cpp
-// describes. Tiles replace their parents; the root's transform holds the origin.
+// describes. Tiles replace their parents; the root's transform holds the origin, and a tile far from it has one of its
+// own, relative to the tile above.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>

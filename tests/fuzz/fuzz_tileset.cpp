@@ -7,6 +7,7 @@
 #include <cstring>
 #include <fstream>
 #include <span>
+#include <vector>
 
 #include "rgs/interchange.hpp"
 #include "rgs/level_tree.hpp"
@@ -40,6 +41,14 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   require(file ? file->cloud.view().consistent() : rgs::exit_code(file.error().code) >= 3);
   const auto tree = rgs::open_levels(std::as_bytes(stated), folder.path().string(), options);
   if (!tree || !tree->read) return 0;
+  // Nodes without children hold what is read.
+  std::vector<bool> is_leaf(tree->nodes.size(), true);
+  std::uint64_t n = 0;
+  for (std::size_t i = tree->nodes.size(); i-- > 0;) {
+    if (is_leaf[i]) n += tree->nodes[i].n;
+    if (tree->nodes[i].parent != rgs::LevelTree::kNoParent) is_leaf[tree->nodes[i].parent] = false;
+  }
+  require(tree->nodes.empty() || !file || n == file->cloud.size());
   (void)tree->read([&](std::uint32_t node, const rgs::SplatFile& piece) -> rgs::Status {
     require(node < tree->nodes.size() && piece.cloud.size() == tree->nodes[node].n);
     require(tree->nodes[node].parent == rgs::LevelTree::kNoParent || tree->nodes[node].parent < node);

@@ -594,7 +594,7 @@ TEST_CASE("tilesets of one folder have tiles of their own") {
     CAPTURE(run.err);
     REQUIRE(run.exit_code == 0);
   }
-  for (const char* tile : {"tiles/0_0.glb", "a.tileset/0_0.glb", "b %_.tileset/0_0.glb", "a/0_0.glb"})
+  for (const char* tile : {"tiles/0_0.glb", "a.tileset/0_0.glb", "b %~c.tileset/0_0.glb", "a/0_0.glb"})
     CHECK(std::filesystem::exists(folder.file(tile)));
   // An input stays as it is.
   REQUIRE(rgs_convert({"--crop", "-100,-100,-100,0,100,100", tilesets[1], folder.file("d.tileset.json")}).exit_code ==

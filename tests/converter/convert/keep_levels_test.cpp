@@ -223,6 +223,40 @@ TEST_CASE("levels of an .rgs survive a tileset, with its origin") {
   CHECK(read_bytes(again) == bytes);
 }
 
+TEST_CASE("a tileset of more levels or repeats than are kept is converted without them") {
+  const TemporaryFolder folder;
+  const std::string tiles = folder.file("tileset.json"), rgs = folder.file("out.rgs");
+  const auto convert = [&](int n, const char* refine, const std::vector<std::string>& options = {}) {
+    json root;
+    for (int i = n; i-- > 0;) {
+      const std::string name = std::to_string(i) + ".glb";
+      const SplatCloud cloud = ordinary_cloud(10, 0, static_cast<std::uint64_t>(i));
+      write_bytes(folder.file(name), *encode_splats(cloud.view(), SplatFormat::glb, {.axes = kAxesGltf}));
+      json tile{{"content", {{"uri", name}}}, {"geometricError", n - i}};
+      if (i + 1 < n) tile["children"].push_back(std::move(root));
+      root = std::move(tile);
+    }
+    root["refine"] = refine;
+    write_bytes(tiles, bytes_of(json{{"asset", {{"version", "1.1"}}}, {"geometricError", 99}, {"root", root}}.dump()));
+    std::vector<std::string> arguments{tiles, rgs};
+    arguments.insert(arguments.begin(), options.begin(), options.end());
+    return rgs_convert(arguments);
+  };
+  const auto check = [&](const ProgramResult& run, std::uint64_t n, bool is_kept) {
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK((run.out.find("levels of detail are not kept: ") == std::string::npos) == is_kept);
+    CHECK(run.out.find("pass --lod") == run.out.rfind("pass --lod"));
+    CHECK(has_levels(read_bytes(rgs)) == is_kept);
+    CHECK(read_splats(rgs)->cloud.size() == n);
+  };
+  check(convert(33, "REPLACE"), 10, false);
+  check(convert(20, "ADD"), 200, false);
+  check(convert(3, "ADD"), 30, true);
+  // In memory, which is then not limited.
+  CHECK(convert(33, "REPLACE", {"--memory", "1GiB"}).exit_code == 4);
+}
+
 TEST_CASE("contents of a tileset that one origin rounds by more than a millimetre get origins of their own") {
   const TemporaryFolder folder;
   const std::string path = folder.file("tileset.json"), out = folder.file("out.rgs");

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -93,6 +94,21 @@ Bytes subtree(const std::string& stated, const std::string& buffer = "") {
   }
   return bytes;
 }
+
+// A .glb without arrays.
+Bytes glb_of(std::string stated) {
+  stated.resize((stated.size() + 3) / 4 * 4, ' ');
+  Bytes bytes = bytes_of("glTF");
+  const auto append = [&](std::uint64_t value) {
+    for (int i = 0; i < 4; ++i) bytes.push_back(static_cast<std::byte>(value >> (8 * i) & 255));
+  };
+  for (const std::uint64_t value : {std::uint64_t{2}, 20 + stated.size(), stated.size(), std::uint64_t{0x4E4F534A}})
+    append(value);
+  const Bytes text = bytes_of(stated);
+  bytes.insert(bytes.end(), text.begin(), text.end());
+  return bytes;
+}
+const std::string kMesh = R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[]}],"buffers":[]})";
 
 // Of four files: the first two levels, whose bits are in its buffer: the root, a tile without content at 0, 0 and one
 // at 1, 1; below the latter a subtree whose bits are in a file.
@@ -278,12 +294,24 @@ TEST_CASE("of tiles that replace each other the finest are read or those some le
   for (const char* uri : {"a.glb", "b.glb", "x.b3dm"}) several["contents"].push_back(json::object({{"uri", uri}}));
   several["children"].push_back(tile(""));
   files["x.b3dm"] = bytes_of("b3dm....");
-  files["mesh.gltf"] = bytes_of(R"({"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[]}],"buffers":[]})");
+  files["mesh.gltf"] = bytes_of(kMesh);
   files["tileset.json"] = tileset(tile("", {several, tile("mesh.gltf")}));
   CHECK(xs_of(read_files(files)) == Xs{1, 2});
   CHECK(read_files(files)->unused == std::vector<std::string>{"contents of tiles without splats: 2"});
   files["tileset.json"] = tileset(tile("x.b3dm"));
   CHECK(read_files(files).error().code == Errc::not_gaussian_splats);
+  // What has no splats replaces none.
+  files["mesh.glb"] = glb_of(kMesh);
+  for (const char* uri : {"x.b3dm", "mesh.gltf", "mesh.glb"}) {
+    CAPTURE(uri);
+    files["tileset.json"] = tileset(tile("a.glb", {tile(uri)}));
+    CHECK(xs_of(read_files(files)) == Xs{1});
+    CHECK(read_files(files)->n_levels == 1);
+    CHECK(read_files(files)->unused == std::vector<std::string>{"contents of tiles without splats: 1"});
+  }
+  // One that is cut off is damaged.
+  files["mesh.glb"].pop_back();
+  CHECK(read_files(files).error().code == Errc::truncated);
 }
 
 TEST_CASE("tiles are placed by their transforms, also through external tilesets") {
@@ -344,7 +372,7 @@ TEST_CASE("a tileset is handed over content by content, each with the origin tha
 
 TEST_CASE("tiles become nodes of levels, whose leaves are what is read, also where tiles add to each other") {
   Files files{{"a.glb", glb_at(1)}, {"b.glb", glb_at(2)}, {"c.glb", glb_at(3)},
-              {"d.glb", glb_at(4)}, {"e.glb", glb_at(5)}, {"mesh.glb", bytes_of("b3dm....")}};
+              {"d.glb", glb_at(4)}, {"e.glb", glb_at(5)}, {"mesh.glb", glb_of(kMesh)}};
   const json branch = tile("b.glb", {tile("", {tile("c.glb")}), tile("d.glb")});
   struct Nodes {
     std::vector<std::uint32_t> levels, parents;
@@ -352,6 +380,7 @@ TEST_CASE("tiles become nodes of levels, whose leaves are what is read, also whe
     Xs xs;
   };
   const auto nodes_of = [&](const json& root, const std::string& refine) {
+    const float scale = root.contains("transform") ? 2 : 1;
     files["tileset.json"] = tileset(root, refine);
     const TemporaryFolder folder;
     for (const auto& [name, bytes] : files) write_bytes(folder.file(name), bytes);
@@ -380,7 +409,10 @@ TEST_CASE("tiles become nodes of levels, whose leaves are what is read, also whe
       return Status();
     }));
     CHECK(leaves == xs_of(read_files(files)));
-    CHECK(stored <= read_files(files)->bytes + files["a.glb"].size() * 2);
+    std::uint64_t expected = bytes.size();
+    for (const float x : std::set<float>(out.xs.begin(), out.xs.end()))
+      expected += files[std::string(1, static_cast<char>('a' + std::lround(x / scale) - 1)) + ".glb"].size();
+    CHECK(stored == expected);
     return out;
   };
   constexpr std::uint32_t kNone = LevelTree::kNoParent;
@@ -396,6 +428,11 @@ TEST_CASE("tiles become nodes of levels, whose leaves are what is read, also whe
   // One that does not fall is none.
   root["children"][0]["geometricError"] = 64;
   CHECK(nodes_of(root, "REPLACE").errors == std::vector<float>{0, 8, 0, 0, 0});
+  for (const double beyond : {1e300, -1e300, 1e40}) {
+    root["geometricError"] = beyond;
+    CHECK(nodes_of(root, "REPLACE").errors == std::vector<float>{0, 8, 0, 0, 0});
+  }
+  root["geometricError"] = 64;
   root["children"][0]["geometricError"] = -1;
   CHECK(nodes_of(root, "REPLACE").errors == std::vector<float>{8, 0, 0, 0, 0});
   root.erase("transform");
@@ -406,7 +443,7 @@ TEST_CASE("tiles become nodes of levels, whose leaves are what is read, also whe
   CHECK(added.xs == Xs{1, 1, 2, 2, 3, 4, 5});
   root["children"][0]["refine"] = "REPLACE";
   CHECK(nodes_of(root, "ADD").xs == Xs{1, 1, 2, 3, 4, 5});
-  // A tile that something without splats replaces is not in the scene.
+  // A tile that something without splats replaces is a leaf.
   const Nodes lost = nodes_of(tile("", {tile("a.glb", {tile("mesh.glb")}), tile("b.glb", {tile("c.glb")})}), "REPLACE");
   CHECK(lost.xs == Xs{1, 2, 3});
   CHECK(nodes_of(tile("", {tile("a.glb"), tile("b.glb")}), "ADD").xs.empty());
@@ -436,6 +473,8 @@ TEST_CASE("tilesets that are not read are refused with what is wrong") {
        {"../a.glb", "sub/../../a.glb", "%2e%2e/a.glb", "/a.glb", "https://example.org/a.glb", "b\\a.glb"})
     CHECK(refused(with("/root/content/uri", uri)) == Errc::unsupported_feature);
   CHECK(refused(with("/root/content/uri", "b.glb")) == Errc::open_failed);
+  CHECK(std::string(read_files({{"tileset.json", tileset(tile("b.glb"))}}).error().what).find("a tile") !=
+        std::string::npos);
   CHECK(refused(with("/root/content", json::object())) == Errc::bad_syntax);
   CHECK(refused(with("/root/contents", {{"uri", 1}})) == Errc::bad_syntax);
   CHECK(refused(with("/root/content/uri", "c"), {{"c", bytes_of("neither")}}) == Errc::bad_magic);
@@ -550,6 +589,46 @@ TEST_CASE("an implicit tileset is read as the tiles that its subtrees have") {
   CHECK(xs_of(read_files(files)) == Xs{1, 2, 3, 4});
 }
 
+TEST_CASE("subtrees as drafts of implicit tiling and other writers state them are read") {
+  Files files = implicit_files();
+  const std::string first = "s/0/0/0.subtree";
+  const auto restate = [&](const std::string& from, const std::string& to) {
+    std::string text = kFirstSubtree;
+    text.replace(text.find(from), from.size(), to);
+    files[first] = subtree(text, kFirstBits);
+    return read_files(files);
+  };
+  CHECK(xs_of(restate(R"([{"bitstream":1}])", R"({"bitstream":1})")) == Xs{3});
+  CHECK(xs_of(restate(R"("tileAvailability":{"bitstream":0})", R"("tileAvailability":{"bufferView":0})")) == Xs{3});
+  CHECK(xs_of(restate(R"([{"bitstream":1}])", R"([{"bitstream":1},{"constant":0}])")) == Xs{3});
+  // A tile that has no content says so.
+  json root = implicit_root();
+  root.erase("content");
+  files["tileset.json"] = tileset(tile("", {tile("c/0.0.0.glb"), root}));
+  std::string second = kSecondSubtree;
+  second.replace(second.find(R"({"constant":1})"), 14, R"({"constant":0})");
+  files["s/2/3/2.subtree"] = bytes_of(second);
+  CHECK(xs_of(restate(R"([{"bitstream":1}])", R"([{"constant":0}])")) == Xs{1});
+  CHECK(restate(R"([{"bitstream":1}])", R"([{"constant":1}])").error().code == Errc::bad_syntax);
+  // More contents than files may be open or mapped, all with bits in one file.
+  root = implicit_root();
+  root.erase("content");
+  root["implicitTiling"]["availableLevels"] = root["implicitTiling"]["subtreeLevels"] = 1;
+  std::string stated;
+  for (int i = 0; i < 70000; ++i) {
+    root["contents"].push_back(json::object({{"uri", i == 0 ? "c/0.0.0.glb" : "none"}}));
+    stated += i == 0 ? R"({"bitstream":0})" : R"(,{"bitstream":1})";
+  }
+  files["tileset.json"] = tileset(root);
+  files["s/0/0/bits.bin"] = Bytes{std::byte{1}, std::byte{0}};
+  files[first] =
+      bytes_of(R"({"buffers":[{"uri":"bits.bin","byteLength":2}],"bufferViews":[{"buffer":0,"byteLength":1},)"
+               R"({"buffer":0,"byteOffset":1,"byteLength":1}],"tileAvailability":{"constant":1},)"
+               R"("childSubtreeAvailability":{"constant":0},"contentAvailability":[)" +
+               stated + "]}");
+  CHECK(xs_of(read_files(files)) == Xs{1});
+}
+
 TEST_CASE("subtrees that are not read are refused at their byte") {
   const auto refused = [&](const Files& changed) {
     Files files = implicit_files();
@@ -596,6 +675,7 @@ TEST_CASE("subtrees that are not read are refused at their byte") {
         Refusal{Errc::bad_value, 24});
   CHECK(refused(restated(R"("byteOffset":4,"byteLength":2)", R"("byteOffset":4,"byteLength":1)")) ==
         Refusal{Errc::truncated, bits + 4});
+  CHECK(refused(restated(R"({"bitstream":0})", R"({"constant":0})")) == Refusal{Errc::bad_value, 24});
   for (const char* availability : {R"({"constant":2})", R"({"bitstream":3})", R"({"bitstream":-1})", "{}", "0"})
     CHECK(refused(restated(R"({"bitstream":0})", availability)) == Refusal{Errc::bad_syntax, 24});
   CHECK(refused(restated(R"([{"bitstream":1}])", R"([])")) == Refusal{Errc::bad_syntax, 24});
@@ -622,6 +702,26 @@ TEST_CASE("subtrees that are not read are refused at their byte") {
   root["implicitTiling"]["availableLevels"] = 60;
   root["implicitTiling"]["subtreeLevels"] = 24;
   CHECK(refused({{"tileset.json", tileset(root)}, {first, bytes_of(all)}}).first == Errc::limit_exceeded);
+  // Tiles without end that ask for contents without end, of which there is one.
+  std::string views = R"({"buffers":[{"byteLength":3}],"bufferViews":[{"buffer":0,"byteLength":3}],)"
+                      R"("tileAvailability":{"constant":1},"childSubtreeAvailability":{"constant":0},)"
+                      R"("contentAvailability":[{"bitstream":0})";
+  json many = implicit_root();
+  many.erase("content");
+  many["implicitTiling"]["availableLevels"] = many["implicitTiling"]["subtreeLevels"] = 9;
+  for (int i = 0; i < 1000; ++i) {
+    many["contents"].push_back(json::object({{"uri", std::to_string(i) + "{level}.{x}.{y}"}}));
+    if (i > 0) views += R"(,{"bitstream":0})";
+  }
+  const std::string n_bytes = std::to_string(((1 << 18) / 3 + 7) / 8);
+  for (std::size_t at; (at = views.find(R"("byteLength":3})")) != views.npos;)
+    views.replace(at, 14, R"("byteLength":)" + n_bytes);
+  std::string last(static_cast<std::size_t>(std::stoi(n_bytes)), '\0');
+  last.back() = 16;
+  CHECK(refused({{"tileset.json", tileset(many)}, {first, subtree(views + "]}", last)}}).first == Errc::limit_exceeded);
+  views = R"({"tileAvailability":{"constant":1},"childSubtreeAvailability":{"constant":0},"contentAvailability":[)";
+  for (int i = 0; i < 1000; ++i) views += i == 0 ? R"({"constant":0})" : R"(,{"constant":0})";
+  CHECK(refused({{"tileset.json", tileset(many)}, {first, bytes_of(views + "]}")}}).first == Errc::not_gaussian_splats);
   root["implicitTiling"]["subtreeLevels"] = 1;
   CHECK(refused({{"tileset.json", tileset(root)}, {first, bytes_of(all)}}).first == Errc::open_failed);
 }
