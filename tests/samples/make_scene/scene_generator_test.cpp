@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -101,7 +102,9 @@ TEST_CASE("the largest scene has random access") {
 
 TEST_CASE("a scene's bytes never change") {
   const std::vector<Splat> splats = whole(1, 20011, 3);
-  CHECK(xxh3(std::as_bytes(std::span(splats))) == 17861800317272669149U);
+  Hasher hash;
+  for (const Splat& s : splats) hash.update(std::as_bytes(std::span(&s, 1)).first(offsetof(Splat, mean_rest)));
+  CHECK(hash.digest() == 17861800317272669149U);
   const std::string cameras = scene_cameras_json();
   CHECK(xxh3(std::as_bytes(std::span(cameras))) == 615894061732631915U);
 }

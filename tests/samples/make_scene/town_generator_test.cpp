@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -142,7 +143,9 @@ TEST_CASE("a town has the requested number of Gaussians, all finite and within t
 TEST_CASE("a town's bytes never change, whatever the compiler") {
   const std::vector<Splat> splats = whole(TownGenerator(1, 50021, 3, 3));
   const std::string cameras = town_cameras_json(1) + town_path_json(1);
-  CHECK(xxh3(std::as_bytes(std::span(splats))) == 18176096755127476755U);
+  Hasher hash;
+  for (const Splat& s : splats) hash.update(std::as_bytes(std::span(&s, 1)).first(offsetof(Splat, mean_rest)));
+  CHECK(hash.digest() == 18176096755127476755U);
   CHECK(xxh3(std::as_bytes(std::span(cameras))) == 3235692612974067230U);
 }
 
