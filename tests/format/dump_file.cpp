@@ -51,6 +51,17 @@ void put(const char* name, const char* type, std::uint64_t columns, std::span<co
   if (!values.empty()) std::fwrite(values.data(), 1, values.size_bytes(), stdout);
 }
 
+void put_trained(std::span<const Splat> splats) {
+  std::vector<float> values, rests;
+  for (const Splat& s : splats) {
+    const auto* const first = reinterpret_cast<const float*>(&s);
+    values.insert(values.end(), first, first + kSplatFloats);
+    rests.insert(rests.end(), s.mean_rest, s.mean_rest + 3);
+  }
+  put<float>("trained", "f4", kSplatFloats, values);
+  put<float>("mean_rest", "f4", 3, rests);
+}
+
 void put_head(const FileView& view) {
   const Header& h = view.header();
   const std::array<std::int64_t, 8> header = {
@@ -108,7 +119,7 @@ Status put_payload(const FileView& view) {
   if (auto ok = view.read(0, std::span(activated)); !ok) return ok;
   if (auto ok = view.read(0, std::span(trained)); !ok) return ok;
   put<ActivatedSplat>("activated", "f4", kSplatFloats, activated);
-  put<Splat>("trained", "f4", kSplatFloats + 3, trained);
+  put_trained(trained);
 
   std::vector<float> chunk_floats;
   std::vector<std::uint64_t> chunk_integers;
@@ -139,7 +150,7 @@ Status put_payload(const FileView& view) {
 
 // For a file with levels: the tree, then Gaussians, chunks and steps of all pages in file order.
 Status put_pages(const PagedFile& file) {
-  std::vector<std::uint64_t> integers;
+  std::vector<std::uint64_t> integers, n_origins;
   std::vector<float> floats;
   std::vector<ActivatedSplat> activated;
   std::vector<Splat> trained;
@@ -154,7 +165,7 @@ Status put_pages(const PagedFile& file) {
                                      page.first_child, page.level, page.n_children, stored.n_step_sets,
                                      static_cast<std::uint64_t>(std::int64_t{stored.scale_exponent})});
     integers.insert(integers.end(), stored.corner.begin(), stored.corner.end());
-    integers.push_back(stored.n_origins);
+    n_origins.push_back(stored.n_origins);
     floats.push_back(page.error);
     for (const auto& corner : {page.bounds.min, page.bounds.max, page.core.min, page.core.max}) {
       floats.insert(floats.end(), corner.begin(), corner.end());
@@ -180,11 +191,12 @@ Status put_pages(const PagedFile& file) {
     }
     steps.insert(steps.end(), rows->steps.begin(), rows->steps.end());
   }
-  put<std::uint64_t>("pages", "u8", 14, integers);
+  put<std::uint64_t>("pages", "u8", 13, integers);
+  put<std::uint64_t>("n_origins", "u8", 1, n_origins);
   put<float>("page_floats", "f4", 13, floats);
   put<float>("quality", "f4", 1, std::array{file.quality_db()});
   put<ActivatedSplat>("activated", "f4", kSplatFloats, activated);
-  put<Splat>("trained", "f4", kSplatFloats + 3, trained);
+  put_trained(trained);
   put<float>("chunk_floats", "f4", 8, chunk_floats);
   put<std::uint64_t>("chunk_integers", "u8", 2, chunk_integers);
   put<std::byte>("steps", "f4", 12, steps);
