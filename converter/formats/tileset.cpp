@@ -668,7 +668,7 @@ std::vector<std::string> opened_by_tileset(std::span<const std::byte> bytes, con
   (void)tree.read(bytes);
   std::set<std::string> opened = tree.opened();
   for (const std::string& name : tree.opened()) {
-    const auto file = MappedFile::open(folder + "/" + name);
+    const auto file = MappedFile::open((std::filesystem::path(folder) / name).string());
     if (!file || is_tileset(file->bytes()) || !is_gltf_text(file->bytes())) continue;
     const json root = json::parse(text_of(file->bytes()), nullptr, false);
     const json* buffers = json_member(root, "buffers");
