@@ -108,8 +108,8 @@ struct MeanRounding {
   }
 };
 
-/// Gives pages origins of their own, but not in Profile::archive, if rests are more than a quarter of a millimetre, and leaves
-/// that quarter of them. Returns the largest rounding then. Errors: check_rounding()'s.
+/// Gives pages origins of their own, but not in Profile::archive, if rests are more than a quarter of a millimetre, and
+/// leaves that quarter of them. Returns the largest rounding then. Errors: check_rounding()'s.
 Result<double> choose_page_origins(EncodeOptions& encode, MeanRounding rounding, bool allow_rounding);
 
 struct StreamFacts {

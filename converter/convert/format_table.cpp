@@ -41,9 +41,9 @@ std::string format_table() {
                         : f.keeps.declarations   ? "3dgs or declared"
                                                  : "3dgs";
     const std::string names = std::string(".") + f.name + (*f.other_name == 0 ? "" : ", ") + f.other_name;
-    keeps.push_back({names, f.writable ? "yes" : "read only", frame, std::to_string(f.sh_degree),
-                     f.keeps.one_level ? "one" : mark(f.keeps.levels), mark(f.keeps.origin), mark(f.keeps.aa_mode),
-                     mark(f.keeps.declarations), mark(f.in_parts), f.title});
+    keeps.push_back({names, f.writable ? "yes" : "read only", frame, std::to_string(f.sh_degree), mark(f.keeps.levels),
+                     mark(f.keeps.origin), mark(f.keeps.aa_mode), mark(f.keeps.declarations), mark(f.in_parts),
+                     f.title});
     precision.push_back({std::string(".") + f.name, f.precision});
   }
   return table(keeps) + "\n" + table(precision);

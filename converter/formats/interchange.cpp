@@ -447,8 +447,7 @@ Result<SplatFile> read_lcc(Bytes bytes, const std::string& folder, const ReadOpt
 
 Result<SplatFile> decode_format(Bytes bytes, const Format& format, const ReadOptions& options) {
   const auto& keeps = format.info.keeps;
-  const bool may_have_levels =
-      format.info.format == SplatFormat::rgs ? has_levels(bytes) : keeps.levels || keeps.one_level;
+  const bool may_have_levels = format.info.format == SplatFormat::rgs ? has_levels(bytes) : keeps.levels;
   if (options.level_of_detail && !may_have_levels) return no_levels();
   if (format.read != nullptr) return format.read(bytes, options);
   if (const char* advice = advice_for(bytes)) return make_error(Errc::unsupported_feature, 0, advice);

@@ -19,8 +19,8 @@ namespace RGS_API rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
-/// The newest known. A file states the lowest that describes it: 5 with Codec::archive, a CRS or origins of pages, 4 with levels of
-/// detail, 3 with an origin, 2 with Codec::archive_draco, 1 with Codec::planes, else 0.
+/// The newest known. A file states the lowest that describes it: 5 with Codec::archive, a CRS or origins of pages, 4
+/// with levels of detail, 3 with an origin, 2 with Codec::archive_draco, 1 with Codec::planes, else 0.
 inline constexpr std::uint16_t kVersionMinor = 5;
 
 inline constexpr std::uint64_t kHeaderBytes = 128;

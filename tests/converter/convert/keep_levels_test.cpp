@@ -120,6 +120,19 @@ std::string streamed_sog(const TemporaryFolder& folder, const SplatCloud& fine, 
   return path;
 }
 
+// Converts to the last of these, an .rgs whose levels are kept, and returns it.
+Bytes keep(const std::vector<std::string>& arguments) {
+  const ProgramResult run = rgs_convert(arguments);
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("not kept") == std::string::npos);
+  Bytes bytes = read_bytes(arguments.back());
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(validate(*file));
+  return bytes;
+}
+
 }  // namespace
 
 TEST_CASE("levels of an .rgs survive a streamed SOG") {
@@ -132,14 +145,8 @@ TEST_CASE("levels of an .rgs survive a streamed SOG") {
                     ssog = folder.file("scene.ssog"), kept = folder.file("kept.rgs"), again = folder.file("again.rgs");
   REQUIRE(rgs_convert({"--lod", ply, own}).exit_code == 0);
   REQUIRE(rgs_convert({own, ssog}).exit_code == 0);
-  const ProgramResult run = rgs_convert({"--keep-permutation", ssog, kept});
-  CAPTURE(run.err);
-  REQUIRE(run.exit_code == 0);
-  CHECK(run.out.find("not kept") == std::string::npos);
-  const Bytes bytes = read_bytes(kept);
+  const Bytes bytes = keep({"--keep-permutation", ssog, kept});
   const auto file = PagedFile::open(bytes);
-  REQUIRE(file);
-  CHECK(validate(*file));
   const std::uint32_t n_levels = read_splats(ssog)->n_levels;
   CHECK(n_levels > 1);
   CHECK(file->n_levels() >= n_levels);
@@ -195,14 +202,8 @@ TEST_CASE("levels of an .rgs survive a tileset, with its origin") {
                     again = folder.file("again.rgs");
   REQUIRE(rgs_convert({"--lod", "--translate", "4200000.125,0,0", "--crs", "EPSG:4978", ply, own}).exit_code == 0);
   REQUIRE(rgs_convert({own, tiles}).exit_code == 0);
-  const ProgramResult run = rgs_convert({tiles, kept});
-  CAPTURE(run.err);
-  REQUIRE(run.exit_code == 0);
-  CHECK(run.out.find("not kept") == std::string::npos);
-  const Bytes bytes = read_bytes(kept);
+  const Bytes bytes = keep({tiles, kept});
   const auto file = PagedFile::open(bytes);
-  REQUIRE(file);
-  CHECK(validate(*file));
   const auto source = read_splats(tiles);
   CHECK(source->n_levels == 3);
   CHECK(file->n_levels() >= 3);
@@ -452,14 +453,8 @@ TEST_CASE("levels of an LCC become levels of an .rgs") {
   files["a.lcc"] = bytes_of(meta.dump());
   for (const auto& [name, bytes] : files) write_bytes(folder.file(name), bytes);
   const std::string rgs = folder.file("a.rgs");
-  const ProgramResult run = rgs_convert({folder.file("a.lcc"), rgs});
-  CAPTURE(run.err);
-  REQUIRE(run.exit_code == 0);
-  CHECK(run.out.find("not kept") == std::string::npos);
-  const Bytes bytes = read_bytes(rgs);
+  const Bytes bytes = keep({folder.file("a.lcc"), rgs});
   const auto file = PagedFile::open(bytes);
-  REQUIRE(file);
-  CHECK(validate(*file));
   std::uint64_t n[3] = {};
   for (const lod::Page& page : file->pages())
     n[std::min<std::uint32_t>(page.level, 2)] += page.level < 3 ? page.count : 0;
@@ -511,14 +506,8 @@ TEST_CASE("levels of an LCC2 become levels of an .rgs") {
   write_bytes(folder.file("0.spz"), encode_splats(fine.view(), SplatFormat::spz).value());
   write_bytes(folder.file("1.spz"), encode_splats(coarse.view(), SplatFormat::spz).value());
   const std::string rgs = folder.file("a.rgs");
-  const ProgramResult run = rgs_convert({folder.file("a.lcc2"), rgs});
-  CAPTURE(run.err);
-  REQUIRE(run.exit_code == 0);
-  CHECK(run.out.find("not kept") == std::string::npos);
-  const Bytes bytes = read_bytes(rgs);
+  const Bytes bytes = keep({folder.file("a.lcc2"), rgs});
   const auto file = PagedFile::open(bytes);
-  REQUIRE(file);
-  CHECK(validate(*file));
   CHECK(count_refuted(*file) == 0);
   CHECK(file->head().declarations().axes == kAxes3dgs);
   for (std::uint32_t level = 0; level < 2; ++level) {

@@ -74,9 +74,8 @@ struct FormatInfo {
   int sh_degree = 3;      ///< the highest that is written; of ksplat 3 is read
   bool writable = false;  ///< by encode_splats(), .rgs by encode(), .ssog and tilesets by the functions below
   struct Keeps {
-    bool levels = false;     ///< of detail, as those of an .rgs: open_levels()
-    bool one_level = false;  ///< has levels, of which one is read; written are those of an .rgs
-    bool origin = false;     ///< formats without hold FP32 positions; of spz only version 4: keeps_of()
+    bool levels = false;  ///< of detail, as those of an .rgs: open_levels()
+    bool origin = false;  ///< formats without hold FP32 positions; of spz only version 4: keeps_of()
     bool aa_mode = false;
     bool declarations = false;       ///< low-pass, colour space and metres per unit; axes, where none are prescribed
     bool axes = false, crs = false;  ///< keeps_of() sets these
@@ -149,8 +148,8 @@ struct ReadOptions {
   /// Receives the Gaussians in their order, piece by piece, as `cloud` of what is known of the file; it may change them.
   /// Pieces of formats that are FormatInfo::in_parts are small, so the scene need not fit into memory; others come
   /// whole. Means are relative to the piece's origin, which in a tileset is that of one content; `position_rounding` is
-  /// what is lost, without what Splat::mean_rest holds. Implies keep_axes; the
-  /// returned file has no `cloud` and no `source_index`. An error of it ends the reading.
+  /// what is lost, without what Splat::mean_rest holds. Implies keep_axes; the returned file has no `cloud` and no
+  /// `source_index`. An error of it ends the reading.
   std::function<Status(SplatFile& piece)> visit = nullptr;
 };
 
