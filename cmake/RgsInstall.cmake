@@ -90,8 +90,8 @@ foreach(component format interchange cuda runtime)
 endforeach()
 
 set(RGS_INSTALLED_PROGRAMS "")
-foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-render rgs-bench rgs-bench-flight
-        rgs-bench-opening rgs-view)
+foreach(program rgs-convert rgs-info rgs-audit rgs-diff rgs-make-scene rgs-prune rgs-render rgs-bench
+        rgs-bench-flight rgs-bench-opening rgs-view)
   if(TARGET ${program})
     list(APPEND RGS_INSTALLED_PROGRAMS ${program})
     install(TARGETS ${program} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT programs)

@@ -5,7 +5,7 @@
 # folder may be moved. --small leaves out rgs-render, rgs-audit and rgs-view, whose pictures need OpenImageIO and its 260 libraries.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
-programs="rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels"
+programs="rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-diff rgs-info rgs-make-scene rgs-prune rgs_test_kernels"
 pictures="rgs-audit rgs-render rgs-view"
 if [ "${1:-}" = --small ]; then
   pictures=

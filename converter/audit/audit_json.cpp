@@ -35,16 +35,6 @@ Json hex(std::uint64_t hash) {
   return fmt::format("{:016x}", hash);
 }
 
-const char* name_of(PairedBy by) {
-  switch (by) {
-    case PairedBy::permutation: return "permutation";
-    case PairedBy::order: return "order";
-    case PairedBy::means: return "means";
-    case PairedBy::nearest: return "nearest";
-  }
-  return "";
-}
-
 using Grade = Verdict::Grade;
 constexpr std::array<std::pair<Grade, const char*>, 6> kGrades{{{Grade::identical, "identical"},
                                                                 {Grade::lossless, "no_visible_loss"},
@@ -252,6 +242,16 @@ Json json(const DistanceReport& r) {
 }
 
 }  // namespace
+
+const char* name_of(PairedBy by) {
+  switch (by) {
+    case PairedBy::permutation: return "permutation";
+    case PairedBy::order: return "order";
+    case PairedBy::means: return "means";
+    case PairedBy::nearest: return "nearest";
+  }
+  return "";
+}
 
 std::string audit_json(const Report& report) {
   const Verdict v = verdict(report);

@@ -13,6 +13,9 @@ namespace rgs::audit {
 /// Schema "rgs-audit/3", ASCII, "\n" at the end.
 std::string audit_json(const Report& report);
 
+/// "permutation", "order", "means", "nearest".
+const char* name_of(PairedBy by);
+
 /// An earlier audit, under the current conditions.
 struct EarlierAudit {
   std::string json;  ///< the same measurements with these conditions

@@ -226,6 +226,17 @@ Result<Pairing> pair_gaussians(const Source& source, const FileView& asset, cons
   return pair_by_means(source, asset, archive);
 }
 
+std::optional<Pairing> pair_by_permutation(const Source& source, const Source& asset) {
+  const auto index = asset.source_index();
+  if (source.format() == SplatFormat::rgs || index.empty() || index.size() != asset.size() ||
+      asset.declarations().n_source != source.size())
+    return {};
+  std::vector<std::uint8_t> is_paired(source.size());
+  for (const std::uint32_t row : index)
+    if (row >= source.size() || is_paired[row]++ != 0) return {};
+  return Pairing{PairedBy::permutation, std::vector<std::uint32_t>(index.begin(), index.end()), index.size()};
+}
+
 Result<Pairing> pair_gaussians(const Source& source, const Source& asset) {
   if (auto ok = check_count(source.size(), asset.size()); !ok) return tl::unexpected(ok.error());
   Pairing pairing{PairedBy::means, std::vector<std::uint32_t>(asset.size(), kUnpaired), 0};

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <optional>
 #include <vector>
 
 #include "audit.hpp"
@@ -36,6 +37,8 @@ void for_each_mean(const FileView& asset, const UseMean& use);
 /// bounds. `asset` must be valid, and preloaded if it is coded. Takes at most 36 bytes a Gaussian, of an archive 100.
 /// Errors: limit_exceeded (2^32 - 1 Gaussians or more).
 Result<Pairing> pair_gaussians(const Source& source, const FileView& asset, const ArchiveParameters* archive);
+/// By the positions in `source` that `asset`, an .rgs in memory, keeps; empty if it keeps none or they do not fit.
+std::optional<Pairing> pair_by_permutation(const Source& source, const Source& asset);
 /// The same for an asset of another format, which may have rounded means: those that are not equal pair with the nearest
 /// mean within kSameGaussian of the source's largest standard deviations. Takes at most 100 bytes a Gaussian.
 Result<Pairing> pair_gaussians(const Source& source, const Source& asset);

@@ -40,6 +40,10 @@ class Source {
   const DecodeLimits& limits() const { return limits_; }
   /// Of an .rgs: its source, which an asset made from it names as its own.
   std::optional<Provenance> provenance() const { return ply_ != nullptr ? std::nullopt : file_->provenance; }
+  /// Of an .rgs that keeps them: the Gaussians' positions in its source; else empty.
+  std::span<const std::uint32_t> source_index() const {
+    return ply_ != nullptr ? std::span<const std::uint32_t>() : file_->source_index;
+  }
   /// The same Gaussians with means relative to `origin`. Errors: those of PlyFile::open().
   Result<Source> relative_to(const Origin& origin) const;
 

@@ -18,5 +18,6 @@ done
 test "$(head -c 4 picture.png | tail -c 3)" = PNG
 "$bin/rgs-audit" scene.ply scene.rgs --cameras cameras.json --size 160x90 --fail-below psnr=40 --report audit.html
 "$bin/rgs-prune" scene.ply small.rgs --cameras cameras.json --size 160x90 --keep 50%
+"$bin/rgs-diff" scene.rgs scene.rgs
 "$bin/rgs-view" scene.rgs --cameras cameras.json --export look.html
 test -f "$bin/../share/roofgs/viewer/index.html"

@@ -12,6 +12,7 @@ rgs-render scene.rgs --cameras cameras.json --view 0 --size 320x180 --out pictur
 test "$(head -c 4 picture.png | tail -c 3)" = PNG
 rgs-audit scene.ply scene.rgs --cameras cameras.json --size 160x90 --fail-below psnr=40 --report audit.html
 rgs-prune scene.ply small.rgs --cameras cameras.json --size 160x90 --keep 50%
+rgs-diff scene.rgs scene.rgs
 rgs-view scene.rgs --cameras cameras.json --export look.html
 test -f /usr/share/roofgs/viewer/index.html
 for program in /usr/bin/rgs-*; do
