@@ -1,5 +1,5 @@
 // dump_image_metrics.cpp - prints the library's comparison of two raw FP32 pictures, for image_metrics_test.py:
-// rgs_dump_image_metrics WIDTH HEIGHT CHANNELS A.raw B.raw  ->  mse psnr largest largest_index ssim
+// rgs_dump_image_metrics WIDTH HEIGHT CHANNELS A.raw B.raw  ->  mse psnr largest largest_index ssim flip
 // SPDX-License-Identifier: Apache-2.0
 #include <cstdio>
 #include <cstdlib>
@@ -19,6 +19,8 @@ int main(int argc, char** argv) {
   }
   const auto d = rgs::difference(pictures[0], pictures[1]);
   const auto s = rgs::ssim(pictures[0], pictures[1]);
-  if (!d || !s) return 1;
-  std::printf("%.17g %.17g %.9g %zu %.17g\n", d->mse, d->psnr, static_cast<double>(d->largest), d->largest_index, *s);
+  const auto f = pictures[0].channels == 3 ? rgs::flip(pictures[0], pictures[1]) : rgs::Result<double>(0);
+  if (!d || !s || !f) return 1;
+  std::printf("%.17g %.17g %.9g %zu %.17g %.17g\n", d->mse, d->psnr, static_cast<double>(d->largest), d->largest_index,
+              *s, *f);
 }

@@ -1,10 +1,11 @@
-// image_metrics_test.cpp - edge cases of PSNR and SSIM; image_metrics_test.py checks values independently.
+// image_metrics_test.cpp - edge cases of PSNR, SSIM and FLIP; image_metrics_test.py checks values independently.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/image_metrics.hpp"
 
 #include <doctest/doctest.h>
 #include <tbb/global_control.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -101,4 +102,41 @@ TEST_CASE("pictures that cannot be compared are refused") {
       CHECK(error.offset == 17);
     }
   }
+}
+
+TEST_CASE("FLIP of equal pictures is 0, and of flat black and white what the colours' distance makes it") {
+  for (const Image& image : {noise(1, 37, 23, 3), noise(2, 1, 1, 3)}) CHECK(flip(image, image).value() == 0);
+  const Image black = Image::make(30, 20, 3);
+  Image white = black, green = black, blue = black;
+  std::fill(white.pixels.begin(), white.pixels.end(), 3.0F);  // shown as 1
+  for (std::size_t i = 0; i < black.pixels.size(); i += 3) green.pixels[i + 1] = 1, blue.pixels[i + 2] = 1;
+  // HyAB 100 of the largest 203.3; 100^0.7 lies (25.12 - 16.50) / (41.25 - 16.50) above the knee at 0.95.
+  CHECK(flip(black, white).value() == doctest::Approx(0.9674).epsilon(2e-4));
+  CHECK(flip(green, blue).value() == doctest::Approx(1).epsilon(1e-6));
+}
+
+TEST_CASE("FLIP is symmetric, has its map's mean, falls with resolution, and has the same bits for any threads") {
+  const Image a = noise(31, 61, 43, 3), b = noise(32, 61, 43, 3);
+  Image map;
+  const double found = flip(a, b, 67.02, &map).value();
+  CHECK(flip(b, a).value() == found);
+  REQUIRE(map.pixels.size() == 61U * 43);
+  CHECK(map.channels == 1);
+  double sum = 0;
+  for (const float v : map.pixels) sum += static_cast<double>(v);
+  CHECK(sum / (61 * 43) == doctest::Approx(found).epsilon(1e-6));
+  CHECK(flip(a, b, 20).value() > flip(a, b, 120).value());  // noise too fine to be seen
+  const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
+  CHECK(flip(a, b).value() == found);
+}
+
+TEST_CASE("FLIP refuses what it cannot compare") {
+  const Image a = noise(3, 4, 4, 3), grey = noise(4, 4, 4, 1);
+  Image bad = a;
+  bad.pixels[7] = std::numeric_limits<float>::quiet_NaN();
+  CHECK(flip(a, noise(3, 4, 5, 3)).error().code == Errc::bad_argument);
+  CHECK(flip(grey, grey).error().code == Errc::bad_argument);
+  CHECK(flip(a, a, 0).error().code == Errc::bad_argument);
+  CHECK(flip(a, bad).error().code == Errc::bad_value);
+  CHECK(flip(a, bad).error().offset == 7);
 }

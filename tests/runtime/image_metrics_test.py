@@ -1,9 +1,10 @@
 #!/usr/bin/python3
-# image_metrics_test.py - the library's PSNR and SSIM against numpy, and against scikit-image if installed.
+# image_metrics_test.py - the library's PSNR, SSIM and FLIP against numpy, and against scikit-image if installed.
 # SPDX-License-Identifier: Apache-2.0
 """usage: image_metrics_test.py rgs_dump_image_metrics
 
 numpy evaluates the definition: a two-dimensional window, every pixel's 11x11 neighbourhood in a zero-padded picture.
+FLIP likewise: two-dimensional filters over a picture whose edge pixels repeat (Andersson et al. 2020).
 scikit-image mirrors at the edges, so that it gets pictures with a border of zeros and its map is cut back to the picture.
 """
 import math
@@ -49,6 +50,61 @@ def ssim_by_skimage(a: np.ndarray, b: np.ndarray) -> float:
     return float(full[11:-11, 11:-11].mean())
 
 
+def flip_by_definition(a: np.ndarray, b: np.ndarray, ppd: float = 67.02) -> float:
+    to_xyz = np.array([[10135552, 8788810, 4435075], [2 * 2613072, 2 * 8788810, 2 * 887015],
+                       [1425312 / 3, 8788810 / 3, 70074185 / 3]]) / 24577794
+    white = to_xyz.sum(axis=1)
+
+    def filtered(x: np.ndarray, window: np.ndarray) -> np.ndarray:
+        r = window.shape[0] // 2
+        patches = np.lib.stride_tricks.sliding_window_view(np.pad(x, r, mode="edge"), window.shape)
+        return np.einsum("yxij,ij->yx", patches, window)
+
+    def hunt_lab(linear: np.ndarray) -> np.ndarray:
+        t = linear @ to_xyz.T / white
+        f = np.where(t > (6 / 29) ** 3, np.cbrt(t), t * (29 / 6) ** 2 / 3 + 4 / 29)
+        x, y, z = f[..., 0], f[..., 1], f[..., 2]
+        l = 116 * y - 16
+        return np.stack([l, l / 100 * 500 * (x - y), l / 100 * 200 * (y - z)], axis=-1)
+
+    def hyab(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        d = x - y
+        return np.abs(d[..., 0]) + np.sqrt(d[..., 1] ** 2 + d[..., 2] ** 2)
+
+    r = math.ceil(3 * math.sqrt(0.04 / (2 * math.pi**2)) * ppd)
+    grid = np.arange(-r, r + 1) / ppd
+    squares = grid[:, None] ** 2 + grid[None, :] ** 2
+    csf = []
+    for terms in ([(1, 0.0047)], [(1, 0.0053)], [(34.1, 0.04), (13.5, 0.025)]):
+        window = sum(m * math.sqrt(math.pi / n) * np.exp(-math.pi**2 * squares / n) for m, n in terms)
+        csf.append(window / window.sum())
+    sd = 0.5 * 0.082 * ppd
+    r = math.ceil(3 * sd)
+    x = np.arange(-r, r + 1)[None, :] + np.zeros((2 * r + 1, 1))
+    bell = np.exp(-(x**2 + x.T**2) / (2 * sd**2))
+    detectors = []
+    for window in (-x * bell, (x**2 / sd**2 - 1) * bell):
+        detectors.append(np.where(window > 0, window / window[window > 0].sum(), window / -window[window < 0].sum()))
+
+    def prepared(srgb: np.ndarray):
+        v = np.clip(srgb, 0, 1)
+        xyz = np.where(v > 0.04045, ((v + 0.055) / 1.055) ** 2.4, v / 12.92) @ to_xyz.T / white
+        y, cx, cz = 116 * xyz[..., 1] - 16, 500 * (xyz[..., 0] - xyz[..., 1]), 200 * (xyz[..., 1] - xyz[..., 2])
+        features = [np.hypot(filtered((y + 16) / 116, d), filtered((y + 16) / 116, d.T)) for d in detectors]
+        y, cx, cz = (filtered(plane, window) for plane, window in zip((y, cx, cz), csf))
+        ny = (y + 16) / 116
+        linear = np.stack([ny + cx / 500, ny, ny - cz / 200], axis=-1) * white @ np.linalg.inv(to_xyz).T
+        return hunt_lab(np.clip(linear, 0, 1)), features
+
+    (lab_a, features_a), (lab_b, features_b) = prepared(a), prepared(b)
+    largest = hyab(hunt_lab(np.array([0.0, 1, 0])), hunt_lab(np.array([0.0, 0, 1]))) ** 0.7
+    colour = hyab(lab_a, lab_b) ** 0.7
+    knee = 0.4 * largest
+    colour = np.where(colour < knee, 0.95 * colour / knee, 0.95 + 0.05 * (colour - knee) / (largest - knee))
+    feature = np.maximum(*(np.abs(f - g) for f, g in zip(features_a, features_b)))
+    return float(np.mean(colour ** (1 - np.sqrt(feature / math.sqrt(2)))))
+
+
 def pictures():
     """Fixed pairs: noise, a gradient against its 8-bit rounding, flat pictures, slivers, a single pixel."""
     random = np.random.default_rng(20)
@@ -65,7 +121,7 @@ def pictures():
 
 def main() -> None:
     program = sys.argv[1]
-    worst = {"mse": 0.0, "psnr": 0.0, "ssim": 0.0}
+    worst = {"mse": 0.0, "psnr": 0.0, "ssim": 0.0, "flip": 0.0}
     count = 0
     with tempfile.TemporaryDirectory(prefix="rgs-test-") as name:
         folder = pathlib.Path(name)
@@ -76,22 +132,24 @@ def main() -> None:
             height, width, channels = a.shape
             text = subprocess.run([program, str(width), str(height), str(channels), folder / "a.raw", folder / "b.raw"],
                                   check=True, capture_output=True, text=True).stdout.split()
-            mse, psnr, largest, index, ssim = (float(t) for t in text)
+            mse, psnr, largest, index, ssim, flip = (float(t) for t in text)
             a, b = a.astype(np.float64), b.astype(np.float64)
             expected = {"mse": float(np.mean((a - b) ** 2)), "ssim": ssim_by_definition(a, b)}
             expected["psnr"] = math.inf if expected["mse"] == 0 else 10 * math.log10(1 / expected["mse"])
+            if channels == 3:
+                expected["flip"] = flip_by_definition(a, b)
             references = [expected]
             if structural_similarity is not None:
                 references.append({"mse": float(mean_squared_error(a, b)), "ssim": ssim_by_skimage(a, b),
                                    "psnr": math.inf if expected["mse"] == 0
                                    else float(peak_signal_noise_ratio(a, b, data_range=1.0))})
-            found = {"mse": mse, "psnr": psnr, "ssim": ssim}
+            found = {"mse": mse, "psnr": psnr, "ssim": ssim, "flip": flip}
             for reference in references:
                 for key, value in reference.items():
                     if found[key] == value:
                         continue
                     difference = abs(found[key] - value)
-                    assert difference <= 1e-9 * max(1, abs(value)), (a.shape, key, found[key], value)
+                    assert difference <= (1e-7 if key == "flip" else 1e-9) * max(1, abs(value)), (a.shape, key, found[key], value)
                     worst[key] = max(worst[key], difference)
             differences = np.abs(a.astype(np.float32) - b.astype(np.float32)).ravel()
             assert int(index) == int(np.argmax(differences)), (a.shape, index)

@@ -1,7 +1,8 @@
-// image_metrics.hpp - how much two pictures differ: squared error, PSNR and the SSIM of 3D Gaussian splatting.
+// image_metrics.hpp - how much two pictures differ: squared error, PSNR, the SSIM of 3D Gaussian splatting,
+// and FLIP.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Both functions take pictures of equal size, use all cores, and return the same bits for any number of threads.
+// All functions take pictures of equal size, use all cores, and return the same bits for any number of threads.
 // Errors: bad_argument (sizes or channels differ, no pixels, an array that does not match its size), bad_value (a value
 // is not finite; Error::offset is its index in the pixel array).
 #pragma once
@@ -27,5 +28,11 @@ Result<ImageDifference> difference(const Image& a, const Image& b);
 /// sigma 1.5, pixels beyond the edge taken as 0 in both pictures, C1 = 0.01^2, C2 = 0.03^2, mean over all pixels and
 /// channels. 1 for equal pictures, exactly.
 Result<double> ssim(const Image& a, const Image& b);
+
+/// Mean of LDR-FLIP (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", HPG 2020) of two sRGB
+/// pictures of 3 channels, clamped to 0..1: 0 for equal pictures, exactly, and at most 1. The paper's monitor shows
+/// 67.02 pixels per degree. `map` takes each pixel's value, [height, width, 1]; may be null. Also bad_argument: other
+/// channels, or not 1 to 1000 pixels per degree.
+Result<double> flip(const Image& a, const Image& b, double pixels_per_degree = 67.02, Image* map = nullptr);
 
 }  // namespace rgs
