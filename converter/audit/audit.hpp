@@ -45,6 +45,7 @@ struct Options {
   bool attribution = true;
   bool compare_scales = false;  ///< also compare one SH scale set for the file with one per chunk
   bool depth = false;           ///< also compare depths
+  bool flip = false;            ///< also measure FLIP
   bool distances = true;        ///< of a file with levels of detail: quality from afar
   Backend backend = Backend::automatic;
   int threads = 0;
@@ -166,13 +167,14 @@ struct DepthScore {
 };
 
 /// Differences are those over the background that shows more, chosen for each channel of each pixel; SSIM is the lower
-/// one of both backgrounds.
+/// one of both backgrounds, FLIP the higher one.
 struct Score {
   double mse = 0, psnr = 0, ssim = 1;
   float largest = 0;
   int x = 0, y = 0;         ///< of the largest difference
   bool over_white = false;  ///< white alone shows more than black alone
   std::optional<DepthScore> depth{};
+  std::optional<double> flip{};
 };
 
 struct PhotoScore {
@@ -244,6 +246,7 @@ struct RenderReport {
   std::optional<double> loss;       ///< mean over the views, dB
   std::optional<PhotoScore> photo;  ///< means over the views
   std::optional<DepthScore> depth;  ///< of the view with the largest mean error
+  std::optional<double> flip{}, worst_flip{};
   std::optional<LevelPsnr> level_psnr;
   std::vector<AttributionRow> attribution;
   std::string attribution_note;          ///< why it is missing, or what it excludes

@@ -18,7 +18,7 @@ namespace rgs::audit {
 namespace {
 
 using Needs = ConditionKind::Needs;
-constexpr std::array<ConditionKind, 25> kKinds{{
+constexpr std::array<ConditionKind, 27> kKinds{{
     {"psnr", "mean PSNR of the views, dB", true, Needs::pictures},
     {"worst-psnr", "PSNR of the worst view, dB", true, Needs::pictures},
     {"ssim", "mean SSIM of the views", true, Needs::pictures},
@@ -28,6 +28,8 @@ constexpr std::array<ConditionKind, 25> kKinds{{
     {"rated-views", "views that show enough of the scene to be rated", true, Needs::pictures},
     {"loss", "PSNR lost against the photographs, dB", false, Needs::photos},
     {"depth", "mean error of the depths of the worst view, over the source's", false, Needs::depth},
+    {"flip", "mean FLIP of the views, 0 to 1", false, Needs::pictures},
+    {"worst-flip", "FLIP of the worst view", false, Needs::pictures},
     {"ratio", "size of the source over the asset's", true, Needs::nothing},
     {"bytes-per-gaussian", "of the asset's file", false, Needs::nothing},
     {"gpu-bytes-per-gaussian", "resident on the GPU", false, Needs::nothing},
@@ -81,6 +83,8 @@ double found_value(const std::string& name, const Report& report) {
   if (name == "largest") return 255 * static_cast<double>(r.largest);
   if (name == "loss") return r.loss.value_or(kNone);
   if (name == "depth") return r.depth ? r.depth->error : kNone;
+  if (name == "flip") return r.flip.value_or(kNone);
+  if (name == "worst-flip") return r.worst_flip.value_or(kNone);
   for (const AttributionRow& row : r.attribution)
     if (name == "together-psnr" && row.key == "together")
       return r.level_psnr ? std::min(row.psnr, r.level_psnr->levels) : row.psnr;
@@ -166,6 +170,11 @@ tl::expected<std::vector<Condition>, std::string> parse_conditions(const std::st
     out.push_back(std::move(condition));
   }
   return out;
+}
+
+void imply(std::span<const Condition> conditions, Options& options) {
+  for (const Condition& c : conditions)
+    if (c.name == "flip" || c.name == "worst-flip") options.flip = true;
 }
 
 std::string unmeasurable(std::span<const Condition> conditions, const Options& options) {

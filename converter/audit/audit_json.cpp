@@ -169,6 +169,7 @@ Json json(const RenderReport& r) {
       view["ssim"] = v.score.ssim;
       view["largest"] = {{"difference", v.score.largest}, {"x", v.score.x}, {"y", v.score.y}};
       view["background"] = v.score.over_white ? "white" : "black";
+      if (v.score.flip) view["flip"] = *v.score.flip;
       if (v.score.depth) view["depth"] = json(*v.score.depth);
     }
     for (const auto& [name, score] : {std::pair("leaves", &v.leaves), std::pair("levels", &v.levels)})
@@ -202,6 +203,7 @@ Json json(const RenderReport& r) {
   }
   if (r.level_psnr)
     out["level_psnr"] = {{"leaves", number(r.level_psnr->leaves)}, {"levels", number(r.level_psnr->levels)}};
+  if (r.flip) out["flip"] = *r.flip, out["worst_flip"] = *r.worst_flip;
   if (r.depth) out["depth"] = json(*r.depth);
   out["photos"] = r.photo ? json(*r.photo) : Json();
   out["n_undrawable"] = r.n_undrawable;

@@ -116,6 +116,11 @@ Result<double> ssim(const Picture& a, const Picture& b) {
   return black && (!white || *white < *black) ? white : black;
 }
 
+Result<double> flip(const Picture& a, const Picture& b) {
+  const auto black = rgs::flip(a.black, b.black), white = rgs::flip(a.white, b.white);
+  return black && (!white || *white > *black) ? white : black;
+}
+
 std::optional<DepthScore> depth_difference(const Picture& source, const Picture& asset) {
   DepthScore score;
   std::uint64_t n = 0;

@@ -387,6 +387,8 @@ class PictureAudit {
     const auto d = difference(reference, image);
     const auto s = ssim(reference, image);
     if (!d || !s) return make_error("view " + camera.name, d ? s.error() : d.error());
+    const auto f = options_.flip ? flip(reference, image) : Result<double>(0);
+    if (!f) return make_error("view " + camera.name, f.error());
     const auto pixel = static_cast<int>(d->largest_index / 3);
     return Score{d->mse,
                  d->psnr,
@@ -395,7 +397,8 @@ class PictureAudit {
                  pixel % camera.width,
                  pixel / camera.width,
                  shows_more_over_white(reference, image),
-                 depth_difference(reference, image)};
+                 depth_difference(reference, image),
+                 options_.flip ? std::optional(*f) : std::nullopt};
   }
 
   static bool less_wrong(const std::optional<DepthScore>& a, const std::optional<DepthScore>& b) {
@@ -406,6 +409,7 @@ class PictureAudit {
     Score out = a.psnr <= b.psnr ? a : b;
     const Score& spot = a.largest >= b.largest ? a : b;
     out.ssim = std::min(a.ssim, b.ssim);
+    out.flip = std::max(a.flip, b.flip);
     out.largest = spot.largest, out.x = spot.x, out.y = spot.y;
     out.depth = less_wrong(a.depth, b.depth) ? b.depth : a.depth;
     return out;
@@ -534,7 +538,7 @@ class PictureAudit {
     auto& views = report_.views;
     std::vector<double> psnr, leaves, levels;
     PhotoScore photo;
-    double ssim_sum = 0, mse_sum = 0, drawn = 0;
+    double ssim_sum = 0, mse_sum = 0, flip_sum = 0, drawn = 0;
     for (const ViewResult& v : views) {
       drawn += v.drawn;
       if (v.rated()) ++report_.n_rated;
@@ -550,9 +554,11 @@ class PictureAudit {
       psnr.push_back(v.score.psnr);
       if (v.levels) leaves.push_back(v.leaves->psnr), levels.push_back(v.levels->psnr);
       ssim_sum += v.score.ssim;
+      flip_sum += v.score.flip.value_or(0);
       mse_sum += v.score.mse;
       report_.worst_psnr = std::min(report_.worst_psnr, v.score.psnr);
       report_.worst_ssim = std::min(report_.worst_ssim, v.score.ssim);
+      report_.worst_flip = std::max(report_.worst_flip, v.score.flip);
       report_.largest = std::max(report_.largest, v.score.largest);
       if (less_wrong(report_.depth, v.score.depth)) report_.depth = v.score.depth;
       if (!v.photo) continue;
@@ -564,6 +570,7 @@ class PictureAudit {
     report_.psnr = mean_psnr(psnr);
     if (!levels.empty()) report_.level_psnr = {mean_psnr(leaves), mean_psnr(levels)};
     report_.ssim = ssim_sum / n;
+    if (report_.worst_flip) report_.flip = flip_sum / n;
     report_.mse = mse_sum / n;
     if (!options_.photos.empty()) {
       report_.photo = photo;

@@ -336,17 +336,19 @@ class Page {
       return v.width == r.views.front().width && v.height == r.views.front().height;
     });
     table("Views");
-    add("<thead><tr><th>View{}</th><th>PSNR, dB</th><th>Error, levels RMS</th><th>SSIM</th><th>Largest, levels</th>"
+    add("<thead><tr><th>View{}</th><th>PSNR, dB</th><th>Error, levels RMS</th><th>SSIM</th>{}<th>Largest, levels</th>"
         "<th>Drawn, % of the pixels</th>{}</tr></thead><tbody>\n",
         one_size && !r.views.empty() ? fmt::format(" ({} x {})", r.views.front().width, r.views.front().height) : "",
+        r.flip ? "<th>FLIP</th>" : "",
         photos ? "<th>Original to photo, dB</th><th>Asset to photo, dB</th><th>Lost, dB</th>" : "");
     const double highest = levels(r.n_rated == 0 ? 0 : r.views.front().score.mse);
     for (std::size_t i = 0; i < std::min(kListedViews, r.views.size()); ++i)
       view_row(r.views[i], highest, !one_size, photos);
     if (r.n_rated != 0) {
-      add("<tr class=\"sum\"><td>{} rated views</td><td>mean {}</td><td>mean {:.3f}</td><td>mean {:.6f}</td><td>max "
+      add("<tr class=\"sum\"><td>{} rated views</td><td>mean {}</td><td>mean {:.3f}</td><td>mean {:.6f}</td>{}<td>max "
           "{:.1f}</td><td></td>",
-          r.n_rated, number(r.psnr, 2), levels(r.mse), r.ssim, 255 * static_cast<double>(r.largest));
+          r.n_rated, number(r.psnr, 2), levels(r.mse), r.ssim,
+          r.flip ? fmt::format("<td>mean {:.6f}</td>", *r.flip) : "", 255 * static_cast<double>(r.largest));
       if (photos)
         add("<td>mean {}</td><td>mean {}</td><td>mean {}</td>", number(r.photo->source_psnr, 3),
             number(r.photo->asset_psnr, 3), number(r.photo->loss(), 4));
@@ -389,10 +391,12 @@ class Page {
     add("<tr><td>{}{}{}</td>", html(v.name),
         with_size ? fmt::format(" <span class=\"soft\">{} x {}</span>", v.width, v.height) : "", copy_button(v));
     if (v.rated()) {
-      add("<td>{}</td><td>{}<b>{:.3f}</b></td><td>{:.6f}</td><td>{:.1f}</td>", number(v.score.psnr, 2),
-          meter(highest > 0 ? rms / highest : 0), rms, v.score.ssim, 255 * static_cast<double>(v.score.largest));
+      add("<td>{}</td><td>{}<b>{:.3f}</b></td><td>{:.6f}</td>{}<td>{:.1f}</td>", number(v.score.psnr, 2),
+          meter(highest > 0 ? rms / highest : 0), rms, v.score.ssim,
+          v.score.flip ? fmt::format("<td>{:.6f}</td>", *v.score.flip) : "",
+          255 * static_cast<double>(v.score.largest));
     } else {
-      add("<td colspan=\"4\" class=\"fair\">not rated: almost nothing is drawn</td>");
+      add("<td colspan=\"{}\" class=\"fair\">not rated: almost nothing is drawn</td>", report_.render->flip ? 5 : 4);
     }
     add("<td{}>{:.1f}</td>", v.hardly_sees() ? " class=\"fair\"" : "", 100 * v.drawn);
     if (!v.rated() && photos) add("<td colspan=\"3\"></td>");
@@ -731,6 +735,10 @@ class Page {
                                 100 * kRatedShare, 100 * kHardlySeenShare));
       fact("SSIM",
            "as in 3DGS: 11 x 11 Gaussian window, sigma 1.5, zero padding; the lower one over black and over white");
+      if (report_.render->flip)
+        fact("FLIP",
+             "LDR-FLIP (Andersson et al. 2020) of sRGB values clamped to 0..1, at 67.02 pixels per degree: 0 is equal, "
+             "1 the most; the higher one over black and over white");
       if (report_.render->photo)
         fact("Photographs",
              "values over black clamped to 0..1, PSNR and SSIM against the photograph; lost is the source's PSNR minus "

@@ -37,7 +37,7 @@ namespace tool = rgs::tool;
 struct Arguments {
   audit::Options audit;
   std::string size, report, json, junit;
-  std::vector<std::string> conditions;
+  std::vector<std::string> conditions, measures;
   bool no_render = false, no_attribution = false, no_distances = false, overwrite = false, quiet = false;
 };
 
@@ -263,6 +263,9 @@ int audit_main(Arguments& a) {
     if (!parsed) return tool::report_usage(parsed.error());
     conditions.insert(conditions.end(), parsed->begin(), parsed->end());
   }
+  a.audit.flip = !a.measures.empty();
+  audit::imply(conditions, a.audit);
+  if (a.audit.flip && a.no_render) return tool::report_usage("--measures and FLIP need pictures; drop --no-render");
   if (const std::string wrong = audit::unmeasurable(conditions, a.audit); !wrong.empty())
     return tool::report_usage(wrong);
   if (!a.audit.photos.empty() && a.audit.cameras.empty())
@@ -318,6 +321,11 @@ void add_options(CLI::App& app, Arguments& a) {
       ->excludes("--cameras")
       ->group(views);
   app.add_flag("--depth", o.depth, "Also compare expected depths, where both draw at least half of a pixel")
+      ->group(views);
+  app.add_option("--measures", a.measures, "Further measures of the views; conditions on them imply them")
+      ->delimiter(',')
+      ->check(CLI::IsMember({"flip"}))
+      ->option_text("flip")
       ->group(views);
   app.add_flag("--no-render", a.no_render, "Compare sizes and attributes only")->group(views);
   app.add_flag("--no-attribution", a.no_attribution, "Do not attribute the loss to steps")->group(views);

@@ -115,6 +115,19 @@ TEST_CASE("FLIP of equal pictures is 0, and of flat black and white what the col
   CHECK(flip(green, blue).value() == doctest::Approx(1).epsilon(1e-6));
 }
 
+TEST_CASE("FLIP is that of its authors' program") {
+  Image a = Image::make(40, 30, 3), b = a;
+  for (int y = 0; y < 30; ++y) {
+    for (int x = 20; x < 40; ++x) {
+      a.at(x, y, 0) = 1, a.at(x, y, 1) = 0.5F, a.at(x, y, 2) = 0.25F;
+      if (y >= 10 && x >= 22) b.at(x, y, 0) = 0.25F, b.at(x, y, 1) = 0.75F, b.at(x, y, 2) = 1;
+    }
+  }
+  // compute_ldrflip() of NVlabs/flip at commit 313517b, which computes in FP32.
+  CHECK(flip(a, b).value() == doctest::Approx(0.5503626).epsilon(1e-6));
+  CHECK(flip(a, b, 30).value() == doctest::Approx(0.5153353).epsilon(1e-6));
+}
+
 TEST_CASE("FLIP is symmetric, has its map's mean, falls with resolution, and has the same bits for any threads") {
   const Image a = noise(31, 61, 43, 3), b = noise(32, 61, 43, 3);
   Image map;

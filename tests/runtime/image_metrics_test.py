@@ -149,7 +149,8 @@ def main() -> None:
                     if found[key] == value:
                         continue
                     difference = abs(found[key] - value)
-                    assert difference <= (1e-7 if key == "flip" else 1e-9) * max(1, abs(value)), (a.shape, key, found[key], value)
+                    bound = (1e-7 if key == "flip" else 1e-9) * max(1, abs(value))
+                    assert difference <= bound, (a.shape, key, found[key], value)
                     worst[key] = max(worst[key], difference)
             differences = np.abs(a.astype(np.float32) - b.astype(np.float32)).ravel()
             assert int(index) == int(np.argmax(differences)), (a.shape, index)

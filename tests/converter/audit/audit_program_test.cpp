@@ -105,6 +105,37 @@ TEST_CASE("an audit measures sizes, attributes and pictures, and its JSON keeps 
   CHECK((*view)["largest"]["difference"].get<double>() == doctest::Approx(difference(a, b)->largest).epsilon(1e-4));
 }
 
+TEST_CASE("FLIP is measured when asked for or when a condition needs it, and only then") {
+  const SceneFolder scene;
+  CHECK_FALSE(scene.result()["rendered"].contains("flip"));
+  const json j = scene.result({"--measures", "flip"})["rendered"];
+  double sum = 0, worst = 0;
+  for (const json& v : j["views"]) sum += v["flip"].get<double>(), worst = std::max(worst, v["flip"].get<double>());
+  CHECK(worst > 0);
+  CHECK(j["flip"].get<double>() == doctest::Approx(sum / 3).epsilon(1e-12));
+  CHECK(j["worst_flip"] == worst);
+  const Scene source = Scene::load(scene.cloud).value(), asset = Scene::load(scene.rgs).value();
+  const audit::Picture a = render(source, 3), b = render(asset, 3);
+  const double over_black = flip(a.black, b.black).value(), over_white = flip(a.white, b.white).value();
+  for (const json& v : j["views"])
+    if (v["name"] == "b.png")
+      CHECK(v["flip"].get<double>() == doctest::Approx(std::max(over_black, over_white)).epsilon(1e-4));
+
+  const std::string page = scene.file("flip.html");
+  const auto gated = [&](const std::string& condition, const std::string& asset_path) {
+    return run_audit({scene.ply, asset_path, "--cameras", scene.cameras, "--fail-below", condition, "--report", page,
+                      "--overwrite"});
+  };
+  CHECK(gated("flip=0,worst-flip=0", scene.ply).exit_code == 0);
+  const ProgramResult fails = gated("worst-flip=0", scene.rgs);
+  CHECK(fails.exit_code == 5);
+  CHECK(fails.out.find("FLIP") != std::string::npos);
+  CHECK(read_text(page).find("<th>FLIP</th>") != std::string::npos);
+  CHECK(gated("flip=1", scene.rgs).exit_code == 0);
+  CHECK(run_audit({scene.ply, scene.rgs, "--measures", "other"}).exit_code == 2);
+  CHECK(run_audit({scene.ply, scene.rgs, "--measures", "flip", "--no-render"}).exit_code == 2);
+}
+
 TEST_CASE("the attribution has every step alone and all together") {
   const SceneFolder scene;
   const json j = scene.result({"--compare-scales"});
