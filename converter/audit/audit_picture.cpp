@@ -116,9 +116,13 @@ Result<double> ssim(const Picture& a, const Picture& b) {
   return black && (!white || *white < *black) ? white : black;
 }
 
-Result<double> flip(const Picture& a, const Picture& b) {
-  const auto black = rgs::flip(a.black, b.black), white = rgs::flip(a.white, b.white);
-  return black && (!white || *white > *black) ? white : black;
+Result<double> flip(const Picture& a, const Picture& b, Image* map) {
+  Image over_white;
+  const auto black = rgs::flip(a.black, b.black, kPixelsPerDegree, map);
+  const auto white = rgs::flip(a.white, b.white, kPixelsPerDegree, map != nullptr ? &over_white : nullptr);
+  if (!black || (white && *white <= *black)) return black;
+  if (map != nullptr) *map = std::move(over_white);
+  return white;
 }
 
 std::optional<DepthScore> depth_difference(const Picture& source, const Picture& asset) {

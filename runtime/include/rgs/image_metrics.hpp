@@ -29,10 +29,11 @@ Result<ImageDifference> difference(const Image& a, const Image& b);
 /// channels. 1 for equal pictures, exactly.
 Result<double> ssim(const Image& a, const Image& b);
 
+inline constexpr double kPixelsPerDegree = 67.02;  ///< a monitor of 3840 pixels on 0.7 m, seen from 0.7 m
 /// Mean of LDR-FLIP (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", HPG 2020) of two sRGB
 /// pictures of 3 channels, clamped to 0..1: 0 for equal pictures, exactly, and at most 1. The paper's monitor shows
-/// 67.02 pixels per degree. `map` takes each pixel's value, [height, width, 1]; may be null. Also bad_argument: other
+/// kPixelsPerDegree. `map` takes each pixel's value, [height, width, 1]; may be null. Also bad_argument: other
 /// channels, or not 1 to 1000 pixels per degree.
-Result<double> flip(const Image& a, const Image& b, double pixels_per_degree = 67.02, Image* map = nullptr);
+Result<double> flip(const Image& a, const Image& b, double pixels_per_degree = kPixelsPerDegree, Image* map = nullptr);
 
 }  // namespace rgs

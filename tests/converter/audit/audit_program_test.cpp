@@ -11,7 +11,9 @@
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <numeric>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "audit_command.hpp"
@@ -120,6 +122,13 @@ TEST_CASE("FLIP is measured when asked for or when a condition needs it, and onl
   for (const json& v : j["views"])
     if (v["name"] == "b.png")
       CHECK(v["flip"].get<double>() == doctest::Approx(std::max(over_black, over_white)).epsilon(1e-4));
+  Image map;
+  for (const auto& [x, y] :
+       {std::pair(a, b), std::pair(audit::Picture{a.white, a.black}, audit::Picture{b.white, b.black})}) {
+    CHECK(flip(x, y, &map).value() == std::max(over_black, over_white));
+    CHECK(std::accumulate(map.pixels.begin(), map.pixels.end(), 0.0) / (96 * 72) ==
+          doctest::Approx(std::max(over_black, over_white)).epsilon(1e-6));
+  }
 
   const std::string page = scene.file("flip.html");
   const auto gated = [&](const std::string& condition, const std::string& asset_path) {
@@ -131,6 +140,7 @@ TEST_CASE("FLIP is measured when asked for or when a condition needs it, and onl
   CHECK(fails.exit_code == 5);
   CHECK(fails.out.find("FLIP") != std::string::npos);
   CHECK(read_text(page).find("<th>FLIP</th>") != std::string::npos);
+  CHECK(read_text(page).find("alt=\"FLIP map of b.png\"") != std::string::npos);
   CHECK(gated("flip=1", scene.rgs).exit_code == 0);
   CHECK(run_audit({scene.ply, scene.rgs, "--measures", "other"}).exit_code == 2);
   CHECK(run_audit({scene.ply, scene.rgs, "--measures", "flip", "--no-render"}).exit_code == 2);
