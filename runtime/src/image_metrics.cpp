@@ -1,4 +1,4 @@
-// image_metrics.cpp - PSNR and SSIM in tasks of some rows; sums in row order.
+// image_metrics.cpp - PSNR, SSIM, MS-SSIM and GMSD in tasks of some rows; sums in row order.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/image_metrics.hpp"
 
@@ -19,6 +19,8 @@ constexpr std::uint64_t kRows = 8;  // a task; one row is too little work in sma
 constexpr int kRadius = 5;
 constexpr double kSigma = 1.5;
 constexpr double kC1 = 0.01 * 0.01, kC2 = 0.03 * 0.03;
+constexpr std::array kScaleWeights{0.0448, 0.2856, 0.3001, 0.2363, 0.1333};  // of MS-SSIM, fine to coarse
+constexpr double kGmsdC = 170;                                               // for luma of 0 to 255
 
 std::size_t row_length(const Image& image) {
   return static_cast<std::size_t>(image.width) * static_cast<std::size_t>(image.channels);
@@ -77,16 +79,22 @@ class RowMoments {
     for (std::size_t m = 0; m < kMoments; ++m) blur(&vertical_[m][margin_], channels, half, means_[m].data());
   }
 
+  struct Similarity {
+    double ssim = 0, structure = 0;  // structure: and contrast, SSIM without luminance
+  };
+  Similarity at(std::size_t i) const {
+    const double ab = means_[kA][i] * means_[kB][i];
+    const double squares = means_[kA][i] * means_[kA][i] + means_[kB][i] * means_[kB][i];
+    // Rounding must not make a variance negative or a correlation exceed 1.
+    const double variances = std::max(0.0, means_[kSquares][i] - squares);
+    const double covariance = std::clamp(means_[kProduct][i] - ab, -variances / 2, variances / 2);
+    const double top = 2 * covariance + kC2, bottom = variances + kC2;
+    return {(2 * ab + kC1) * top / ((squares + kC1) * bottom), top / bottom};
+  }
+
   double sum_of_ssim() const {
     double sum = 0;
-    for (std::size_t i = 0; i < length_; ++i) {
-      const double ab = means_[kA][i] * means_[kB][i];
-      const double squares = means_[kA][i] * means_[kA][i] + means_[kB][i] * means_[kB][i];
-      // Rounding must not make a variance negative or a correlation exceed 1.
-      const double variances = std::max(0.0, means_[kSquares][i] - squares);
-      const double covariance = std::clamp(means_[kProduct][i] - ab, -variances / 2, variances / 2);
-      sum += (2 * ab + kC1) * (2 * covariance + kC2) / ((squares + kC1) * (variances + kC2));
-    }
+    for (std::size_t i = 0; i < length_; ++i) sum += at(i).ssim;
     return sum;
   }
 
@@ -114,6 +122,71 @@ class RowMoments {
   std::size_t length_, margin_;
   std::array<std::vector<double>, kMoments> vertical_, means_;
 };
+
+// ---- MS-SSIM and GMSD
+
+// Means of 2x2 pixels; an odd last row or column counts twice.
+Image halved(const Image& image) {
+  Image out = Image::make((image.width + 1) / 2, (image.height + 1) / 2, image.channels);
+  detail::parallel_ranges(static_cast<std::uint64_t>(out.height), kRows, [&](std::uint64_t begin, std::uint64_t end) {
+    for (int y = static_cast<int>(begin); y < static_cast<int>(end); ++y) {
+      const int below = std::min(2 * y + 1, image.height - 1);
+      for (int x = 0; x < out.width; ++x) {
+        const int right = std::min(2 * x + 1, image.width - 1);
+        for (int c = 0; c < out.channels; ++c)
+          out.at(x, y, c) = (image.at(2 * x, 2 * y, c) + image.at(right, 2 * y, c) + image.at(2 * x, below, c) +
+                             image.at(right, below, c)) /
+                            4;
+      }
+    }
+  });
+  return out;
+}
+
+// Means by channel over the windows that lie in the picture.
+std::vector<RowMoments::Similarity> mean_similarity(const Image& a, const Image& b) {
+  const auto half = window();
+  const auto n_channels = static_cast<std::size_t>(a.channels);
+  const auto n_rows = static_cast<std::size_t>(a.height - 2 * kRadius);
+  std::vector<RowMoments::Similarity> rows(n_rows * n_channels), means(n_channels);
+  detail::parallel_ranges(n_rows, kRows, [&](std::uint64_t begin, std::uint64_t end) {
+    RowMoments moments(a);
+    for (std::uint64_t y = begin; y < end; ++y) {
+      moments.compute(a, b, y + kRadius, half);
+      for (std::size_t i = kRadius * n_channels; i < row_length(a) - kRadius * n_channels; ++i) {
+        const auto found = moments.at(i);
+        auto& sum = rows[y * n_channels + i % n_channels];
+        sum.ssim += found.ssim, sum.structure += found.structure;
+      }
+    }
+  });
+  for (std::size_t i = 0; i < rows.size(); ++i)
+    means[i % n_channels].ssim += rows[i].ssim, means[i % n_channels].structure += rows[i].structure;
+  const auto n = static_cast<double>(n_rows) * static_cast<double>(a.width - 2 * kRadius);
+  for (auto& mean : means) mean.ssim /= n, mean.structure /= n;
+  return means;
+}
+
+// Magnitudes of the gradient of 0..255 luma; pixels beyond the edge are 0, as in the authors' program.
+std::vector<double> gradients(const Image& image) {
+  const auto width = static_cast<std::size_t>(image.width), height = static_cast<std::size_t>(image.height);
+  const std::size_t stride = width + 2;
+  std::vector<double> luma(stride * (height + 2)), out(width * height);
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    const float* const v = &image.pixels[i * static_cast<std::size_t>(image.channels)];
+    luma[(i / width + 1) * stride + i % width + 1] =
+        255 * (image.channels == 1 ? static_cast<double>(v[0]) : 0.299 * v[0] + 0.587 * v[1] + 0.114 * v[2]);
+  }
+  detail::parallel_ranges(height, kRows, [&](std::uint64_t begin, std::uint64_t end) {
+    for (std::size_t i = begin * width; i < end * width; ++i) {
+      const double *const above = &luma[i / width * stride + i % width], *const at = above + stride,
+                          *const below = at + stride;
+      out[i] = std::hypot((above[2] + at[2] + below[2] - above[0] - at[0] - below[0]) / 3,
+                          (below[0] + below[1] + below[2] - above[0] - above[1] - above[2]) / 3);
+    }
+  });
+  return out;
+}
 
 }  // namespace
 
@@ -160,6 +233,52 @@ Result<double> ssim(const Image& a, const Image& b) {
     const double mean = std::accumulate(rows.begin(), rows.end(), 0.0) / static_cast<double>(a.pixels.size());
     if (!std::isfinite(mean)) return not_finite(a, b);
     return mean;
+  });
+}
+
+Result<double> ms_ssim(const Image& a, const Image& b) {
+  return detail::guard_memory([&]() -> Result<double> {
+    if (const auto ok = difference(a, b); !ok) return tl::unexpected(ok.error());  // sizes, and finite values
+    constexpr int kWindow = 2 * kRadius + 1;
+    int side = std::min(a.width, a.height);
+    if (side < kWindow)
+      return make_error(Errc::bad_argument, Error::kNone, "MS-SSIM takes pictures of at least 11 pixels a side");
+    std::size_t n_scales = 1;
+    while (n_scales < kScaleWeights.size() && (side = (side + 1) / 2) >= kWindow) ++n_scales;
+    const double weights = std::accumulate(&kScaleWeights[0], &kScaleWeights[0] + n_scales, 0.0);
+    std::vector<double> products(static_cast<std::size_t>(a.channels), 1);
+    Image small_a, small_b;
+    for (std::size_t scale = 0; scale < n_scales; ++scale) {
+      if (scale > 0) {
+        small_a = halved(scale == 1 ? a : small_a);
+        small_b = halved(scale == 1 ? b : small_b);
+      }
+      const auto means = scale == 0 ? mean_similarity(a, b) : mean_similarity(small_a, small_b);
+      for (std::size_t c = 0; c < products.size(); ++c) {
+        const double mean = scale + 1 == n_scales ? means[c].ssim : means[c].structure;
+        products[c] *= std::pow(std::max(0.0, mean), kScaleWeights[scale] / weights);
+      }
+    }
+    return std::accumulate(products.begin(), products.end(), 0.0) / static_cast<double>(products.size());
+  });
+}
+
+Result<double> gmsd(const Image& a, const Image& b) {
+  return detail::guard_memory([&]() -> Result<double> {
+    if (const auto ok = difference(a, b); !ok) return tl::unexpected(ok.error());  // sizes, and finite values
+    if (a.channels != 1 && a.channels != 3)
+      return make_error(Errc::bad_argument, Error::kNone, "GMSD compares pictures of 1 or 3 channels");
+    std::vector<double> similarity = gradients(halved(a));
+    const std::vector<double> of_b = gradients(halved(b));
+    for (std::size_t i = 0; i < similarity.size(); ++i) {
+      const double x = similarity[i], y = of_b[i];
+      similarity[i] = (2 * x * y + kGmsdC) / (x * x + y * y + kGmsdC);
+    }
+    const auto n = static_cast<double>(similarity.size());
+    const double mean = std::accumulate(similarity.begin(), similarity.end(), 0.0) / n;
+    double squares = 0;
+    for (const double s : similarity) squares += (s - mean) * (s - mean);
+    return std::sqrt(squares / n);
   });
 }
 

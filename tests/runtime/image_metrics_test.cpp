@@ -1,4 +1,4 @@
-// image_metrics_test.cpp - edge cases of PSNR, SSIM and FLIP; image_metrics_test.py checks values independently.
+// image_metrics_test.cpp - edge cases of the measures; image_metrics_test.py checks values independently.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/image_metrics.hpp"
 
@@ -6,6 +6,7 @@
 #include <tbb/global_control.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -152,4 +153,64 @@ TEST_CASE("FLIP refuses what it cannot compare") {
   CHECK(flip(a, a, 0).error().code == Errc::bad_argument);
   CHECK(flip(a, bad).error().code == Errc::bad_value);
   CHECK(flip(a, bad).error().offset == 7);
+}
+
+namespace {
+
+// Patterns, and these with less contrast in one part and one channel flat in another.
+std::array<Image, 2> patterns(int width, int height) {
+  Image a = Image::make(width, height, 3), b = a;
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      const int values[3] = {x * y % 64 * 4, (x * x + y) % 128 * 2, (x + 3 * y) % 256};
+      for (int c = 0; c < 3; ++c) {
+        const float v = a.at(x, y, c) = static_cast<float>(values[c]) / 256;
+        b.at(x, y, c) = c == 1 && x < 50 ? 0.5F : x >= 60 && y >= 40 && y < 130 ? 0.75F * v + 0.125F : v;
+      }
+    }
+  }
+  return {a, b};
+}
+
+}  // namespace
+
+TEST_CASE("MS-SSIM and GMSD are what numpy makes of their definitions, also with fewer scales") {
+  const auto [a, b] = patterns(201, 170);
+  CHECK(ms_ssim(a, b).value() == doctest::Approx(0.934701048788645).epsilon(1e-7));
+  CHECK(gmsd(a, b).value() == doctest::Approx(0.19679128459982476).epsilon(1e-7));
+  const auto [c, d] = patterns(90, 50);
+  CHECK(ms_ssim(c, d).value() == doctest::Approx(0.8333284032093072).epsilon(1e-7));
+  CHECK(gmsd(c, d).value() == doctest::Approx(0.2609775903854274).epsilon(1e-7));
+}
+
+TEST_CASE("MS-SSIM of equal pictures is 1 and GMSD 0; both are symmetric and have the same bits for any threads") {
+  for (const Image& image : {noise(1, 37, 23, 3), noise(2, 11, 11, 3), noise(3, 181, 177, 1)}) {
+    CHECK(ms_ssim(image, image).value() == 1);
+    CHECK(gmsd(image, image).value() == 0);
+  }
+  CHECK(gmsd(noise(4, 1, 1, 3), noise(5, 1, 1, 3)).value() == 0);  // one pixel deviates from no mean
+  Image dark = noise(6, 30, 30, 1);
+  for (float& v : dark.pixels) v = 1 - v;
+  CHECK(ms_ssim(dark, noise(6, 30, 30, 1)).value() == 0);  // the negative of a picture: no NaN
+  const Image a = noise(7, 133, 257, 3), b = noise(8, 133, 257, 3);
+  const double m = ms_ssim(a, b).value(), g = gmsd(a, b).value();
+  CHECK(ms_ssim(b, a).value() == m);
+  CHECK(gmsd(b, a).value() == g);
+  const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
+  CHECK(ms_ssim(a, b).value() == m);
+  CHECK(gmsd(a, b).value() == g);
+}
+
+TEST_CASE("MS-SSIM and GMSD refuse what they cannot compare") {
+  const Image a = noise(3, 12, 12, 3), two = noise(4, 12, 12, 2), narrow = noise(5, 10, 40, 3);
+  Image bad = a;
+  bad.pixels[7] = std::numeric_limits<float>::infinity();
+  for (const auto& measure : {ms_ssim, gmsd}) {
+    CHECK(measure(a, two).error().code == Errc::bad_argument);
+    CHECK(measure(a, bad).error().code == Errc::bad_value);
+    CHECK(measure(a, bad).error().offset == 7);
+  }
+  CHECK(ms_ssim(narrow, narrow).error().code == Errc::bad_argument);
+  CHECK(ms_ssim(two, two).value() == 1);
+  CHECK(gmsd(two, two).error().code == Errc::bad_argument);
 }

@@ -1,10 +1,11 @@
 #!/usr/bin/python3
-# image_metrics_test.py - the library's PSNR, SSIM and FLIP against numpy, and against scikit-image if installed.
+# image_metrics_test.py - the library's measures of pictures against numpy, and against scikit-image if installed.
 # SPDX-License-Identifier: Apache-2.0
 """usage: image_metrics_test.py rgs_dump_image_metrics
 
 numpy evaluates the definition: a two-dimensional window, every pixel's 11x11 neighbourhood in a zero-padded picture.
 FLIP likewise: two-dimensional filters over a picture whose edge pixels repeat (Andersson et al. 2020).
+MS-SSIM and GMSD by the formulas of Wang et al. 2003 and Xue et al. 2014.
 scikit-image mirrors at the edges, so that it gets pictures with a border of zeros and its map is cut back to the picture.
 """
 import math
@@ -25,13 +26,13 @@ except ImportError:
     structural_similarity = None
 
 
-def ssim_by_definition(a: np.ndarray, b: np.ndarray) -> float:
+def ssim_maps(a: np.ndarray, b: np.ndarray, pad: int):
     axis = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
     window = np.outer(axis, axis)
     window /= window.sum()
 
     def local_mean(x: np.ndarray) -> np.ndarray:
-        padded = np.pad(x, ((5, 5), (5, 5), (0, 0)))
+        padded = np.pad(x, ((pad, pad), (pad, pad), (0, 0)))
         patches = np.lib.stride_tricks.sliding_window_view(padded, (11, 11), axis=(0, 1))
         return np.einsum("yxcij,ij->yxc", patches, window)
 
@@ -39,8 +40,40 @@ def ssim_by_definition(a: np.ndarray, b: np.ndarray) -> float:
     var_a, var_b = local_mean(a * a) - mu_a**2, local_mean(b * b) - mu_b**2
     covariance = local_mean(a * b) - mu_a * mu_b
     c1, c2 = 0.01**2, 0.03**2
-    return float(np.mean((2 * mu_a * mu_b + c1) * (2 * covariance + c2)
-                         / ((mu_a**2 + mu_b**2 + c1) * (var_a + var_b + c2))))
+    return (2 * mu_a * mu_b + c1) / (mu_a**2 + mu_b**2 + c1), (2 * covariance + c2) / (var_a + var_b + c2)
+
+
+def ssim_by_definition(a: np.ndarray, b: np.ndarray) -> float:
+    luminance, structure = ssim_maps(a, b, 5)
+    return float(np.mean(luminance * structure))
+
+
+def halved(x: np.ndarray) -> np.ndarray:
+    x = np.pad(x, ((0, x.shape[0] % 2), (0, x.shape[1] % 2), (0, 0)), mode="edge")
+    return x.reshape(x.shape[0] // 2, 2, x.shape[1] // 2, 2, -1).mean(axis=(1, 3))
+
+
+def ms_ssim_by_definition(a: np.ndarray, b: np.ndarray) -> float:
+    weights, means = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333], []
+    while len(means) < 5 and min(a.shape[:2]) >= 11:
+        luminance, structure = ssim_maps(a, b, 0)
+        whole = (luminance * structure).mean(axis=(0, 1))
+        means.append(structure.mean(axis=(0, 1)))
+        a, b = halved(a), halved(b)
+    means[-1] = whole
+    weights = np.array(weights[:len(means)]) / sum(weights[:len(means)])
+    return float(np.mean(np.prod(np.maximum(means, 0) ** weights[:, None], axis=0)))
+
+
+def gmsd_by_definition(a: np.ndarray, b: np.ndarray) -> float:
+    def gradient(x: np.ndarray) -> np.ndarray:
+        x = halved(255 * (x if x.shape[2] == 1 else x @ [[0.299], [0.587], [0.114]]))[..., 0]
+        patches = np.lib.stride_tricks.sliding_window_view(np.pad(x, 1), (3, 3))
+        prewitt = np.array([[1, 0, -1]] * 3) / 3
+        return np.sqrt(np.einsum("yxij,ij->yx", patches, prewitt) ** 2 + np.einsum("yxij,ji->yx", patches, prewitt) ** 2)
+
+    x, y = gradient(a), gradient(b)
+    return float(np.std((2 * x * y + 170) / (x * x + y * y + 170)))
 
 
 def ssim_by_skimage(a: np.ndarray, b: np.ndarray) -> float:
@@ -117,11 +150,15 @@ def pictures():
     yield gradient, np.roll(gradient, 1, axis=1)
     yield np.full((20, 30, 3), 0.2), np.full((20, 30, 3), 0.8)
     yield gradient, gradient
+    y, x = np.mgrid[0:177, 0:203]
+    waves = np.stack([np.sin(x / 5) * np.cos(y / 9), np.sin(x * y / 900), np.cos((x + y) / 3)], axis=2) / 2 + 0.5
+    yield waves, waves * 0.9 + random.normal(0, 0.1, waves.shape)
+    yield waves, 1 - waves
 
 
 def main() -> None:
     program = sys.argv[1]
-    worst = {"mse": 0.0, "psnr": 0.0, "ssim": 0.0, "flip": 0.0}
+    worst = {"mse": 0.0, "psnr": 0.0, "ssim": 0.0, "flip": 0.0, "ms_ssim": 0.0, "gmsd": 0.0}
     count = 0
     with tempfile.TemporaryDirectory(prefix="rgs-test-") as name:
         folder = pathlib.Path(name)
@@ -132,24 +169,27 @@ def main() -> None:
             height, width, channels = a.shape
             text = subprocess.run([program, str(width), str(height), str(channels), folder / "a.raw", folder / "b.raw"],
                                   check=True, capture_output=True, text=True).stdout.split()
-            mse, psnr, largest, index, ssim, flip = (float(t) for t in text)
+            mse, psnr, largest, index, ssim, flip, ms_ssim, gmsd = (float(t) for t in text)
             a, b = a.astype(np.float64), b.astype(np.float64)
             expected = {"mse": float(np.mean((a - b) ** 2)), "ssim": ssim_by_definition(a, b)}
             expected["psnr"] = math.inf if expected["mse"] == 0 else 10 * math.log10(1 / expected["mse"])
             if channels == 3:
                 expected["flip"] = flip_by_definition(a, b)
+            if min(width, height) >= 11:
+                expected["ms_ssim"] = ms_ssim_by_definition(a, b)
+            expected["gmsd"] = gmsd_by_definition(a, b)
             references = [expected]
             if structural_similarity is not None:
                 references.append({"mse": float(mean_squared_error(a, b)), "ssim": ssim_by_skimage(a, b),
                                    "psnr": math.inf if expected["mse"] == 0
                                    else float(peak_signal_noise_ratio(a, b, data_range=1.0))})
-            found = {"mse": mse, "psnr": psnr, "ssim": ssim, "flip": flip}
+            found = {"mse": mse, "psnr": psnr, "ssim": ssim, "flip": flip, "ms_ssim": ms_ssim, "gmsd": gmsd}
             for reference in references:
                 for key, value in reference.items():
                     if found[key] == value:
                         continue
                     difference = abs(found[key] - value)
-                    bound = (1e-7 if key == "flip" else 1e-9) * max(1, abs(value))
+                    bound = (1e-7 if key in ("flip", "ms_ssim", "gmsd") else 1e-9) * max(1, abs(value))
                     assert difference <= bound, (a.shape, key, found[key], value)
                     worst[key] = max(worst[key], difference)
             differences = np.abs(a.astype(np.float32) - b.astype(np.float32)).ravel()

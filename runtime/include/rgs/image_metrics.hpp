@@ -1,5 +1,5 @@
 // image_metrics.hpp - how much two pictures differ: squared error, PSNR, the SSIM of 3D Gaussian splatting,
-// and FLIP.
+// MS-SSIM, GMSD and FLIP.
 // SPDX-License-Identifier: Apache-2.0
 //
 // All functions take pictures of equal size, use all cores, and return the same bits for any number of threads.
@@ -28,6 +28,19 @@ Result<ImageDifference> difference(const Image& a, const Image& b);
 /// sigma 1.5, pixels beyond the edge taken as 0 in both pictures, C1 = 0.01^2, C2 = 0.03^2, mean over all pixels and
 /// channels. 1 for equal pictures, exactly.
 Result<double> ssim(const Image& a, const Image& b);
+
+/// Multi-scale structural similarity (Wang, Simoncelli, Bovik, "Multiscale structural similarity for image quality
+/// assessment", 2003), with the window and constants of ssim(): contrast and structure at five scales, each half as
+/// large, and luminance at the coarsest, to the powers 0.0448, 0.2856, 0.3001, 0.2363 and 0.1333. As in the authors'
+/// program only windows that lie in the picture count. Mean over the channels; a scale's negative mean counts as 0. Below
+/// 161 pixels a side, scales with a side shorter than the window are left out, and the other powers scaled to sum to 1.
+/// 1 for equal pictures, exactly. Also bad_argument: a side below 11 pixels.
+Result<double> ms_ssim(const Image& a, const Image& b);
+
+/// Gradient magnitude similarity deviation (Xue, Zhang, Mou, Bovik, "Gradient Magnitude Similarity Deviation", 2014) of
+/// the lumas (BT.601) of two pictures of 1 or 3 channels, at half the size, by Prewitt's filter, with c = 170 for luma of
+/// 0 to 255: 0 for equal pictures, exactly, and the more the less alike. Also bad_argument: other channels.
+Result<double> gmsd(const Image& a, const Image& b);
 
 inline constexpr double kPixelsPerDegree = 67.02;  ///< a monitor of 3840 pixels on 0.7 m, seen from 0.7 m
 /// Mean of LDR-FLIP (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", HPG 2020) of two sRGB
