@@ -32,6 +32,27 @@ inline tl::unexpected<Failure> make_error(std::string subject, const Error& erro
   return tl::unexpected(Failure{std::move(subject), error});
 }
 
+/// A further measure of the views, where its value is worse: over black or over white.
+struct Measure {
+  const char* name;  ///< in --measures and as a condition
+  const char* key;   ///< in JSON
+  const char* title;
+  bool at_least;  ///< more is better
+  const char* scale;
+  const char* method;
+};
+inline constexpr std::size_t kFlip = 0, kMsSsim = 1, kGmsd = 2;
+inline constexpr std::array<Measure, 3> kMeasures{{
+    {"flip", "flip", "FLIP", false, "0 is equal, 1 the most",
+     "LDR-FLIP (Andersson et al. 2020) of sRGB values clamped to 0..1, at 67.02 pixels per degree"},
+    {"ms-ssim", "ms_ssim", "MS-SSIM", true, "1 is equal",
+     "multi-scale SSIM (Wang et al. 2003), whole 11 x 11 windows of SSIM at five scales, at fewer in small pictures"},
+    {"gmsd", "gmsd", "GMSD", false, "0 is equal",
+     "gradient magnitude similarity deviation (Xue et al. 2014) of luma at half the size"},
+}};
+using Chosen = std::array<bool, kMeasures.size()>;
+using Values = std::array<std::optional<double>, kMeasures.size()>;
+
 struct Options {
   std::string source, asset;
   std::vector<std::string> also;  ///< other files of the same scene, measured like the asset
@@ -45,7 +66,7 @@ struct Options {
   bool attribution = true;
   bool compare_scales = false;  ///< also compare one SH scale set for the file with one per chunk
   bool depth = false;           ///< also compare depths
-  bool flip = false;            ///< also measure FLIP
+  Chosen measures{};            ///< what else is measured
   bool distances = true;        ///< of a file with levels of detail: quality from afar
   Backend backend = Backend::automatic;
   int threads = 0;
@@ -167,14 +188,14 @@ struct DepthScore {
 };
 
 /// Differences are those over the background that shows more, chosen for each channel of each pixel; SSIM is the lower
-/// one of both backgrounds, FLIP the higher one.
+/// one of both backgrounds.
 struct Score {
   double mse = 0, psnr = 0, ssim = 1;
   float largest = 0;
   int x = 0, y = 0;         ///< of the largest difference
   bool over_white = false;  ///< white alone shows more than black alone
   std::optional<DepthScore> depth{};
-  std::optional<double> flip{};
+  Values measures{};
 };
 
 struct PhotoScore {
@@ -243,10 +264,10 @@ struct RenderReport {
   /// NaN without a rated view, which fails every condition.
   double psnr = kUnrated, worst_psnr = kUnrated, ssim = kUnrated, worst_ssim = kUnrated, mse = kUnrated;
   float largest = std::numeric_limits<float>::quiet_NaN();
-  std::optional<double> loss;       ///< mean over the views, dB
-  std::optional<PhotoScore> photo;  ///< means over the views
-  std::optional<DepthScore> depth;  ///< of the view with the largest mean error
-  std::optional<double> flip{}, worst_flip{};
+  std::optional<double> loss;           ///< mean over the views, dB
+  std::optional<PhotoScore> photo;      ///< means over the views
+  std::optional<DepthScore> depth;      ///< of the view with the largest mean error
+  Values measures{}, worst_measures{};  ///< means over the views, and those of the worst views
   std::optional<LevelPsnr> level_psnr;
   std::vector<AttributionRow> attribution;
   std::string attribution_note;          ///< why it is missing, or what it excludes

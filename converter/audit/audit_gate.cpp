@@ -10,6 +10,7 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <string_view>
 #include <utility>
 
 #include "audit_text.hpp"
@@ -18,7 +19,7 @@ namespace rgs::audit {
 namespace {
 
 using Needs = ConditionKind::Needs;
-constexpr std::array<ConditionKind, 27> kKinds{{
+constexpr std::array<ConditionKind, 31> kKinds{{
     {"psnr", "mean PSNR of the views, dB", true, Needs::pictures},
     {"worst-psnr", "PSNR of the worst view, dB", true, Needs::pictures},
     {"ssim", "mean SSIM of the views", true, Needs::pictures},
@@ -30,6 +31,10 @@ constexpr std::array<ConditionKind, 27> kKinds{{
     {"depth", "mean error of the depths of the worst view, over the source's", false, Needs::depth},
     {"flip", "mean FLIP of the views, 0 to 1", false, Needs::pictures},
     {"worst-flip", "FLIP of the worst view", false, Needs::pictures},
+    {"ms-ssim", "mean MS-SSIM of the views", true, Needs::pictures},
+    {"worst-ms-ssim", "MS-SSIM of the worst view", true, Needs::pictures},
+    {"gmsd", "mean GMSD of the views", false, Needs::pictures},
+    {"worst-gmsd", "GMSD of the worst view", false, Needs::pictures},
     {"ratio", "size of the source over the asset's", true, Needs::nothing},
     {"bytes-per-gaussian", "of the asset's file", false, Needs::nothing},
     {"gpu-bytes-per-gaussian", "resident on the GPU", false, Needs::nothing},
@@ -51,6 +56,12 @@ constexpr std::array<ConditionKind, 27> kKinds{{
 const ConditionKind* kind_of(const std::string& name) {
   const auto found = std::find_if(kKinds.begin(), kKinds.end(), [&](const ConditionKind& k) { return name == k.name; });
   return found == kKinds.end() ? nullptr : &*found;
+}
+
+// The place in kMeasures of what a condition is on, or beyond its end.
+std::size_t measure_of(std::string_view condition) {
+  if (condition.starts_with("worst-")) condition.remove_prefix(6);
+  return static_cast<std::size_t>(std::ranges::find(kMeasures, condition, &Measure::name) - kMeasures.begin());
 }
 
 double distance_value(const std::string& name, const DistanceReport& report) {
@@ -83,8 +94,8 @@ double found_value(const std::string& name, const Report& report) {
   if (name == "largest") return 255 * static_cast<double>(r.largest);
   if (name == "loss") return r.loss.value_or(kNone);
   if (name == "depth") return r.depth ? r.depth->error : kNone;
-  if (name == "flip") return r.flip.value_or(kNone);
-  if (name == "worst-flip") return r.worst_flip.value_or(kNone);
+  if (const auto i = measure_of(name); i < kMeasures.size())
+    return (name == kMeasures[i].name ? r.measures : r.worst_measures)[i].value_or(kNone);
   for (const AttributionRow& row : r.attribution)
     if (name == "together-psnr" && row.key == "together")
       return r.level_psnr ? std::min(row.psnr, r.level_psnr->levels) : row.psnr;
@@ -174,7 +185,7 @@ tl::expected<std::vector<Condition>, std::string> parse_conditions(const std::st
 
 void imply(std::span<const Condition> conditions, Options& options) {
   for (const Condition& c : conditions)
-    if (c.name == "flip" || c.name == "worst-flip") options.flip = true;
+    if (const auto i = measure_of(c.name); i < kMeasures.size()) options.measures[i] = true;
 }
 
 std::string unmeasurable(std::span<const Condition> conditions, const Options& options) {

@@ -11,10 +11,10 @@
 
 namespace rgs::audit {
 
-/// A condition by name: psnr, worst-psnr, ssim, worst-ssim, together-psnr, rated-views, ratio and levels-psnr-1x to -8x must reach
-/// their limit; largest (in 8-bit levels), loss (dB), depth (a share), flip, worst-flip, bytes-per-gaussian,
-/// gpu-bytes-per-gaussian, dropped, added and unseen (Gaussians), contradictions,
-/// levels-loss (dB) and levels-drawn-1x to -8x (a share) must not exceed it.
+/// A condition by name: psnr, worst-psnr, ssim, worst-ssim, ms-ssim, worst-ms-ssim, together-psnr, rated-views, ratio
+/// and levels-psnr-1x to -8x must reach their limit; largest (in 8-bit levels), loss (dB), depth (a share), flip,
+/// worst-flip, gmsd, worst-gmsd, bytes-per-gaussian, gpu-bytes-per-gaussian, dropped, added and unseen (Gaussians),
+/// contradictions, levels-loss (dB) and levels-drawn-1x to -8x (a share) must not exceed it.
 struct ConditionKind {
   const char* name;
   const char* meaning;
@@ -26,7 +26,7 @@ std::span<const ConditionKind> condition_kinds();
 /// Parses "psnr=50,ssim=0.995". The error is a message for the user: an unknown name, or a limit that is not a finite
 /// number.
 tl::expected<std::vector<Condition>, std::string> parse_conditions(const std::string& text);
-/// Makes `options` measure what only conditions ask for: FLIP.
+/// Makes `options` measure what only conditions ask for, of kMeasures.
 void imply(std::span<const Condition> conditions, Options& options);
 /// A message if a condition asks for something that `options` do not measure; else empty.
 std::string unmeasurable(std::span<const Condition> conditions, const Options& options);

@@ -169,7 +169,8 @@ Json json(const RenderReport& r) {
       view["ssim"] = v.score.ssim;
       view["largest"] = {{"difference", v.score.largest}, {"x", v.score.x}, {"y", v.score.y}};
       view["background"] = v.score.over_white ? "white" : "black";
-      if (v.score.flip) view["flip"] = *v.score.flip;
+      for (std::size_t i = 0; i < kMeasures.size(); ++i)
+        if (v.score.measures[i]) view[kMeasures[i].key] = *v.score.measures[i];
       if (v.score.depth) view["depth"] = json(*v.score.depth);
     }
     for (const auto& [name, score] : {std::pair("leaves", &v.leaves), std::pair("levels", &v.levels)})
@@ -203,7 +204,11 @@ Json json(const RenderReport& r) {
   }
   if (r.level_psnr)
     out["level_psnr"] = {{"leaves", number(r.level_psnr->leaves)}, {"levels", number(r.level_psnr->levels)}};
-  if (r.flip) out["flip"] = *r.flip, out["worst_flip"] = *r.worst_flip;
+  for (std::size_t i = 0; i < kMeasures.size(); ++i) {
+    if (!r.measures[i]) continue;
+    out[kMeasures[i].key] = *r.measures[i];
+    out[std::string("worst_") + kMeasures[i].key] = *r.worst_measures[i];
+  }
   if (r.depth) out["depth"] = json(*r.depth);
   out["photos"] = r.photo ? json(*r.photo) : Json();
   out["n_undrawable"] = r.n_undrawable;

@@ -77,6 +77,11 @@ Image combined(const Image& image, int width, const Combine& combine) {
   return out;
 }
 
+// Of the values over two backgrounds the worse one, or an error.
+Result<double> worse(const Result<double>& black, const Result<double>& white, bool at_least) {
+  return black && (!white || (at_least ? *white < *black : *white > *black)) ? white : black;
+}
+
 }  // namespace
 
 Colour heat(float share) {
@@ -112,8 +117,13 @@ Result<ImageDifference> difference(const Picture& a, const Picture& b) {
 }
 
 Result<double> ssim(const Picture& a, const Picture& b) {
-  const auto black = rgs::ssim(a.black, b.black), white = rgs::ssim(a.white, b.white);
-  return black && (!white || *white < *black) ? white : black;
+  return worse(rgs::ssim(a.black, b.black), rgs::ssim(a.white, b.white), true);
+}
+
+Result<double> measure(std::size_t which, const Picture& a, const Picture& b) {
+  if (which == kFlip) return flip(a, b);
+  const auto of = which == kMsSsim ? rgs::ms_ssim : rgs::gmsd;
+  return worse(of(a.black, b.black), of(a.white, b.white), kMeasures[which].at_least);
 }
 
 Result<double> flip(const Picture& a, const Picture& b, Image* map) {

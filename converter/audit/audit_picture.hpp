@@ -25,6 +25,8 @@ Picture over_backgrounds(Image black, std::span<const float> alpha);
 /// As Score has them. Errors: those of rgs::difference() and rgs::ssim().
 Result<ImageDifference> difference(const Picture& a, const Picture& b);
 Result<double> ssim(const Picture& a, const Picture& b);
+/// That of kMeasures[which].
+Result<double> measure(std::size_t which, const Picture& a, const Picture& b);
 /// rgs::flip() over the background where it is higher, and its map if not null.
 Result<double> flip(const Picture& a, const Picture& b, Image* map = nullptr);
 /// Score::depth; absent if no pixel can be compared, or without depths.

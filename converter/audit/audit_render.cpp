@@ -63,6 +63,10 @@ bool in_view(const Camera& camera, const glm::dvec3& mean_world) {
   return u >= 0 && u < camera.width && v >= 0 && v < camera.height;
 }
 
+std::optional<double> worse(const std::optional<double>& a, const std::optional<double>& b, bool at_least) {
+  return !a || (b && (at_least ? *b < *a : *b > *a)) ? b : a;
+}
+
 struct Series {
   std::string key, name;
   std::vector<double> psnr{}, mse{}, loss{};
@@ -173,7 +177,9 @@ class PictureAudit {
     const auto small = [scale](int side) { return std::max(1, static_cast<int>(scale * side)); };
     for (const Camera& c : candidates) views_.push_back({resized(c, small(format.width), small(format.height)), {}});
     detail_px_ = kDefaultDetailPx * static_cast<float>(scale);
+    is_search_ = true;
     if (auto ok = draw("searching"); !ok) return tl::unexpected(ok.error());
+    is_search_ = false;
     const std::vector<ViewResult> results = std::exchange(report_.views, {});
     report_.n_searched = results.size();
     report_.pictures.clear();
@@ -382,13 +388,19 @@ class PictureAudit {
     return {};
   }
 
-  Outcome<Score> compare(std::size_t view, const Picture& reference, const Picture& image) const {
+  Outcome<Score> compare(std::size_t view, const Picture& reference, const Picture& image,
+                         const Chosen& measures = {}) const {
     const Camera& camera = views_[view].camera;
     const auto d = difference(reference, image);
     const auto s = ssim(reference, image);
     if (!d || !s) return make_error("view " + camera.name, d ? s.error() : d.error());
-    const auto f = options_.flip ? flip(reference, image) : Result<double>(0);
-    if (!f) return make_error("view " + camera.name, f.error());
+    Values values;
+    for (std::size_t i = 0; i < kMeasures.size(); ++i) {
+      if (!measures[i]) continue;
+      const auto value = measure(i, reference, image);
+      if (!value) return make_error("view " + camera.name, value.error());
+      values[i] = *value;
+    }
     const auto pixel = static_cast<int>(d->largest_index / 3);
     return Score{d->mse,
                  d->psnr,
@@ -398,7 +410,7 @@ class PictureAudit {
                  pixel / camera.width,
                  shows_more_over_white(reference, image),
                  depth_difference(reference, image),
-                 options_.flip ? std::optional(*f) : std::nullopt};
+                 values};
   }
 
   static bool less_wrong(const std::optional<DepthScore>& a, const std::optional<DepthScore>& b) {
@@ -409,7 +421,8 @@ class PictureAudit {
     Score out = a.psnr <= b.psnr ? a : b;
     const Score& spot = a.largest >= b.largest ? a : b;
     out.ssim = std::min(a.ssim, b.ssim);
-    out.flip = std::max(a.flip, b.flip);
+    for (std::size_t i = 0; i < kMeasures.size(); ++i)
+      out.measures[i] = worse(a.measures[i], b.measures[i], kMeasures[i].at_least);
     out.largest = spot.largest, out.x = spot.x, out.y = spot.y;
     out.depth = less_wrong(a.depth, b.depth) ? b.depth : a.depth;
     return out;
@@ -425,7 +438,8 @@ class PictureAudit {
       report_.views.push_back(std::move(result));
       return {};
     }
-    const auto score = compare(view, *reference, image);
+    const Chosen measures = is_search_ ? Chosen() : options_.measures;
+    const auto score = compare(view, *reference, image, measures);
     if (!score) return tl::unexpected(score.error());
     result.score = *score;
     Image photo;
@@ -441,7 +455,7 @@ class PictureAudit {
       conversion->add(score->psnr, score->mse, result.photo ? result.photo->loss() : 0);
     if (levels) {
       const Picture& level_reference = level_references_[view - first];
-      const auto as_drawn = compare(view, level_reference, *levels);
+      const auto as_drawn = compare(view, level_reference, *levels, measures);
       if (!as_drawn) return tl::unexpected(as_drawn.error());
       result.leaves = *score;
       result.levels = *as_drawn;
@@ -538,7 +552,7 @@ class PictureAudit {
     auto& views = report_.views;
     std::vector<double> psnr, leaves, levels;
     PhotoScore photo;
-    double ssim_sum = 0, mse_sum = 0, flip_sum = 0, drawn = 0;
+    double ssim_sum = 0, mse_sum = 0, drawn = 0;
     for (const ViewResult& v : views) {
       drawn += v.drawn;
       if (v.rated()) ++report_.n_rated;
@@ -554,11 +568,14 @@ class PictureAudit {
       psnr.push_back(v.score.psnr);
       if (v.levels) leaves.push_back(v.leaves->psnr), levels.push_back(v.levels->psnr);
       ssim_sum += v.score.ssim;
-      flip_sum += v.score.flip.value_or(0);
       mse_sum += v.score.mse;
       report_.worst_psnr = std::min(report_.worst_psnr, v.score.psnr);
       report_.worst_ssim = std::min(report_.worst_ssim, v.score.ssim);
-      report_.worst_flip = std::max(report_.worst_flip, v.score.flip);
+      for (std::size_t i = 0; i < kMeasures.size(); ++i) {
+        if (!v.score.measures[i]) continue;
+        report_.measures[i] = report_.measures[i].value_or(0) + *v.score.measures[i];
+        report_.worst_measures[i] = worse(report_.worst_measures[i], v.score.measures[i], kMeasures[i].at_least);
+      }
       report_.largest = std::max(report_.largest, v.score.largest);
       if (less_wrong(report_.depth, v.score.depth)) report_.depth = v.score.depth;
       if (!v.photo) continue;
@@ -570,7 +587,8 @@ class PictureAudit {
     report_.psnr = mean_psnr(psnr);
     if (!levels.empty()) report_.level_psnr = {mean_psnr(leaves), mean_psnr(levels)};
     report_.ssim = ssim_sum / n;
-    if (report_.worst_flip) report_.flip = flip_sum / n;
+    for (auto& sum : report_.measures)
+      if (sum) *sum /= n;
     report_.mse = mse_sum / n;
     if (!options_.photos.empty()) {
       report_.photo = photo;
@@ -610,6 +628,7 @@ class PictureAudit {
   std::optional<Renderer> renderer_;
   Scene scene_;             // the one being rendered
   bool is_source_ = false;  // scene_
+  bool is_search_ = false;  // which needs no further measures
   SceneBounds bounds_;
   std::vector<View> views_;
   std::vector<std::uint8_t> rated_;  // [views], of those drawn so far

@@ -290,7 +290,7 @@ class Page {
           format_psnr(v.score.psnr), levels(v.score.mse), 255 * static_cast<double>(v.score.largest));
     }
     add("</div>\n");
-    if (r.flip) flip_maps(r);
+    if (r.measures[kFlip]) flip_maps(r);
     add("<h3>The worst regions, pixel for pixel</h3>\n<div class=\"grid wide\">\n");
     for (const Region& region : worst_regions(maps_, kCropWidth, kCropHeight, kCrops, kCropsPerView)) crop(region);
     add("</div>\n");
@@ -356,7 +356,7 @@ class Page {
     add("<thead><tr><th>View{}</th><th>PSNR, dB</th><th>Error, levels RMS</th><th>SSIM</th>{}<th>Largest, levels</th>"
         "<th>Drawn, % of the pixels</th>{}</tr></thead><tbody>\n",
         one_size && !r.views.empty() ? fmt::format(" ({} x {})", r.views.front().width, r.views.front().height) : "",
-        r.flip ? "<th>FLIP</th>" : "",
+        measure_cells([&](std::size_t i) { return fmt::format("<th>{}</th>", kMeasures[i].title); }),
         photos ? "<th>Original to photo, dB</th><th>Asset to photo, dB</th><th>Lost, dB</th>" : "");
     const double highest = levels(r.n_rated == 0 ? 0 : r.views.front().score.mse);
     for (std::size_t i = 0; i < std::min(kListedViews, r.views.size()); ++i)
@@ -365,7 +365,8 @@ class Page {
       add("<tr class=\"sum\"><td>{} rated views</td><td>mean {}</td><td>mean {:.3f}</td><td>mean {:.6f}</td>{}<td>max "
           "{:.1f}</td><td></td>",
           r.n_rated, number(r.psnr, 2), levels(r.mse), r.ssim,
-          r.flip ? fmt::format("<td>mean {:.6f}</td>", *r.flip) : "", 255 * static_cast<double>(r.largest));
+          measure_cells([&](std::size_t i) { return fmt::format("<td>mean {:.6f}</td>", *r.measures[i]); }),
+          255 * static_cast<double>(r.largest));
       if (photos)
         add("<td>mean {}</td><td>mean {}</td><td>mean {}</td>", number(r.photo->source_psnr, 3),
             number(r.photo->asset_psnr, 3), number(r.photo->loss(), 4));
@@ -398,6 +399,15 @@ class Page {
         html(argument), name);
   }
 
+  // One cell for each measure that was asked for.
+  template <class Cell>
+  std::string measure_cells(const Cell& cell) const {
+    std::string text;
+    for (std::size_t i = 0; i < kMeasures.size(); ++i)
+      if (report_.render->measures[i]) text += cell(i);
+    return text;
+  }
+
   static std::string meter(double share) {
     return fmt::format("<svg class=\"meter\" aria-hidden=\"true\"><rect width=\"{:.0f}%\" height=\"100%\"/></svg>",
                        100 * std::clamp(share, 0.0, 1.0));
@@ -410,10 +420,11 @@ class Page {
     if (v.rated()) {
       add("<td>{}</td><td>{}<b>{:.3f}</b></td><td>{:.6f}</td>{}<td>{:.1f}</td>", number(v.score.psnr, 2),
           meter(highest > 0 ? rms / highest : 0), rms, v.score.ssim,
-          v.score.flip ? fmt::format("<td>{:.6f}</td>", *v.score.flip) : "",
+          measure_cells([&](std::size_t i) { return fmt::format("<td>{:.6f}</td>", *v.score.measures[i]); }),
           255 * static_cast<double>(v.score.largest));
     } else {
-      add("<td colspan=\"{}\" class=\"fair\">not rated: almost nothing is drawn</td>", report_.render->flip ? 5 : 4);
+      add("<td colspan=\"{}\" class=\"fair\">not rated: almost nothing is drawn</td>",
+          4 + std::ranges::count_if(report_.render->measures, [](const auto& m) { return m.has_value(); }));
     }
     add("<td{}>{:.1f}</td>", v.hardly_sees() ? " class=\"fair\"" : "", 100 * v.drawn);
     if (!v.rated() && photos) add("<td colspan=\"3\"></td>");
@@ -752,10 +763,10 @@ class Page {
                                 100 * kRatedShare, 100 * kHardlySeenShare));
       fact("SSIM",
            "as in 3DGS: 11 x 11 Gaussian window, sigma 1.5, zero padding; the lower one over black and over white");
-      if (report_.render->flip)
-        fact("FLIP",
-             "LDR-FLIP (Andersson et al. 2020) of sRGB values clamped to 0..1, at 67.02 pixels per degree: 0 is equal, "
-             "1 the most; the higher one over black and over white");
+      for (std::size_t i = 0; i < kMeasures.size(); ++i)
+        if (report_.render->measures[i])
+          fact(kMeasures[i].title, fmt::format("{}: {}; the {} one over black and over white", kMeasures[i].method,
+                                               kMeasures[i].scale, kMeasures[i].at_least ? "lower" : "higher"));
       if (report_.render->photo)
         fact("Photographs",
              "values over black clamped to 0..1, PSNR and SSIM against the photograph; lost is the source's PSNR minus "

@@ -183,7 +183,8 @@ Outcome<std::string> fingerprint(const Options& o) {
   std::string text =
       fmt::format("{} {} {}x{} {} {} {} {} {} {} {} {}", kTool, o.split, o.size.width, o.size.height, o.views, o.worst,
                   o.render, o.depth, o.attribution, o.compare_scales, o.distances, static_cast<int>(o.backend));
-  if (o.flip) text += " flip";
+  for (std::size_t i = 0; i < kMeasures.size(); ++i)
+    if (o.measures[i]) text += std::string(" ") + kMeasures[i].name;
   std::vector<std::string> inputs{o.source, o.asset, o.cameras, o.photos};
   inputs.insert(inputs.end(), o.also.begin(), o.also.end());
   for (const std::string& path : inputs) {

@@ -86,7 +86,10 @@ class Text : private tool::TextLines {
       line("  pictures    {}: {} on average, worst {}; SSIM {:.6f}, worst {:.6f}; largest difference {:.1f}/255", views,
            format_psnr(r.psnr), format_psnr(r.worst_psnr), r.ssim, r.worst_ssim, 255 * static_cast<double>(r.largest));
     }
-    if (r.flip) line("  FLIP        {:.6f} on average, worst {:.6f}; 0 is equal, 1 the most", *r.flip, *r.worst_flip);
+    for (std::size_t i = 0; i < kMeasures.size(); ++i)
+      if (r.measures[i])
+        line("  {:<12}{:.6f} on average, worst {:.6f}; {}", kMeasures[i].title, *r.measures[i], *r.worst_measures[i],
+             kMeasures[i].scale);
     line("  unseen      in no rated view: {} Gaussians of the source, {} of the asset", format_count(r.source_unseen),
          format_count(r.asset_unseen));
     if (r.level_psnr)

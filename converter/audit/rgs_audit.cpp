@@ -263,9 +263,10 @@ int audit_main(Arguments& a) {
     if (!parsed) return tool::report_usage(parsed.error());
     conditions.insert(conditions.end(), parsed->begin(), parsed->end());
   }
-  a.audit.flip = !a.measures.empty();
+  for (std::size_t i = 0; i < audit::kMeasures.size(); ++i)
+    a.audit.measures[i] = std::ranges::find(a.measures, audit::kMeasures[i].name) != a.measures.end();
   audit::imply(conditions, a.audit);
-  if (a.audit.flip && a.no_render) return tool::report_usage("--measures and FLIP need pictures; drop --no-render");
+  if (!a.measures.empty() && a.no_render) return tool::report_usage("--measures needs pictures; drop --no-render");
   if (const std::string wrong = audit::unmeasurable(conditions, a.audit); !wrong.empty())
     return tool::report_usage(wrong);
   if (!a.audit.photos.empty() && a.audit.cameras.empty())
@@ -324,8 +325,8 @@ void add_options(CLI::App& app, Arguments& a) {
       ->group(views);
   app.add_option("--measures", a.measures, "Further measures of the views; conditions on them imply them")
       ->delimiter(',')
-      ->check(CLI::IsMember({"flip"}))
-      ->option_text("flip")
+      ->check(CLI::IsMember({"flip", "ms-ssim", "gmsd"}))
+      ->option_text("flip,ms-ssim,gmsd")
       ->group(views);
   app.add_flag("--no-render", a.no_render, "Compare sizes and attributes only")->group(views);
   app.add_flag("--no-attribution", a.no_attribution, "Do not attribute the loss to steps")->group(views);

@@ -146,6 +146,65 @@ TEST_CASE("FLIP is measured when asked for or when a condition needs it, and onl
   CHECK(run_audit({scene.ply, scene.rgs, "--measures", "flip", "--no-render"}).exit_code == 2);
 }
 
+TEST_CASE("MS-SSIM and GMSD are measured like FLIP, and limited from below and from above") {
+  const SceneFolder scene;
+  const json plain = scene.result(), both = scene.result({"--measures", "gmsd,ms-ssim"});
+  CHECK_FALSE(plain["rendered"].contains("gmsd"));
+  CHECK_FALSE(both["rendered"].contains("flip"));
+  CHECK(both["fingerprint"] != plain["fingerprint"]);
+  CHECK(both["fingerprint"] != scene.result({"--measures", "gmsd"})["fingerprint"]);
+  const json& j = both["rendered"];
+  const Scene source = Scene::load(scene.cloud).value(), asset = Scene::load(scene.rgs).value();
+  const audit::Picture a = render(source, 3), b = render(asset, 3);
+  const double lowest = std::min(ms_ssim(a.black, b.black).value(), ms_ssim(a.white, b.white).value());
+  const double highest = std::max(gmsd(a.black, b.black).value(), gmsd(a.white, b.white).value());
+  for (const auto& [x, y] :
+       {std::pair(a, b), std::pair(audit::Picture{a.white, a.black}, audit::Picture{b.white, b.black})}) {
+    CHECK(audit::measure(audit::kMsSsim, x, y).value() == lowest);
+    CHECK(audit::measure(audit::kGmsd, x, y).value() == highest);
+  }
+  double m_sum = 0, g_sum = 0, m_worst = 1, g_worst = 0;
+  for (const json& v : j["views"]) {
+    const double m = v["ms_ssim"].get<double>(), g = v["gmsd"].get<double>();
+    m_sum += m, g_sum += g, m_worst = std::min(m_worst, m), g_worst = std::max(g_worst, g);
+    if (v["name"] != "b.png") continue;
+    CHECK(m == doctest::Approx(lowest).epsilon(1e-6));
+    CHECK(g == doctest::Approx(highest).epsilon(1e-6));
+  }
+  CHECK(m_worst < 1);
+  CHECK(g_worst > 0);
+  CHECK(j["ms_ssim"].get<double>() == doctest::Approx(m_sum / 3).epsilon(1e-12));
+  CHECK(j["gmsd"].get<double>() == doctest::Approx(g_sum / 3).epsilon(1e-12));
+  CHECK(j["worst_ms_ssim"] == m_worst);
+  CHECK(j["worst_gmsd"] == g_worst);
+
+  const std::string page = scene.file("page.html");
+  const auto gated = [&](const std::string& conditions, const std::string& asset_path) {
+    return run_audit({scene.ply, asset_path, "--cameras", scene.cameras, "--fail-below", conditions, "--report", page,
+                      "--overwrite"});
+  };
+  CHECK(gated("ms-ssim=1,worst-ms-ssim=1,gmsd=0,worst-gmsd=0", scene.ply).exit_code == 0);
+  CHECK(gated("ms-ssim=0.5,worst-gmsd=1", scene.rgs).exit_code == 0);
+  CHECK(gated("worst-gmsd=0", scene.rgs).exit_code == 5);
+  const ProgramResult fails = gated("worst-ms-ssim=1", scene.rgs);
+  CHECK(fails.exit_code == 5);
+  CHECK(fails.out.find("MS-SSIM") != std::string::npos);
+  CHECK(read_text(page).find("<th>MS-SSIM</th>") != std::string::npos);
+  CHECK(read_text(page).find("<dt>MS-SSIM</dt>") != std::string::npos);
+}
+
+TEST_CASE("MS-SSIM refuses views below its window, but not for the small pictures of a search") {
+  const SceneFolder scene;
+  const auto at = [&](const char* size) {
+    return run_audit({scene.ply, scene.rgs, "--no-attribution", "--measures", "ms-ssim", "--views", "2", "--worst", "1",
+                      "--size", size});
+  };
+  CHECK(at("320x16").exit_code == 0);  // searched at 160x8
+  const ProgramResult refused = at("320x10");
+  CHECK(refused.exit_code != 0);
+  CHECK(refused.err.find("MS-SSIM takes pictures of at least 11 pixels a side") != std::string::npos);
+}
+
 TEST_CASE("the attribution has every step alone and all together") {
   const SceneFolder scene;
   const json j = scene.result({"--compare-scales"});
