@@ -67,6 +67,8 @@ struct Options {
   bool compare_scales = false;  ///< also compare one SH scale set for the file with one per chunk
   bool depth = false;           ///< also compare depths
   Chosen measures{};            ///< what else is measured
+  bool video = false;           ///< the cameras are frames in their order
+  int fps = 30;                 ///< of the video
   bool distances = true;        ///< of a file with levels of detail: quality from afar
   Backend backend = Backend::automatic;
   int threads = 0;
@@ -196,6 +198,7 @@ struct Score {
   bool over_white = false;  ///< white alone shows more than black alone
   std::optional<DepthScore> depth{};
   Values measures{};
+  std::optional<double> flicker{};  ///< of a video: see VideoReport
 };
 
 struct PhotoScore {
@@ -244,6 +247,27 @@ struct LevelPsnr {
   double leaves = 0, levels = 0;  ///< means over the views, dB
 };
 
+/// One measure of a video, frame by frame.
+struct Curve {
+  std::string key, name;
+  bool at_least = false;         ///< more is better
+  std::vector<double> values{};  ///< [frames]; NaN where not rated
+  std::size_t worst = 0;         ///< frame
+  std::size_t second = 0;        ///< first frame of the worst second
+  double second_mean = 0;        ///< of its rated frames; of PSNR that of their mean squared error
+};
+
+/// Flicker of a frame: how much the asset's change since the frame before differs from the source's, levels of 255, RMS
+/// over the background that shows more. The first frame has none, nor has one after a frame that is not rated.
+struct VideoReport {
+  int fps = 0;
+  std::vector<std::string> frames{};  ///< names, in the cameras' order
+  std::vector<Curve> curves{};        ///< PSNR, SSIM, the measures, flicker
+  std::optional<double> flicker{}, worst_flicker{};
+
+  std::string name_of(std::size_t frame) const;
+};
+
 struct AlsoReport {
   std::string path, note;  ///< note: why there is no quality
   bool has_levels = false;
@@ -268,6 +292,7 @@ struct RenderReport {
   std::optional<PhotoScore> photo;      ///< means over the views
   std::optional<DepthScore> depth;      ///< of the view with the largest mean error
   Values measures{}, worst_measures{};  ///< means over the views, and those of the worst views
+  std::optional<VideoReport> video{};
   std::optional<LevelPsnr> level_psnr;
   std::vector<AttributionRow> attribution;
   std::string attribution_note;          ///< why it is missing, or what it excludes

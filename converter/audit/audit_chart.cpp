@@ -1,4 +1,4 @@
-// audit_chart.cpp - histograms as SVG paths: one element each for any number of bins.
+// audit_chart.cpp - histograms and curves as SVG paths: one element each for any number of bins.
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_chart.hpp"
 
@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <limits>
 #include <span>
 
 #include "svg_writer.hpp"
@@ -86,6 +87,35 @@ std::string error_histogram(const ErrorStatistics& e, const std::string& unit, c
   mark(e.p50, "mark");
   mark(e.p99, "mark dashed");
   mark(e.max, "mark dotted");
+  return svg.finish();
+}
+
+std::string frame_curve(const Curve& curve, int fps, const std::string& label) {
+  SvgWriter svg = chart_with_axis(label);
+  double low = std::numeric_limits<double>::infinity(), high = -low;
+  for (const double v : curve.values)
+    if (std::isfinite(v)) low = std::min(low, v), high = std::max(high, v);
+  if (low > high) low = high = 0;
+  if (!curve.at_least) low = 0;
+  const double last = std::max(1.0, static_cast<double>(curve.values.size()) - 1);
+  const auto x_of = [&](std::size_t frame) {
+    return std::min(kRight, kLeft + static_cast<double>(frame) / last * (kRight - kLeft));
+  };
+  std::string path;
+  bool drawn = false;
+  for (std::size_t i = 0; i < curve.values.size(); ++i) {
+    const double v = curve.values[i];
+    const double share = high > low ? std::clamp((v - low) / (high - low), 0.0, 1.0) : v > high ? 1.0 : 0.0;
+    if (!std::isnan(v))
+      path += fmt::format("{}{:.1f} {:.1f}{}", drawn ? "L" : "M", x_of(i), kBase - share * (kBase - kTop),
+                          drawn ? "" : "h0");
+    drawn = !std::isnan(v);
+  }
+  svg.path(path, "curve");
+  svg.line(x_of(curve.second), kBase + 3, x_of(curve.second + static_cast<std::size_t>(fps) - 1), kBase + 3, "second");
+  svg.text(kLeft, kTop - 3, fmt::format("{:.4g}", high));
+  svg.text(kLeft, kBase + 16, fmt::format("{:.4g}", low));
+  svg.text(kRight, kBase + 16, fmt::format("{} frames", curve.values.size()), Anchor::end);
   return svg.finish();
 }
 

@@ -12,6 +12,10 @@ namespace rgs::audit {
 /// readers.
 std::string error_histogram(const ErrorStatistics& errors, const std::string& unit, const std::string& label);
 
+/// A curve over frames, with a gap where a value is NaN, infinity at the top, and a bar under its worst second of `fps`
+/// frames.
+std::string frame_curve(const Curve& curve, int fps, const std::string& label);
+
 /// How often each SH code -127 to 127 occurs; height by the logarithm of the count.
 std::string code_histogram(const CodeUsage& usage, const std::string& label);
 

@@ -19,7 +19,7 @@ namespace rgs::audit {
 namespace {
 
 using Needs = ConditionKind::Needs;
-constexpr std::array<ConditionKind, 31> kKinds{{
+constexpr std::array<ConditionKind, 33> kKinds{{
     {"psnr", "mean PSNR of the views, dB", true, Needs::pictures},
     {"worst-psnr", "PSNR of the worst view, dB", true, Needs::pictures},
     {"ssim", "mean SSIM of the views", true, Needs::pictures},
@@ -35,6 +35,8 @@ constexpr std::array<ConditionKind, 31> kKinds{{
     {"worst-ms-ssim", "MS-SSIM of the worst view", true, Needs::pictures},
     {"gmsd", "mean GMSD of the views", false, Needs::pictures},
     {"worst-gmsd", "GMSD of the worst view", false, Needs::pictures},
+    {"flicker", "mean flicker of a video's frames, 8-bit levels RMS", false, Needs::video},
+    {"worst-flicker", "flicker of the worst frame", false, Needs::video},
     {"ratio", "size of the source over the asset's", true, Needs::nothing},
     {"bytes-per-gaussian", "of the asset's file", false, Needs::nothing},
     {"gpu-bytes-per-gaussian", "resident on the GPU", false, Needs::nothing},
@@ -94,6 +96,8 @@ double found_value(const std::string& name, const Report& report) {
   if (name == "largest") return 255 * static_cast<double>(r.largest);
   if (name == "loss") return r.loss.value_or(kNone);
   if (name == "depth") return r.depth ? r.depth->error : kNone;
+  if (name == "flicker") return r.video ? r.video->flicker.value_or(kNone) : kNone;
+  if (name == "worst-flicker") return r.video ? r.video->worst_flicker.value_or(kNone) : kNone;
   if (const auto i = measure_of(name); i < kMeasures.size())
     return (name == kMeasures[i].name ? r.measures : r.worst_measures)[i].value_or(kNone);
   for (const AttributionRow& row : r.attribution)
@@ -197,6 +201,7 @@ std::string unmeasurable(std::span<const Condition> conditions, const Options& o
     if (needs == Needs::attribution && !options.attribution)
       return "the condition '" + c.name + "' needs the attribution; drop --no-attribution";
     if (needs == Needs::depth && !options.depth) return "the condition '" + c.name + "' needs --depth";
+    if (needs == Needs::video && !options.video) return "the condition '" + c.name + "' needs --video";
     if (needs == Needs::distances && !options.distances)
       return "the condition '" + c.name + "' needs the levels of detail; drop --no-distances";
   }

@@ -13,13 +13,14 @@ namespace rgs::audit {
 
 /// A condition by name: psnr, worst-psnr, ssim, worst-ssim, ms-ssim, worst-ms-ssim, together-psnr, rated-views, ratio
 /// and levels-psnr-1x to -8x must reach their limit; largest (in 8-bit levels), loss (dB), depth (a share), flip,
-/// worst-flip, gmsd, worst-gmsd, bytes-per-gaussian, gpu-bytes-per-gaussian, dropped, added and unseen (Gaussians),
-/// contradictions, levels-loss (dB) and levels-drawn-1x to -8x (a share) must not exceed it.
+/// worst-flip, gmsd, worst-gmsd, flicker, worst-flicker (in 8-bit levels), bytes-per-gaussian, gpu-bytes-per-gaussian,
+/// dropped, added and unseen (Gaussians), contradictions, levels-loss (dB) and levels-drawn-1x to -8x (a share) must not
+/// exceed it.
 struct ConditionKind {
   const char* name;
   const char* meaning;
   bool at_least;
-  enum class Needs : std::uint8_t { nothing, pictures, photos, attribution, depth, distances } needs;
+  enum class Needs : std::uint8_t { nothing, pictures, photos, attribution, depth, distances, video } needs;
 };
 std::span<const ConditionKind> condition_kinds();
 

@@ -154,6 +154,20 @@ Json json(const DepthScore& d) {
   return {{"error", d.error}, {"largest", d.largest}, {"compared", d.compared}};
 }
 
+Json json(const VideoReport& r) {
+  Json frames = Json::array(), seconds = Json::object();
+  for (const std::string& name : r.frames) frames.push_back({{"name", name}});
+  for (const Curve& c : r.curves) {
+    seconds[c.key] = {{"first", c.second}, {"mean", number(c.second_mean)}};
+    for (std::size_t i = 0; i < c.values.size(); ++i)
+      if (!std::isnan(c.values[i])) frames[i][c.key] = number(c.values[i]);
+  }
+  Json out{{"fps", r.fps}, {"worst_seconds", std::move(seconds)}, {"frames", std::move(frames)}};
+  if (r.flicker) out["flicker"] = *r.flicker, out["worst_flicker"] = *r.worst_flicker;
+  if (r.flicker) out["worst_flicker_frame"] = r.curves.back().worst;
+  return out;
+}
+
 Json json(const RenderReport& r) {
   Json views = Json::array(), attribution = Json::array();
   for (const ViewResult& v : r.views) {
@@ -210,6 +224,7 @@ Json json(const RenderReport& r) {
     out[std::string("worst_") + kMeasures[i].key] = *r.worst_measures[i];
   }
   if (r.depth) out["depth"] = json(*r.depth);
+  if (r.video) out["video"] = json(*r.video);
   out["photos"] = r.photo ? json(*r.photo) : Json();
   out["n_undrawable"] = r.n_undrawable;
   out["attribution"] = std::move(attribution);

@@ -94,6 +94,8 @@ border:1px solid var(--line);overflow:hidden;margin-right:12px}
 .panel p{margin:0 0 6px;font-size:.88rem}
 .chart{display:block;width:100%;height:auto}
 .chart .bars{fill:var(--bar)}
+.chart .curve{fill:none;stroke:var(--bar);stroke-width:1.5;stroke-linecap:round}
+.chart .second{stroke:var(--ink);stroke-width:4}
 .chart .axis{stroke:var(--soft);stroke-width:1}
 .chart .mark{stroke:var(--ink);stroke-width:1.5}
 .chart .dashed{stroke-dasharray:5 3}.chart .dotted{stroke-dasharray:1.5 3}

@@ -3,6 +3,7 @@
 #include "audit_render.hpp"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <cmath>
@@ -15,6 +16,7 @@
 #include "audit_picture.hpp"
 #include "audit_scenes.hpp"
 #include "audit_search.hpp"
+#include "audit_video.hpp"
 #include "rgs/ablation.hpp"
 #include "rgs/image_metrics.hpp"
 #include "scene_file.hpp"
@@ -61,6 +63,12 @@ bool in_view(const Camera& camera, const glm::dvec3& mean_world) {
   if (!(p.z > static_cast<double>(math::kNearPlane))) return false;
   const double u = camera.fx * p.x / p.z + camera.cx, v = camera.fy * p.y / p.z + camera.cy;
   return u >= 0 && u < camera.width && v >= 0 && v < camera.height;
+}
+
+Image minus(const Image& a, const Image& b) {
+  Image out = a;
+  for (std::size_t i = 0; i < out.pixels.size(); ++i) out.pixels[i] -= b.pixels[i];
+  return out;
 }
 
 std::optional<double> worse(const std::optional<double>& a, const std::optional<double>& b, bool at_least) {
@@ -413,6 +421,21 @@ class PictureAudit {
                  values};
   }
 
+  // VideoReport's flicker. `before` holds the error of the frame before, and takes this one's: the change of the error
+  // is the difference of the changes.
+  Outcome<std::optional<double>> flicker(Picture& before, const Picture& reference, const Picture& image) const {
+    std::optional<double> out;
+    if (!options_.video) return out;
+    Picture error{minus(image.black, reference.black), minus(image.white, reference.white)};
+    if (!before.black.pixels.empty()) {
+      const auto d = difference(before, error);
+      if (!d) return make_error("", d.error());
+      out = 255 * std::sqrt(d->mse);
+    }
+    before = std::move(error);
+    return out;
+  }
+
   static bool less_wrong(const std::optional<DepthScore>& a, const std::optional<DepthScore>& b) {
     return b && (!a || a->error < b->error);
   }
@@ -423,6 +446,7 @@ class PictureAudit {
     out.ssim = std::min(a.ssim, b.ssim);
     for (std::size_t i = 0; i < kMeasures.size(); ++i)
       out.measures[i] = worse(a.measures[i], b.measures[i], kMeasures[i].at_least);
+    out.flicker = worse(a.flicker, b.flicker, false);
     out.largest = spot.largest, out.x = spot.x, out.y = spot.y;
     out.depth = less_wrong(a.depth, b.depth) ? b.depth : a.depth;
     return out;
@@ -436,11 +460,15 @@ class PictureAudit {
     rated_[view] = result.rated() ? 1 : 0;
     if (!result.rated()) {
       report_.views.push_back(std::move(result));
+      errors_ = {};
       return {};
     }
     const Chosen measures = is_search_ ? Chosen() : options_.measures;
-    const auto score = compare(view, *reference, image, measures);
+    auto score = compare(view, *reference, image, measures);
     if (!score) return tl::unexpected(score.error());
+    const auto change = flicker(errors_[0], *reference, image);
+    if (!change) return tl::unexpected(change.error());
+    score->flicker = *change;
     result.score = *score;
     Image photo;
     if (!views_[view].photo.empty()) {
@@ -455,8 +483,11 @@ class PictureAudit {
       conversion->add(score->psnr, score->mse, result.photo ? result.photo->loss() : 0);
     if (levels) {
       const Picture& level_reference = level_references_[view - first];
-      const auto as_drawn = compare(view, level_reference, *levels, measures);
+      auto as_drawn = compare(view, level_reference, *levels, measures);
       if (!as_drawn) return tl::unexpected(as_drawn.error());
+      const auto level_change = flicker(errors_[1], level_reference, *levels);
+      if (!level_change) return tl::unexpected(level_change.error());
+      as_drawn->flicker = *level_change;
       result.leaves = *score;
       result.levels = *as_drawn;
       result.score = worse_of(*score, *as_drawn);
@@ -594,6 +625,7 @@ class PictureAudit {
       report_.photo = photo;
       report_.loss = photo.loss();
     }
+    if (options_.video) report_.video = video_report(views, options_.fps);
     // Rated views first, worst first; pictures keep pointing at their views.
     std::vector<std::size_t> order(views.size()), place(views.size());
     for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
@@ -635,6 +667,7 @@ class PictureAudit {
   std::vector<Picture> references_;  // of the batch
   std::vector<Picture> level_references_;
   std::vector<double> reference_drawn_;  // of the batch
+  std::array<Picture, 2> errors_;        // of a video's last frame: the asset's pictures, and of its levels
   std::vector<float> alpha_;             // of the last frame
   std::vector<Series> variants_;
   std::span<AlsoReport> also_;

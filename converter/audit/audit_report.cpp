@@ -129,6 +129,7 @@ class Page {
     contents();
     if (has_pictures()) where();
     if (report_.render) views(*report_.render);
+    if (report_.render && report_.render->video) video(*report_.render->video);
     if (report_.render) attribution(*report_.render);
     if (report_.distances && !report_.distances->rows.empty()) distances(*report_.distances);
     if (report_.attributes) attributes(*report_.attributes);
@@ -254,6 +255,7 @@ class Page {
     add("<nav aria-label=\"Contents\">");
     if (has_pictures()) add("<a href=\"#where\">Where it differs</a>");
     if (report_.render) add("<a href=\"#views\">Views</a>");
+    if (report_.render && report_.render->video) add("<a href=\"#video\">Video</a>");
     if (report_.render && !report_.render->attribution.empty()) add("<a href=\"#steps\">Which step costs what</a>");
     if (report_.distances && !report_.distances->rows.empty()) add("<a href=\"#distances\">From afar</a>");
     if (report_.attributes) add("<a href=\"#attributes\">Attributes</a><a href=\"#worst\">Worst Gaussians</a>");
@@ -436,6 +438,23 @@ class Page {
 
   static std::string number(double value, int digits) {
     return std::isfinite(value) ? fmt::format("{:.{}f}", value, digits) : "&infin;";
+  }
+
+  void video(const VideoReport& r) {
+    title("video", "Video");
+    add("<p>The views in the order of their cameras, as frames of a video of {} frames a second; a bar marks the worst "
+        "second. Flicker is the change of the asset's picture since the frame before, less that of the "
+        "original's.</p>\n<div class=\"grid\">\n",
+        r.fps);
+    const auto shown = [](double v) { return std::isfinite(v) ? fmt::format("{:.5g}", v) : "&infin;"; };
+    for (const Curve& c : r.curves) {
+      add("<div class=\"panel\"><h3>{}</h3><p class=\"soft\">worst frame {} at {}, worst second {} from "
+          "{}</p>{}</div>\n",
+          c.name, shown(c.values[c.worst]), html(r.name_of(c.worst)), shown(c.second_mean), html(r.name_of(c.second)),
+          frame_curve(c, r.fps, c.name + " of each frame"));
+    }
+    add("</div>\n");
+    end_section();
   }
 
   // ---- steps
@@ -767,6 +786,10 @@ class Page {
         if (report_.render->measures[i])
           fact(kMeasures[i].title, fmt::format("{}: {}; the {} one over black and over white", kMeasures[i].method,
                                                kMeasures[i].scale, kMeasures[i].at_least ? "lower" : "higher"));
+      if (report_.render->video)
+        fact("Flicker",
+             "RMS, in levels of 255, of the asset's change from frame to frame minus the source's, over the background "
+             "that shows more in each channel of each pixel; a second's PSNR is that of its mean squared error");
       if (report_.render->photo)
         fact("Photographs",
              "values over black clamped to 0..1, PSNR and SSIM against the photograph; lost is the source's PSNR minus "

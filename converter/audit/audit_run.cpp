@@ -185,6 +185,7 @@ Outcome<std::string> fingerprint(const Options& o) {
                   o.render, o.depth, o.attribution, o.compare_scales, o.distances, static_cast<int>(o.backend));
   for (std::size_t i = 0; i < kMeasures.size(); ++i)
     if (o.measures[i]) text += std::string(" ") + kMeasures[i].name;
+  if (o.video) text += fmt::format(" video {}", o.fps);
   std::vector<std::string> inputs{o.source, o.asset, o.cameras, o.photos};
   inputs.insert(inputs.end(), o.also.begin(), o.also.end());
   for (const std::string& path : inputs) {

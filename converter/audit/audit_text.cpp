@@ -90,6 +90,7 @@ class Text : private tool::TextLines {
       if (r.measures[i])
         line("  {:<12}{:.6f} on average, worst {:.6f}; {}", kMeasures[i].title, *r.measures[i], *r.worst_measures[i],
              kMeasures[i].scale);
+    if (r.video) video(*r.video);
     line("  unseen      in no rated view: {} Gaussians of the source, {} of the asset", format_count(r.source_unseen),
          format_count(r.asset_unseen));
     if (r.level_psnr)
@@ -103,6 +104,16 @@ class Text : private tool::TextLines {
     for (const AttributionRow& a : r.attribution)
       line("    {:<40}{:>12}  {:6.2f} % of the squared error", a.name, format_psnr(a.psnr), 100 * a.share);
     if (!r.attribution_note.empty()) line("  attribution none: {}", r.attribution_note);
+  }
+
+  void video(const VideoReport& r) {
+    line("  video       {} frames, {} a second{}", r.frames.size(), r.fps,
+         r.flicker ? fmt::format("; flicker {:.4g} of 255 levels RMS on average", *r.flicker) : "");
+    for (const Curve& c : r.curves) {
+      const auto shown = [&](double v) { return c.key == "psnr" ? format_psnr(v) : fmt::format("{:.6g}", v); };
+      line("    {:<10}worst second {} from {}; worst frame {} at {}", c.name, shown(c.second_mean),
+           escape(r.name_of(c.second)), shown(c.values[c.worst]), escape(r.name_of(c.worst)));
+    }
   }
 
   void distances(const DistanceReport& r) {

@@ -31,7 +31,9 @@ std::string listed(const std::vector<std::string>& names) {
 Outcome<std::vector<Camera>> cameras_of(const Options& options) {
   const auto set = read_camera_set(options.cameras);
   if (!set) return make_error(options.cameras, set.error());
-  const std::string split = !options.split.empty() ? options.split : set->cameras.size() > kAllOfFew ? "test" : "all";
+  const std::string split = !options.split.empty()                              ? options.split
+                            : !options.video && set->cameras.size() > kAllOfFew ? "test"
+                                                                                : "all";
   std::vector<Camera> chosen;
   for (std::size_t i = 0; i < set->cameras.size(); ++i)
     if (split == "all" || (set->split[i] == Split::test) == (split == "test")) chosen.push_back(set->cameras[i]);
@@ -93,6 +95,12 @@ Outcome<std::vector<View>> choose_views(const Options& options, const SceneBound
     const bool resize = !options.cameras.empty() && options.size.width > 0;
     views.push_back({resize ? resized(cameras[i], options.size.width, options.size.height) : cameras[i], {}});
   }
+  const auto differs = [&](const View& v) {
+    return v.camera.width != views[0].camera.width || v.camera.height != views[0].camera.height;
+  };
+  if (options.video && std::ranges::any_of(views, differs))
+    return make_error(options.cameras,
+                      {Errc::bad_argument, Error::kNone, "the frames of a video need one size; set it with --size"});
   return options.photos.empty() ? Outcome<std::vector<View>>(std::move(views)) : with_photos(std::move(views), options);
 }
 

@@ -21,8 +21,8 @@ ViewFormat view_format(const Options& options);
 
 /// The requested views: cameras of the file at their own size or options.size, or options.views automatic ones around
 /// `bounds`. With options.photos every view has a photograph of the camera's size.
-/// Errors: those of read_camera_set(); bad_argument (no camera of the split; photographs that are missing or of another
-/// size, each named in the subject); read errors of the photographs.
+/// Errors: those of read_camera_set(); bad_argument (no camera of the split; frames of several sizes; photographs that
+/// are missing or of another size, each named in the subject); read errors of the photographs.
 Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const glm::dvec3& up);
 
 /// A photograph as RGB.

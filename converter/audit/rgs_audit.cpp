@@ -271,6 +271,7 @@ int audit_main(Arguments& a) {
     return tool::report_usage(wrong);
   if (!a.audit.photos.empty() && a.audit.cameras.empty())
     return tool::report_usage("--photos requires --cameras, which took them");
+  if (a.audit.video && a.no_render) return tool::report_usage("--video needs pictures; drop --no-render");
   if (a.json == "-" && a.report == "-") return tool::report_usage("--json - and --report - both need standard output");
   const std::size_t threads = a.audit.threads > 0 ? static_cast<std::size_t>(a.audit.threads)
                                                   : std::max(1u, std::thread::hardware_concurrency());
@@ -327,6 +328,15 @@ void add_options(CLI::App& app, Arguments& a) {
       ->delimiter(',')
       ->check(CLI::IsMember({"flip", "ms-ssim", "gmsd"}))
       ->option_text("flip,ms-ssim,gmsd")
+      ->group(views);
+  app.add_flag("--video", o.video,
+               "The cameras are frames in their order: also curves, worst seconds and flicker; --split is all")
+      ->needs("--cameras")
+      ->group(views);
+  app.add_option("--fps", o.fps, "Frames of a second of the video")
+      ->check(CLI::Range(1, 1000))
+      ->capture_default_str()
+      ->needs("--video")
       ->group(views);
   app.add_flag("--no-render", a.no_render, "Compare sizes and attributes only")->group(views);
   app.add_flag("--no-attribution", a.no_attribution, "Do not attribute the loss to steps")->group(views);

@@ -321,3 +321,18 @@ TEST_CASE("a page of a file with levels passes its own tests in a browser") {
   for (std::size_t at = text.find("<img "); at != std::string::npos; at = text.find("<img ", at + 1)) ++n;
   check_in_browser(folder, page, "ok, " + std::to_string(n) + " images, 1 sliders");
 }
+
+TEST_CASE("the flicker of levels of detail is that of the drawing with more") {
+  const double depths[] = {4, 24};
+  const std::string far = write_cameras(scene().file("far.json"), depths);
+  const auto flicker = [&](const std::string& asset) {
+    const ProgramResult run = run_audit({scene().ply, asset, "--cameras", far, "--no-attribution", "--no-distances",
+                                         "--video", "--json", "-", "--quiet"});
+    INFO(run.err);
+    REQUIRE(run.exit_code == 0);
+    return json::parse(run.out)["rendered"]["video"]["worst_flicker"].get<double>();
+  };
+  const double leaves = flicker(scene().plain);
+  CHECK(flicker(scene().levels) >= leaves);
+  CHECK(flicker(with_garbage_above_leaves(scene().file("popping.rgs"), 1)) > 2 * leaves);  // drawn from afar alone
+}

@@ -193,6 +193,75 @@ TEST_CASE("MS-SSIM and GMSD are measured like FLIP, and limited from below and f
   CHECK(read_text(page).find("<dt>MS-SSIM</dt>") != std::string::npos);
 }
 
+TEST_CASE("--video measures its frames in the cameras' order, with the flicker that the source does not have") {
+  const SceneFolder scene;
+  const double depths[] = {3, 2.5, 3.5};
+  const std::string path = write_cameras(scene.cameras, depths);
+  CHECK_FALSE(scene.result()["rendered"].contains("video"));
+  const json j = scene.result({"--video", "--fps", "2", "--measures", "flip"});
+  CHECK(j["fingerprint"] != scene.result({"--video", "--measures", "flip"})["fingerprint"]);
+  const json& video = j["rendered"]["video"];
+  CHECK(video["fps"] == 2);
+  REQUIRE(video["frames"].size() == 3);
+  const Scene source = Scene::load(scene.cloud).value(), asset = Scene::load(scene.rgs).value();
+  audit::Picture before_s, before_a;
+  std::vector<double> flickers;
+  for (std::size_t t = 0; t < 3; ++t) {
+    const json& frame = video["frames"][t];
+    CHECK(frame["name"] == std::string(1, static_cast<char>('a' + t)) + ".png");
+    for (const json& v : j["rendered"]["views"])
+      if (v["name"] == frame["name"]) CHECK((v["psnr"] == frame["psnr"] && v["flip"] == frame["flip"]));
+    const audit::Picture s = render(source, depths[t]), a = render(asset, depths[t]);
+    if (t > 0) {
+      double squares = 0;
+      for (std::size_t i = 0; i < s.black.pixels.size(); ++i) {
+        double most = 0;
+        for (const bool white : {false, true}) {
+          const auto change = [&](const audit::Picture& now, const audit::Picture& before) {
+            return static_cast<double>(now.over(white).pixels[i]) - static_cast<double>(before.over(white).pixels[i]);
+          };
+          most = std::max(most, std::abs(change(a, before_a) - change(s, before_s)));
+        }
+        squares += most * most;
+      }
+      flickers.push_back(255 * std::sqrt(squares / static_cast<double>(s.black.pixels.size())));
+      CHECK(flickers.back() > 1e-3);
+      CHECK(frame["flicker"].get<double>() / flickers.back() == doctest::Approx(1).epsilon(1e-3));
+    }
+    before_s = s, before_a = a;
+  }
+  CHECK_FALSE(video["frames"][0].contains("flicker"));
+  CHECK(video["flicker"].get<double>() / (flickers[0] + flickers[1]) == doctest::Approx(0.5).epsilon(1e-3));
+  CHECK(video["worst_flicker_frame"] == (flickers[0] >= flickers[1] ? 1 : 2));
+  const double first = video["frames"][0]["flip"], second = video["frames"][1]["flip"],
+               third = video["frames"][2]["flip"];
+  CHECK(video["worst_seconds"]["flip"]["first"] == (first >= third ? 0 : 1));
+  CHECK(video["worst_seconds"]["flip"]["mean"].get<double>() ==
+        doctest::Approx((second + std::max(first, third)) / 2).epsilon(1e-9));
+  CHECK(scene.result({"--video", "--fps", "2", "--measures", "flip", "--threads", "1"})["rendered"]["video"] == video);
+
+  const std::string page = scene.file("video.html");
+  const auto gated = [&](const std::string& asset_path, const std::string& conditions) {
+    return run_audit({scene.ply, asset_path, "--cameras", path, "--video", "--fail-below", conditions, "--report", page,
+                      "--overwrite"});
+  };
+  CHECK(gated(scene.ply, "flicker=0,worst-flicker=0").exit_code == 0);
+  CHECK(gated(scene.rgs, "flicker=255").exit_code == 0);
+  CHECK(gated(scene.rgs, "flicker=0").exit_code == 5);
+  const ProgramResult fails = gated(scene.rgs, "worst-flicker=0");
+  CHECK(fails.exit_code == 5);
+  CHECK(fails.out.find("3 frames, 30 a second") != std::string::npos);
+  CHECK(read_text(page).find("aria-label=\"Flicker of each frame\"") != std::string::npos);
+  const auto usage = [&](std::vector<std::string> more) {
+    more.insert(more.begin(), {scene.ply, scene.rgs});
+    return run_audit(more).exit_code;
+  };
+  CHECK(usage({"--video"}) == 2);
+  CHECK(usage({"--cameras", path, "--fps", "24"}) == 2);
+  CHECK(usage({"--cameras", path, "--video", "--no-render"}) == 2);
+  CHECK(usage({"--cameras", path, "--fail-below", "flicker=1"}) == 2);
+}
+
 TEST_CASE("MS-SSIM refuses views below its window, but not for the small pictures of a search") {
   const SceneFolder scene;
   const auto at = [&](const char* size) {
