@@ -9,12 +9,10 @@
 #include <limits>
 #include <utility>
 
+#include "rgs/image_metrics.hpp"
+
 namespace rgs::audit {
 namespace {
-
-double psnr_of(double mse) {
-  return mse > 0 ? -10 * std::log10(mse) : std::numeric_limits<double>::infinity();
-}
 
 // Mean of the values that are not NaN; NaN without any.
 double mean_of(std::span<const double> values) {
@@ -40,7 +38,7 @@ VideoReport video_report(std::span<const ViewResult> frames, int fps) {
     for (const ViewResult& v : frames)
       curve.values.push_back(
           (v.rated() ? value(v.score) : std::nullopt).value_or(std::numeric_limits<double>::quiet_NaN()));
-    // NaN is worse than nothing, and all is worse than NaN.
+    // NaN, which is not rated, is never worse; any value is worse than NaN.
     const auto is_worse = [&](double a, double b) {
       return !std::isnan(a) && (std::isnan(b) || (at_least ? a < b : a > b));
     };

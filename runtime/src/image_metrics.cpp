@@ -134,9 +134,9 @@ Image halved(const Image& image) {
       for (int x = 0; x < out.width; ++x) {
         const int right = std::min(2 * x + 1, image.width - 1);
         for (int c = 0; c < out.channels; ++c)
-          out.at(x, y, c) = (image.at(2 * x, 2 * y, c) + image.at(right, 2 * y, c) + image.at(2 * x, below, c) +
-                             image.at(right, below, c)) /
-                            4;
+          // Each by a quarter, lest the sum of large values overflow.
+          out.at(x, y, c) = 0.25F * image.at(2 * x, 2 * y, c) + 0.25F * image.at(right, 2 * y, c) +
+                            0.25F * image.at(2 * x, below, c) + 0.25F * image.at(right, below, c);
       }
     }
   });
@@ -190,6 +190,10 @@ std::vector<double> gradients(const Image& image) {
 
 }  // namespace
 
+double psnr_of(double mse) {
+  return mse > 0 ? -10 * std::log10(mse) : std::numeric_limits<double>::infinity();
+}
+
 Result<ImageDifference> difference(const Image& a, const Image& b) {
   return detail::guard_memory([&]() -> Result<ImageDifference> {
     if (const Status ok = check(a, b); !ok) return tl::unexpected(ok.error());
@@ -213,7 +217,7 @@ Result<ImageDifference> difference(const Image& a, const Image& b) {
     }
     if (!std::isfinite(sum)) return not_finite(a, b);
     out.mse = sum / static_cast<double>(a.pixels.size());
-    out.psnr = out.mse > 0 ? -10 * std::log10(out.mse) : std::numeric_limits<double>::infinity();
+    out.psnr = psnr_of(out.mse);
     return out;
   });
 }

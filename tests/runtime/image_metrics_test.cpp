@@ -192,6 +192,10 @@ TEST_CASE("MS-SSIM of equal pictures is 1 and GMSD 0; both are symmetric and hav
   Image dark = noise(6, 30, 30, 1);
   for (float& v : dark.pixels) v = 1 - v;
   CHECK(ms_ssim(dark, noise(6, 30, 30, 1)).value() == 0);  // the negative of a picture: no NaN
+  Image large = noise(9, 40, 40, 3);
+  for (float& v : large.pixels) v = std::numeric_limits<float>::max() * (0.7F + 0.2F * v);
+  CHECK(ms_ssim(large, large).value() == 1);
+  CHECK(gmsd(large, large).value() == 0);
   const Image a = noise(7, 133, 257, 3), b = noise(8, 133, 257, 3);
   const double m = ms_ssim(a, b).value(), g = gmsd(a, b).value();
   CHECK(ms_ssim(b, a).value() == m);

@@ -16,10 +16,13 @@ namespace RGS_API rgs {
 
 struct ImageDifference {
   double mse = 0;                 ///< mean of the squared differences over all pixels and channels
-  double psnr = 0;                ///< -10 log10(mse), dB: the peak is 1; infinity for equal pictures
+  double psnr = 0;                ///< psnr_of(mse)
   float largest = 0;              ///< largest absolute difference of any channel
   std::size_t largest_index = 0;  ///< its index in Image::pixels, the first of several
 };
+
+/// -10 log10(mse), dB: the peak is 1; infinity for equal pictures.
+double psnr_of(double mse);
 
 /// Differences of the values themselves, neither clamped to 0..1 nor rounded to 8 bits.
 Result<ImageDifference> difference(const Image& a, const Image& b);
@@ -32,14 +35,16 @@ Result<double> ssim(const Image& a, const Image& b);
 /// Multi-scale structural similarity (Wang, Simoncelli, Bovik, "Multiscale structural similarity for image quality
 /// assessment", 2003), with the window and constants of ssim(): contrast and structure at five scales, each half as
 /// large, and luminance at the coarsest, to the powers 0.0448, 0.2856, 0.3001, 0.2363 and 0.1333. As in the authors'
-/// program only windows that lie in the picture count. Mean over the channels; a scale's negative mean counts as 0. Below
-/// 161 pixels a side, scales with a side shorter than the window are left out, and the other powers scaled to sum to 1.
-/// 1 for equal pictures, exactly. Also bad_argument: a side below 11 pixels.
+/// program only windows that lie in the picture count. Mean over the channels; a scale's negative mean counts as 0.
+/// Below 161 pixels a side, scales with a side shorter than the window are left out, and the other powers scaled to sum
+/// to 1. 1 for equal pictures, exactly. Also bad_argument: a side below 11 pixels.
 Result<double> ms_ssim(const Image& a, const Image& b);
 
 /// Gradient magnitude similarity deviation (Xue, Zhang, Mou, Bovik, "Gradient Magnitude Similarity Deviation", 2014) of
-/// the lumas (BT.601) of two pictures of 1 or 3 channels, at half the size, by Prewitt's filter, with c = 170 for luma of
-/// 0 to 255: 0 for equal pictures, exactly, and the more the less alike. Also bad_argument: other channels.
+/// the luma (BT.601) of two pictures of 1 or 3 channels, at half the size, by Prewitt's filter, with c = 170 for luma
+/// of 0 to 255: 0 for equal pictures, exactly, and for all of up to 2x2 pixels; larger the less alike they are. As in
+/// the paper, the squared deviations are divided by the number of pixels (in the authors' program by one less). Also
+/// bad_argument: other channels.
 Result<double> gmsd(const Image& a, const Image& b);
 
 inline constexpr double kPixelsPerDegree = 67.02;  ///< a monitor of 3840 pixels on 0.7 m, seen from 0.7 m
