@@ -32,7 +32,7 @@ inline tl::unexpected<Failure> make_error(std::string subject, const Error& erro
   return tl::unexpected(Failure{std::move(subject), error});
 }
 
-/// A further measure of the views, where its value is worse: over black or over white.
+/// A further measure of the views, taken over black and over white; the worse value counts.
 struct Measure {
   const char* name;  ///< in --measures and as a condition
   const char* key;   ///< in JSON

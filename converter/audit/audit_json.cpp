@@ -163,8 +163,11 @@ Json json(const VideoReport& r) {
       if (!std::isnan(c.values[i])) frames[i][c.key] = number(c.values[i]);
   }
   Json out{{"fps", r.fps}, {"worst_seconds", std::move(seconds)}, {"frames", std::move(frames)}};
-  if (r.flicker) out["flicker"] = *r.flicker, out["worst_flicker"] = *r.worst_flicker;
-  if (r.flicker) out["worst_flicker_frame"] = r.curves.back().worst;
+  if (r.flicker) {
+    out["flicker"] = *r.flicker;
+    out["worst_flicker"] = *r.worst_flicker;
+    out["worst_flicker_frame"] = r.curves.back().worst;
+  }
   return out;
 }
 

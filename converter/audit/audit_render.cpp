@@ -396,8 +396,9 @@ class PictureAudit {
     return {};
   }
 
-  Outcome<Score> compare(std::size_t view, const Picture& reference, const Picture& image,
-                         const Chosen& measures = {}) const {
+  // A frame of a video passes `before`, the error of the frame before; it becomes this one's.
+  Outcome<Score> compare(std::size_t view, const Picture& reference, const Picture& image, const Chosen& measures = {},
+                         Picture* before = nullptr) const {
     const Camera& camera = views_[view].camera;
     const auto d = difference(reference, image);
     const auto s = ssim(reference, image);
@@ -409,6 +410,17 @@ class PictureAudit {
       if (!value) return make_error("view " + camera.name, value.error());
       values[i] = *value;
     }
+    std::optional<double> flicker;
+    if (before != nullptr) {
+      Picture error{minus(image.black, reference.black), minus(image.white, reference.white)};
+      if (!before->black.pixels.empty()) {
+        // The change of the error is the difference of the changes.
+        const auto change = difference(*before, error);
+        if (!change) return make_error("view " + camera.name, change.error());
+        flicker = 255 * std::sqrt(change->mse);
+      }
+      *before = std::move(error);
+    }
     const auto pixel = static_cast<int>(d->largest_index / 3);
     return Score{d->mse,
                  d->psnr,
@@ -418,22 +430,8 @@ class PictureAudit {
                  pixel / camera.width,
                  shows_more_over_white(reference, image),
                  depth_difference(reference, image),
-                 values};
-  }
-
-  // VideoReport's flicker. `before` holds the error of the frame before, and takes this one's: the change of the error
-  // is the difference of the changes.
-  Outcome<std::optional<double>> flicker(Picture& before, const Picture& reference, const Picture& image) const {
-    std::optional<double> out;
-    if (!options_.video) return out;
-    Picture error{minus(image.black, reference.black), minus(image.white, reference.white)};
-    if (!before.black.pixels.empty()) {
-      const auto d = difference(before, error);
-      if (!d) return make_error("", d.error());
-      out = 255 * std::sqrt(d->mse);
-    }
-    before = std::move(error);
-    return out;
+                 values,
+                 flicker};
   }
 
   static bool less_wrong(const std::optional<DepthScore>& a, const std::optional<DepthScore>& b) {
@@ -464,11 +462,8 @@ class PictureAudit {
       return {};
     }
     const Chosen measures = is_search_ ? Chosen() : options_.measures;
-    auto score = compare(view, *reference, image, measures);
+    const auto score = compare(view, *reference, image, measures, options_.video ? &errors_[0] : nullptr);
     if (!score) return tl::unexpected(score.error());
-    const auto change = flicker(errors_[0], *reference, image);
-    if (!change) return tl::unexpected(change.error());
-    score->flicker = *change;
     result.score = *score;
     Image photo;
     if (!views_[view].photo.empty()) {
@@ -483,11 +478,8 @@ class PictureAudit {
       conversion->add(score->psnr, score->mse, result.photo ? result.photo->loss() : 0);
     if (levels) {
       const Picture& level_reference = level_references_[view - first];
-      auto as_drawn = compare(view, level_reference, *levels, measures);
+      const auto as_drawn = compare(view, level_reference, *levels, measures, options_.video ? &errors_[1] : nullptr);
       if (!as_drawn) return tl::unexpected(as_drawn.error());
-      const auto level_change = flicker(errors_[1], level_reference, *levels);
-      if (!level_change) return tl::unexpected(level_change.error());
-      as_drawn->flicker = *level_change;
       result.leaves = *score;
       result.levels = *as_drawn;
       result.score = worse_of(*score, *as_drawn);

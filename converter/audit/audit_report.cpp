@@ -443,7 +443,7 @@ class Page {
   void video(const VideoReport& r) {
     title("video", "Video");
     add("<p>The views in the order of their cameras, as frames of a video of {} frames a second; a bar marks the worst "
-        "second. Flicker is the change of the asset's picture since the frame before, less that of the "
+        "second. Flicker is how much the asset's change since the frame before differs from the "
         "original's.</p>\n<div class=\"grid\">\n",
         r.fps);
     const auto shown = [](double v) { return std::isfinite(v) ? fmt::format("{:.5g}", v) : "&infin;"; };
