@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "command_line.hpp"
+#include "conformance_files.hpp"
 #include "console.hpp"
 #include "convert.hpp"
 #include "input_files.hpp"
@@ -31,7 +32,7 @@ namespace tool = rgs::tool;
 constexpr std::uint64_t kBatch = 2048;  // Gaussians: 0.5 MB as Splat, as much again encoded, per thread
 
 struct Options {
-  std::string output, cameras, camera_path, gaussians = "200k";
+  std::string output, conformance, cameras, camera_path, gaussians = "200k";
   rgs::Origin origin = rgs::kNoOrigin;
   std::string scratch;
   std::uint64_t seed = 1, memory_bytes = rgs::lod::kDefaultMemory;
@@ -252,8 +253,10 @@ int parse_and_make_scene(int argc, char** argv) {
       ".rgs with levels of detail.",
       "rgs-make-scene"};
   app.add_option("output", options.output,
-                 "file to write: .rgs with levels of detail (docs/develop/LEVELS.md), else PLY")
-      ->required();
+                 "file to write: .rgs with levels of detail (docs/develop/LEVELS.md), else PLY");
+  auto* const conformance = app.add_option("--conformance", options.conformance,
+                                           "write 24 small scenes with reference pictures to this folder instead, for "
+                                           "tests of other renderers");
   app.add_option("--seed", options.seed, "another seed, another scene")->capture_default_str();
   app.add_option("--gaussians", options.gaussians,
                  "number of Gaussians, up to 200M, a town up to 1G; suffixes k, M and G")
@@ -286,12 +289,17 @@ int parse_and_make_scene(int argc, char** argv) {
   app.add_option("--threads", options.threads, "threads, 0 for all cores; the output does not depend on it")
       ->check(CLI::Range(0U, 1024U))
       ->capture_default_str();
+  for (const CLI::Option* option : app.get_options())
+    if (option != conformance && option != app.get_help_ptr()) conformance->excludes(app.get_option(option->get_name()));
   app.add_flag("--overwrite", options.overwrite, "replace existing outputs");
   app.add_flag("--no-sync", options.no_sync, "do not wait until the files are on the disk");
   app.add_flag("--quiet,-q", options.quiet, "print errors only");
   app.set_version_flag("--version", "rgs-make-scene " RGS_VERSION);
   app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output.");
   if (const auto code = tool::parse(app, argc, argv)) return *code;
+  if (!options.conformance.empty())
+    return rgs::write_conformance(options.conformance, {options.overwrite, !options.no_sync}, options.quiet);
+  if (options.output.empty()) return tool::report_usage("name the file to write, or a folder with --conformance");
   const rgs::Result<std::uint64_t> n = tool::parse_count(options.gaussians);
   if (!n || *n > (options.town ? rgs::kMaxTownGaussians : rgs::kMaxSceneGaussians))
     return tool::report_usage(fmt::format("--gaussians takes a whole number from 0 to {}, not '{}'",
