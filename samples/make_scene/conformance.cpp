@@ -112,10 +112,10 @@ MicroScene round_in_the_middle() {
                        "Opacity falls off as exp(-d^2 / 2) of the distance in standard deviations, down to alpha = "
                        "1/255 and not to a fixed number of them.");
   s.gaussians = {
-      Gaussian(32, 32).round(4).opacity(0.8).colour({0.9, 0.6, 0.3}),
-      Gaussian(12, 12).round(2).opacity(0.5).colour(kRed), Gaussian(52, 12).round(2.5).opacity(0.7).colour(kGreen),
-      Gaussian(12, 52).round(3).opacity(0.3).colour(kBlue), Gaussian(52, 52).round(1.5).opacity(0.95).colour(kWhite)};
-  s.probes = {{0, 32, 32}, {0, 36, 32}, {0, 44, 32}, {0, 46, 32}};
+      Gaussian(32, 32).round(4).opacity(0.9).colour({1, 0.6, 0.3}), Gaussian(12, 12).round(2).opacity(0.5).colour(kRed),
+      Gaussian(52, 12).round(2.5).opacity(0.7).colour(kGreen), Gaussian(12, 52).round(3).opacity(0.3).colour(kBlue),
+      Gaussian(52, 52).round(1.5).opacity(0.95).colour(kWhite)};
+  s.probes = {{0, 32, 32}, {0, 36, 32}, {0, 44, 34}, {0, 46, 32}};
   return s;
 }
 
@@ -221,9 +221,9 @@ MicroScene opacity_clamp() {
   MicroScene s =
       scene("10-opacity-clamped", "Alpha is at most 0.99, so that 0.01 of what is behind an opacity of 0.999 shows.");
   s.gaussians = {Gaussian(20, 32).round(5).opacity(0.999).colour({1, 0, 0}),
-                 Gaussian(20, 32, 5).round(8).opacity(0.9).colour({0, 0, 1}),
+                 Gaussian(20, 32, 5).round(6).opacity(0.9).colour({0, 0, 1}),
                  Gaussian(44, 32).round(5).opacity(0.999).colour({0, 0, 0}),
-                 Gaussian(44, 32, 5).round(8).opacity(0.9).colour(kWhite)};
+                 Gaussian(44, 32, 5).round(6).opacity(0.9).colour(kWhite)};
   s.probes = {{0, 20, 32}, {0, 44, 32}, {0, 28, 32}};
   return s;
 }
@@ -267,7 +267,7 @@ MicroScene sh(const char* name, const char* rule, std::size_t l) {
   for (std::size_t m = 0; m < n; ++m) {
     const double angle = 360.0 * static_cast<double>(m) / static_cast<double>(n) * kDegree;
     s.gaussians.push_back(Gaussian::at(1.1 * std::sin(angle), 1.1 * std::cos(angle), 4 + 0.5 * std::sin(2 * angle + 1))
-                              .round(3)
+                              .round(l < 3 ? 3 : 3.25)
                               .colour({0.5, 0.5, 0.5})
                               .sh(l * l + m, {0.8, -0.6, 0.4}));
   }
@@ -308,18 +308,18 @@ MicroScene slope_clamp() {
   MicroScene s = scene("16-slope-clamp",
                        "In the Jacobian the slopes x/z and y/z are clamped to 1.3 times those of the picture's edges, "
                        "which limits how far a large Gaussian beside the camera smears into the picture.");
-  s.gaussians = {Gaussian(128, 20).round(32).colour(kRed), Gaussian(20, -100).round(36).colour(kGreen),
-                 Gaussian(-64, 128).round(40).colour(kBlue)};
+  s.gaussians = {Gaussian(128, 20).round(33).colour(kRed), Gaussian(20, -100).round(36).colour(kGreen),
+                 Gaussian(-64, 128).round(41).colour(kBlue)};
   s.probes = {{0, 64, 20}, {0, 20, 0}, {0, 0, 64}, {0, 40, 20}};
   return s;
 }
 
 MicroScene equal_depths() {
   MicroScene s = scene("17-equal-depths", "Gaussians of equal depth are blended in the order of the file's rows.");
-  s.gaussians = {Gaussian(12, 16).round(4).colour(kRed),       Gaussian(52, 16).round(4).colour(kGreen),
-                 Gaussian(32, 48).round(4).colour(kBlue),      Gaussian(20, 16).round(4).colour(kGreen),
-                 Gaussian(44, 16).round(4).colour(kRed),       Gaussian(32, 48).round(5).colour({1, 1, 0.1}),
-                 Gaussian(32, 48).round(6).colour({1, 0.1, 1})};
+  s.gaussians = {Gaussian(12, 16).round(4).colour(kRed),          Gaussian(52, 16).round(4).colour(kGreen),
+                 Gaussian(32, 48).round(4).colour(kBlue),         Gaussian(20, 16).round(4).colour(kGreen),
+                 Gaussian(44, 16).round(4).colour(kRed),          Gaussian(32, 48).round(5).colour({1, 1, 0.1}),
+                 Gaussian(32, 48).round(6.25).colour({1, 0.1, 1})};
   for (Splat& g : s.gaussians) g.opacity_logit = static_cast<float>(std::log(4.0));  // 0.8
   s.probes = {{0, 16, 16}, {0, 48, 16}, {0, 32, 48}, {0, 38, 48}};
   return s;

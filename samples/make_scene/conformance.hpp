@@ -15,8 +15,12 @@ namespace rgs {
 
 /// The near plane of all micro-scenes, world units.
 inline constexpr float kMicroNearPlane = 0.2F;
-/// Largest difference that a channel of a pixel may have, after both pictures' values were clamped to 0..1.
-inline constexpr double kMicroTolerance = 1.0 / 255;
+/// Largest difference that a channel of a pixel may have, after both pictures' values were clamped to 0..1: a Gaussian
+/// on the other side of the threshold of 1/255, and rounding to 8 bits.
+inline constexpr double kMicroTolerance = 1.5 / 255;
+/// The nearest that a pixel comes to alpha = 1/255 and to a transmittance of 1e-4, relative to them: so far FP32 may
+/// be off before it decides otherwise.
+inline constexpr double kMicroMargin = 1e-4;
 
 /// A pixel at which a wrong rule shows.
 struct MicroProbe {
@@ -34,8 +38,7 @@ struct MicroScene {
   std::vector<MicroProbe> probes;
 };
 
-/// The 24 scenes. Gaussians keep away from thresholds: no pixel is near alpha = 1/255 or transmittance 1e-4 by less
-/// than a thousandth of it, so that rounding decides nothing.
+/// The 24 scenes.
 std::vector<MicroScene> micro_scenes();
 
 }  // namespace rgs

@@ -10,6 +10,7 @@
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <span>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -35,7 +36,7 @@ constexpr const char* kLicense =
     "made\n"
     "them.\n";
 
-constexpr const char* kReadme =
+constexpr std::string_view kReadme =
     R"(# Conformance scenes of 3D Gaussian splatting
 
 {0} scenes of a few Gaussians each. Every scene is about one rule of how 3D Gaussian splats become a picture, and a renderer
@@ -52,11 +53,12 @@ that breaks the rule shows it in that scene. No program of ours is needed to use
 
 1. Draw every scene of `conformance.json` from each of its cameras, over black, with its near plane and what it declares.
 2. Clamp the picture's values and the reference's to 0..1 and compare them pixel by pixel. The scene passes if no channel differs
-   by more than the tolerance, {1:.6f}, which is one step of 8 bits.
-3. Without a reader for OpenEXR compare the probes alone: a pixel and its colour for each thing that can go wrong.
+   by more than the tolerance, {1:.6f}: one and a half steps of 8 bits, half a step for rounding and one for a Gaussian that
+   falls on the other side of alpha = 1/255.
+3. Without a reader for OpenEXR compare the probes alone: a wrong rule changes at least one of them by more than the tolerance.
 
-No pixel is near a threshold, so rounding decides nothing: FP32 arithmetic of any order passes, and so do 8-bit pictures whose
-values were rounded once. A renderer that cuts Gaussians at three standard deviations differs by up to 0.011 around their rims.
+No pixel comes nearer to a threshold than a ten-thousandth of it, so FP32 arithmetic in any order passes, and so do 8-bit pictures
+whose values were rounded once.
 
 ## The picture
 
@@ -104,7 +106,7 @@ Outcome<void> write_text(const std::string& path, const std::string& text, const
   return write_bytes(path, std::as_bytes(std::span(text)), options);
 }
 
-// The decimals that a float was written with, as a double.
+// Six decimals, as a double.
 double decimal(float value) {
   return std::round(double{value} * 1e6) / 1e6;
 }
@@ -262,7 +264,7 @@ Outcome<void> write_all(const std::string& folder, const AtomicFile::Options& op
   }
   const auto in_folder = [&](const char* file) { return (fs::path(folder) / file).string(); };
   if (auto written = write_text(in_folder("LICENSE"), kLicense, options); !written) return written;
-  const std::string readme = fmt::format(fmt::runtime(kReadme), micro.size(), kMicroTolerance, rows);
+  const std::string readme = fmt::format(kReadme, micro.size(), kMicroTolerance, rows);
   if (auto written = write_text(in_folder("README.md"), readme, options); !written) return written;
   return write_text(in_folder("conformance.json"), document(std::move(scenes)).dump(1) + "\n", options);
 }

@@ -254,9 +254,11 @@ int parse_and_make_scene(int argc, char** argv) {
       "rgs-make-scene"};
   app.add_option("output", options.output,
                  "file to write: .rgs with levels of detail (docs/develop/LEVELS.md), else PLY");
-  auto* const conformance = app.add_option("--conformance", options.conformance,
-                                           "write 24 small scenes with reference pictures to this folder instead, for "
-                                           "tests of other renderers");
+  app.add_option(
+         "--conformance", options.conformance,
+         "write 24 scenes of a few Gaussians with reference pictures to this folder instead, for tests of other "
+         "renderers; of the other options --overwrite, --no-sync and --quiet count")
+      ->option_text("FOLDER");
   app.add_option("--seed", options.seed, "another seed, another scene")->capture_default_str();
   app.add_option("--gaussians", options.gaussians,
                  "number of Gaussians, up to 200M, a town up to 1G; suffixes k, M and G")
@@ -289,16 +291,19 @@ int parse_and_make_scene(int argc, char** argv) {
   app.add_option("--threads", options.threads, "threads, 0 for all cores; the output does not depend on it")
       ->check(CLI::Range(0U, 1024U))
       ->capture_default_str();
-  for (const CLI::Option* option : app.get_options())
-    if (option != conformance && option != app.get_help_ptr()) conformance->excludes(app.get_option(option->get_name()));
   app.add_flag("--overwrite", options.overwrite, "replace existing outputs");
   app.add_flag("--no-sync", options.no_sync, "do not wait until the files are on the disk");
   app.add_flag("--quiet,-q", options.quiet, "print errors only");
   app.set_version_flag("--version", "rgs-make-scene " RGS_VERSION);
   app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output.");
   if (const auto code = tool::parse(app, argc, argv)) return *code;
-  if (!options.conformance.empty())
+  if (!options.conformance.empty()) {
+    const std::array<std::string, 4> allowed{"--conformance", "--overwrite", "--no-sync", "--quiet"};
+    for (const CLI::Option* option : app.get_options())
+      if (option->count() > 0 && std::ranges::find(allowed, option->get_name()) == allowed.end())
+        return tool::report_usage("--conformance goes without " + option->get_name());
     return rgs::write_conformance(options.conformance, {options.overwrite, !options.no_sync}, options.quiet);
+  }
   if (options.output.empty()) return tool::report_usage("name the file to write, or a folder with --conformance");
   const rgs::Result<std::uint64_t> n = tool::parse_count(options.gaussians);
   if (!n || *n > (options.town ? rgs::kMaxTownGaussians : rgs::kMaxSceneGaussians))
