@@ -31,10 +31,9 @@ using Json = nlohmann::ordered_json;
 constexpr const char* kLicense =
     "The files in this folder are dedicated to the public domain under CC0 1.0 Universal:\n"
     "https://creativecommons.org/publicdomain/zero/1.0/\n\n"
-    "To the extent possible under law, their authors have waived all copyright and related or neighbouring rights to\n"
-    "them. The waiver covers the scenes, the cameras, the reference pictures and the texts, not the programs that "
-    "made\n"
-    "them.\n";
+    "Copy, change and use the scenes, cameras, reference pictures and texts for any purpose, without asking and "
+    "without\n"
+    "naming anybody. This does not cover the programs that made them.\n";
 
 constexpr std::string_view kReadme =
     R"(# Conformance scenes of 3D Gaussian splatting
@@ -55,7 +54,7 @@ that breaks the rule shows it in that scene. No program of ours is needed to use
 2. Clamp the picture's values and the reference's to 0..1 and compare them pixel by pixel. The scene passes if no channel differs
    by more than the tolerance, {1:.6f}: one and a half steps of 8 bits, half a step for rounding and one for a Gaussian that
    falls on the other side of alpha = 1/255.
-3. Without a reader for OpenEXR compare the probes alone: a wrong rule changes at least one of them by more than the tolerance.
+3. Without a reader for OpenEXR compare the probes alone: every wrong rule that we tried changes one of them by more than the tolerance.
 
 No pixel comes nearer to a threshold than a ten-thousandth of it, so FP32 arithmetic in any order passes, and so do 8-bit pictures
 whose values were rounded once.

@@ -548,6 +548,12 @@ TEST_CASE("rgs-make-scene --conformance writes the same bytes again, and only ov
   CHECK(bytes_of(damaged) == "other");
   CHECK(Written::run(other.path().string(), "--overwrite") == 0);
   CHECK(files == files_in(other.path().string()));
+
+  const test::TemporaryFolder used;
+  std::ofstream(used.file("notes")) << "other";
+  CHECK(Written::run(used.path().string()) == 3);
+  CHECK(Written::run(used.file("notes"), "--overwrite") == 3);  // not a folder
+  CHECK(files_in(used.path().string()).size() == 1);
 }
 
 TEST_CASE("rgs-make-scene --conformance takes no other scene's options") {
