@@ -28,12 +28,12 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-constexpr const char* kLicense =
-    "The files in this folder are dedicated to the public domain under CC0 1.0 Universal:\n"
-    "https://creativecommons.org/publicdomain/zero/1.0/\n\n"
-    "Copy, change and use the scenes, cameras, reference pictures and texts for any purpose, without asking and "
-    "without\n"
-    "naming anybody. This does not cover the programs that made them.\n";
+constexpr const char* kLicense = R"(The files in this folder are dedicated to the public domain under CC0 1.0 Universal:
+https://creativecommons.org/publicdomain/zero/1.0/
+
+Copy, change and use the scenes, cameras, reference pictures and texts for any purpose, without asking and without
+naming anybody. This does not cover the programs that made them.
+)";
 
 constexpr std::string_view kReadme =
     R"(# Conformance scenes of 3D Gaussian splatting
@@ -51,28 +51,43 @@ that breaks the rule shows it in that scene. No program of ours is needed to use
 ## Testing a renderer
 
 1. Draw every scene of `conformance.json` from each of its cameras, over black, with its near plane and what it declares.
-2. Clamp the picture's values and the reference's to 0..1 and compare them pixel by pixel. The scene passes if no channel differs
-   by more than the tolerance, {1:.6f}: one and a half steps of 8 bits, half a step for rounding and one for a Gaussian that
-   falls on the other side of alpha = 1/255.
-3. Without a reader for OpenEXR compare the probes alone: every wrong rule that we tried changes one of them by more than the tolerance.
+2. Clamp the picture's values and the reference's to 0..1 and compare R, G and B pixel by pixel, and A if the renderer has it. The
+   scene passes if no channel differs by more than the tolerance, {1:.6f}: one and a half steps of 8 bits, half a step for
+   rounding and one for a Gaussian that falls on the other side of alpha = 1/255.
+3. Without a reader for OpenEXR, compare the probes alone, clamped likewise: every wrong rule that we tried changes one of them by
+   more than the tolerance.
 
 No pixel comes nearer to a threshold than a ten-thousandth of it, so FP32 arithmetic in any order passes, and so do 8-bit pictures
 whose values were rounded once.
 
 ## The picture
 
-- A camera is a pinhole. A world point p has the camera coordinates c = R p + t, x right, y down, z forward, and is seen at u = fx
-  c.x / c.z + cx, v = fy c.y / c.z + cy, in pixels from the left and upper edges. `world_to_camera` is [R t; 0 1], row by row.
+- A camera is a pinhole. A world point p has the camera coordinates c = W p + t, x right, y down, z forward, and is seen at u = fx
+  c.x / c.z + cx, v = fy c.y / c.z + cy, in pixels from the left and upper edges. `world_to_camera` is [W t; 0 1], row by row.
 - Pixel (x, y) covers [x, x + 1) x [y, y + 1) and is sampled at its centre. Rows go from top to bottom.
-- Scale is exp(scale_*), opacity 1 / (1 + exp(-opacity)); rotation is w, x, y, z and is normalised. `f_rest` holds all
-  coefficients of red, then of green, then of blue.
-- The covariance on the picture is J W R S S R^T W^T J^T (EWA) plus the low-pass on its diagonal.
-- Gaussians with near < z are blended in the order of z, equal ones in the order of rows: alpha = min(0.99, opacity exp(power));
-  skipped if below 1/255; a pixel ends before the Gaussian that would take its transmittance below 1e-4.
+- Scale is exp(scale_*), opacity 1 / (1 + exp(-opacity)); rotation is w, x, y, z and is normalised. `f_rest` holds f_1,
+  f_2, ... of red, then of green, then of blue.
+- The covariance on the picture is J W R S S R^T W^T J^T (EWA) plus the low-pass on its diagonal: S has the scales on its diagonal, R
+  is the rotation, J the Jacobian of (u, v) at the mean. In J the slopes c.x / c.z and c.y / c.z are clamped to 0.3 half pictures
+  beyond the picture's edges. If mip-splatting is declared, opacity is multiplied by
+  sqrt(max(0.000025, det before / det after)) of the covariance before and after the low-pass.
+- Colour is max(0, 1/2 + sum Y_k f_k), f_0 being f_dc, with these Y_k of the unit vector (x, y, z) from the camera to the mean:
+
+      0.28209479
+      0.48860251 (-y, z, -x)
+      1.09254843 (xy, -yz), 0.31539157 (2zz - xx - yy), 1.09254843 (-xz, (xx - yy) / 2)
+      -0.59004359 y (3xx - yy), 2.89061144 xyz, -0.45704580 y (4zz - xx - yy), 0.37317633 z (2zz - 3xx - 3yy),
+      -0.45704580 x (4zz - xx - yy), 1.44530572 z (xx - yy), -0.59004359 x (xx - 3yy)
+
+- Gaussians with near < z are blended in the order of z, equal ones in the order of rows: alpha = min(0.99, opacity exp(-d^T C d / 2)),
+  with d from the mean to the pixel's centre and C the inverse of the covariance. The transmittance T starts at 1. A Gaussian
+  with alpha below 1/255 is skipped; one that would take T (1 - alpha) below 1e-4 ends the pixel without being blended; any
+  other adds alpha T times its colour, and T becomes T (1 - alpha).
 - Values are display-referred with the encoding of sRGB, blended and stored as they are. EXR holds them without a transfer curve;
   colour is over black, hence premultiplied, and A is 1 - transmittance. Values above 1 are kept.
 - What a scene declares is in `conformance.json` and in comments of the PLY: `rgs_axes` where +x, +y, +z point, `rgs_anti_aliasing`,
-  `rgs_low_pass_px2`, `rgs_colour_space`. Cameras are in the world whose axes are right, down, forward.
+  `rgs_low_pass_px2`, `rgs_colour_space`. Cameras are in the world whose axes are right, down, forward; means and rotations of a
+  file with other axes are taken there, and the direction of Y_k into the file's axes.
 
 ## Scenes
 
@@ -92,17 +107,13 @@ struct Failure {
 template <class T>
 using Outcome = tl::expected<T, Failure>;
 
-Outcome<void> write_bytes(const std::string& path, std::span<const std::byte> bytes,
-                          const AtomicFile::Options& options) {
+Outcome<void> write_file(const std::string& path, const std::string& bytes, const AtomicFile::Options& options) {
   auto file = AtomicFile::create(path, options);
   if (!file) return tl::unexpected(Failure{path, file.error()});
-  if (const Status written = file->write_at(0, bytes); !written) return tl::unexpected(Failure{path, written.error()});
+  if (const Status written = file->write_at(0, std::as_bytes(std::span(bytes))); !written)
+    return tl::unexpected(Failure{path, written.error()});
   if (const auto committed = file->commit(); !committed) return tl::unexpected(Failure{path, committed.error()});
   return {};
-}
-
-Outcome<void> write_text(const std::string& path, const std::string& text, const AtomicFile::Options& options) {
-  return write_bytes(path, std::as_bytes(std::span(text)), options);
 }
 
 // Six decimals, as a double.
@@ -114,21 +125,21 @@ const char* name_of(AaMode mode) {
   return mode == AaMode::mip_splatting ? "mip-splatting" : "classic";
 }
 
-// All declarations, the usual ones too, so that programs of others need no defaults.
-std::vector<std::byte> ply_bytes(const MicroScene& scene) {
+// With all declarations, the usual ones too, so that programs of others need no defaults.
+std::string ply_file(const MicroScene& scene) {
   const Declarations& d = scene.declared;
-  const Origin& origin = d.origin;
   Declarations placed;
-  placed.origin = origin;
-  std::string header = ply_header(scene.gaussians.size(), scene.sh_degree, placed);
-  header.insert(header.find("element vertex"),
-                fmt::format("comment {}: {}\ncomment rgs_axes: {}\ncomment rgs_colour_space: srgb\n"
-                            "comment rgs_anti_aliasing: {}\ncomment rgs_low_pass_px2: {}\n",
-                            scene.name, scene.rule, axes_text(d.axes), name_of(d.aa_mode), decimal(d.low_pass_px2)));
-  std::vector<std::byte> bytes(header.size() + scene.gaussians.size() * ply_row_bytes(scene.sh_degree, origin));
-  std::ranges::copy(std::as_bytes(std::span(header)), bytes.begin());
-  encode_ply_rows(scene.gaussians, scene.sh_degree, std::span(bytes).subspan(header.size()), origin);
-  return bytes;
+  placed.origin = d.origin;
+  std::string file = ply_header(scene.gaussians.size(), scene.sh_degree, placed);
+  file.insert(file.find("element vertex"),
+              fmt::format("comment {}: {}\ncomment rgs_axes: {}\ncomment rgs_colour_space: srgb\n"
+                          "comment rgs_anti_aliasing: {}\ncomment rgs_low_pass_px2: {}\n",
+                          scene.name, scene.rule, axes_text(d.axes), name_of(d.aa_mode), decimal(d.low_pass_px2)));
+  const std::size_t n_header = file.size();
+  file.resize(n_header + scene.gaussians.size() * ply_row_bytes(scene.sh_degree, d.origin));
+  encode_ply_rows(scene.gaussians, scene.sh_degree, std::as_writable_bytes(std::span(file)).subspan(n_header),
+                  d.origin);
+  return file;
 }
 
 Json cameras_json(const std::vector<Camera>& cameras) {
@@ -171,10 +182,15 @@ Result<Image> draw(Renderer& renderer, const Scene& scene, const Camera& camera)
 Outcome<Json> write_scene(Renderer& renderer, const MicroScene& micro, const std::string& folder,
                           const AtomicFile::Options& options) {
   const auto in_folder = [&](const std::string& file) { return (fs::path(folder) / micro.name / file).string(); };
+  std::error_code failed;
+  if (fs::create_directories(in_folder(""), failed); failed)
+    return tl::unexpected(Failure{
+        in_folder(""),
+        {Errc::write_failed, Error::kNone, "cannot make the folder", Error::kNone, Error::kNone, failed.value()}});
   const std::string ply = in_folder("scene.ply");
   const Json cameras = cameras_json(micro.cameras);
-  if (auto written = write_bytes(ply, ply_bytes(micro), options); !written) return tl::unexpected(written.error());
-  if (auto written = write_text(in_folder("cameras.json"), cameras.dump(1) + "\n", options); !written)
+  if (auto written = write_file(ply, ply_file(micro), options); !written) return tl::unexpected(written.error());
+  if (auto written = write_file(in_folder("cameras.json"), cameras.dump(1) + "\n", options); !written)
     return tl::unexpected(written.error());
   const auto file = load_scene_file(ply);
   if (!file) return tl::unexpected(Failure{ply, file.error()});
@@ -244,15 +260,6 @@ Outcome<void> write_all(const std::string& folder, const AtomicFile::Options& op
   auto renderer = Renderer::create({.backend = Backend::cpu, .simd = false});
   if (!renderer) return tl::unexpected(Failure{"", renderer.error()});
   const std::vector<MicroScene> micro = micro_scenes();
-  for (const MicroScene& m : micro) {
-    std::error_code failed;
-    const fs::path path = fs::path(folder) / m.name;
-    fs::create_directories(path, failed);
-    if (failed)
-      return tl::unexpected(Failure{
-          path.string(),
-          {Errc::write_failed, Error::kNone, "cannot make the folder", Error::kNone, Error::kNone, failed.value()}});
-  }
   Json scenes = Json::array();
   std::string rows;
   for (const MicroScene& m : micro) {
@@ -262,10 +269,10 @@ Outcome<void> write_all(const std::string& folder, const AtomicFile::Options& op
     rows += fmt::format("| `{}` | {} |\n", m.name, m.rule);
   }
   const auto in_folder = [&](const char* file) { return (fs::path(folder) / file).string(); };
-  if (auto written = write_text(in_folder("LICENSE"), kLicense, options); !written) return written;
+  if (auto written = write_file(in_folder("LICENSE"), kLicense, options); !written) return written;
   const std::string readme = fmt::format(kReadme, micro.size(), kMicroTolerance, rows);
-  if (auto written = write_text(in_folder("README.md"), readme, options); !written) return written;
-  return write_text(in_folder("conformance.json"), document(std::move(scenes)).dump(1) + "\n", options);
+  if (auto written = write_file(in_folder("README.md"), readme, options); !written) return written;
+  return write_file(in_folder("conformance.json"), document(std::move(scenes)).dump(1) + "\n", options);
 }
 
 }  // namespace
