@@ -109,6 +109,15 @@ Status write_image(const std::string& path, const Image& image, const ImageFileO
   return file->commit().map([](double) {});
 }
 
+Image with_alpha(const Image& rgb, std::span<const float> alpha) {
+  Image rgba = Image::make(rgb.width, rgb.height, 4);
+  for (std::size_t i = 0; i < alpha.size(); ++i) {
+    std::copy_n(rgb.pixels.data() + 3 * i, 3, rgba.pixels.data() + 4 * i);
+    rgba.pixels[4 * i + 3] = alpha[i];
+  }
+  return rgba;
+}
+
 Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat format, const ImageFileOptions& options) {
   if (format != ImageFormat::png && format != ImageFormat::jpeg)
     return make_error(Errc::bad_argument, Error::kNone, "only PNG and JPEG can be encoded in memory");

@@ -7,6 +7,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -42,6 +43,9 @@ struct ImageFileOptions {
 /// more than 65,500 pixels a side in JPEG; depth in PNG or JPEG; channels), output_exists, output_unusable,
 /// open_failed, write_failed.
 Status write_image(const std::string& path, const Image& image, const ImageFileOptions& options = {});
+
+/// An RGB picture with its alpha [height, width], as RGBA.
+Image with_alpha(const Image& rgb, std::span<const float> alpha);
 
 /// The bytes that write_image() would write as PNG or JPEG; ignores options.file and options.depth.
 /// Errors: bad_argument (TIFF and OpenEXR; alpha or size in JPEG; channels), write_failed.

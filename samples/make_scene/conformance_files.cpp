@@ -4,7 +4,6 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <filesystem>
@@ -170,12 +169,7 @@ Result<Image> draw(Renderer& renderer, const Scene& scene, const Camera& camera)
   RenderOptions options;
   options.near_plane = kMicroNearPlane;
   if (const auto drawn = renderer.render(scene, camera, target, options); !drawn) return tl::unexpected(drawn.error());
-  Image rgba = Image::make(camera.width, camera.height, 4);
-  for (std::size_t i = 0; i < alpha.pixels.size(); ++i) {
-    std::copy_n(rgb.pixels.data() + 3 * i, 3, rgba.pixels.data() + 4 * i);
-    rgba.pixels[4 * i + 3] = alpha.pixels[i];
-  }
-  return rgba;
+  return with_alpha(rgb, alpha.pixels);
 }
 
 // Writes a scene's folder and returns its entry in conformance.json.

@@ -226,14 +226,7 @@ rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const rgs::Scene& scen
   if (!rendered) return tl::unexpected(rendered.error());
   frame.stats = *rendered;
   frame.draw_ms = 1e3 * seconds_since(begin);
-  if (with_alpha) {
-    rgs::Image rgba = rgs::Image::make(width, height, 4);
-    for (std::size_t i = 0; i < alpha.pixels.size(); ++i) {
-      std::copy_n(picture.colour.pixels.data() + 3 * i, 3, rgba.pixels.data() + 4 * i);
-      rgba.pixels[4 * i + 3] = alpha.pixels[i];
-    }
-    picture.colour = std::move(rgba);
-  }
+  if (with_alpha) picture.colour = rgs::with_alpha(picture.colour, alpha.pixels);
   return picture;
 }
 
