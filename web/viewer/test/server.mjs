@@ -10,11 +10,11 @@ export const dist = fileURLToPath(new URL("../dist/", import.meta.url));
 const kTypes = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".wasm": "application/wasm", ".json": "application/json", ".png": "image/png" };
 
 /**
- * `files`: paths below the token by URL. `view`: view.json, or null. `frame(request)`: path of a picture, or { status, error, headers }.
+ * `root`: folder of the page. `files`: paths below the token by URL. `view`: view.json, or null. `frame(request)`: path of a picture, or { status, error, headers }.
  * `hold(url, begin, bytes)`: answers once this resolves; a number is the status of a refusal. `ranges`: without them every answer is the whole file. Returns the page's
  * address, requests as they came and bytes by URL.
  */
-export async function startServer({ files = {}, view = null, frame = null, hold, ranges = true } = {}) {
+export async function startServer({ root = dist, files = {}, view = null, frame = null, hold, ranges = true } = {}) {
   const requests = [];
   const bytes = {};
   const server = createServer(async (request, answer) => {
@@ -36,7 +36,7 @@ export async function startServer({ files = {}, view = null, frame = null, hold,
       answer.writeHead(200, { "Content-Type": "application/json" }).end(JSON.stringify(view));
       return;
     }
-    const path = files[url] ?? join(dist, normalize(url === "" ? "index.html" : url));
+    const path = files[url] ?? join(root, normalize(url === "" ? "index.html" : url));
     if (!existsSync(path) || url.includes("..")) {
       answer.writeHead(404).end();
       return;

@@ -1,0 +1,164 @@
+// draw.mjs - pictures of scenes by a web client of 3D Gaussian splats: node draw.mjs CLIENT JOBS.json [--seconds 20] [--replace FROM=TO]...
+// JOBS.json: [{"scene": PLY, "cameras": FILE, "out": FOLDER, "near": 0.2}, ...]; writes OUT/NAME.png of each camera, RGB over black, and
+// OUT/client.json, which has "error" if there are no pictures. Clients: those of kClients. Each draws by its own defaults, in software;
+// cameras, near and far planes, a black background and waiting for orders are ours. --replace changes @roofgs/playcanvas, to break it.
+// SPDX-License-Identifier: Apache-2.0
+import { execFileSync } from "node:child_process";
+import { mkdirSync, mkdtempSync, readFileSync, realpathSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { basename, dirname, join, resolve } from "node:path";
+import { fileURLToPath } from "node:url";
+import { parseArgs } from "node:util";
+import { crc32, deflateSync } from "node:zlib";
+import { build } from "vite";
+import { program, readCameras } from "../playcanvas/test/pictures.mjs";
+import { launch, newPage } from "../reader/test/chromium.mjs";
+import { startServer } from "../viewer/test/server.mjs";
+
+const kWeb = fileURLToPath(new URL("..", import.meta.url));
+
+/** By key: the client, and the package whose version is told. */
+export const kClients = {
+  spark: ["Spark", "@sparkjsdev/spark"],
+  playcanvas: ["PlayCanvas", "playcanvas"],
+  gaussiansplats3d: ["GaussianSplats3D", "@mkkellogg/gaussian-splats-3d"],
+  gsplatjs: ["gsplat.js", "gsplat"],
+  cesium: ["CesiumJS", "@cesium/engine"],
+  babylon: ["Babylon.js", "@babylonjs/core"],
+  roofgs: ["RoofGS", "@roofgs/playcanvas"],
+};
+
+/** Page and script of a client, in a folder. `replace`: pairs of texts. */
+export async function buildPage(key, folder, replace = []) {
+  const left = new Set(replace.map(([from]) => from));
+  const ours = realpathSync(join(kWeb, "playcanvas/dist"));
+  const breaks = {
+    name: "replace",
+    transform(code, id) {
+      if (!id.startsWith(ours)) return undefined;
+      for (const [from, to] of replace) {
+        if (code.includes(from)) left.delete(from);
+        code = code.replaceAll(from, () => to);
+      }
+      return { code, map: null };
+    },
+  };
+  const input = fileURLToPath(new URL(`pages/${key}.js`, import.meta.url));
+  const rollupOptions = { input, output: { entryFileNames: "[name].js" } };
+  const options = { outDir: folder, emptyOutDir: false, target: "es2022", minify: false, modulePreload: false, rollupOptions };
+  await build({ configFile: false, root: kWeb, base: "./", publicDir: false, logLevel: "error", plugins: [breaks], worker: { format: "es" }, build: options });
+  if (left.size > 0) throw new Error(`@roofgs/playcanvas has no ${[...left].join(", ")} to replace`);
+  // What CesiumJS looks for beside its module.
+  const engine = dirname(fileURLToPath(import.meta.resolve("@cesium/engine")));
+  if (key === "cesium") for (const part of ["Build/Workers", "Source/Assets", "Source/ThirdParty"]) symlinkSync(join(engine, part), join(folder, basename(part)));
+  writeFileSync(join(folder, `${key}.html`), `<!doctype html><link rel="icon" href="data:,"><body><script type="module" src="${key}.js"></script>`);
+}
+
+/** RGB of RGBA. */
+function png(rgba, width, height) {
+  const rows = Buffer.alloc(height * (1 + 3 * width));
+  for (let y = 0, at = 0; y < height; ++y) {
+    ++at; // no filter
+    for (let x = 0; x < width; ++x, at += 3) rgba.copy(rows, at, 4 * (y * width + x), 4 * (y * width + x) + 3);
+  }
+  const part = (name, data) => {
+    const body = Buffer.concat([Buffer.from(name), data]);
+    const [size, sum] = [data.length, crc32(body)].map((value) => Buffer.from(new Uint32Array([value]).buffer).swap32());
+    return Buffer.concat([size, body, sum]);
+  };
+  const head = Buffer.concat([Buffer.from(new Uint32Array([width, height]).buffer).swap32(), Buffer.from([8, 2, 0, 0, 0])]);
+  return Buffer.concat([Buffer.from("\x89PNG\r\n\x1a\n", "latin1"), part("IHDR", head), part("IDAT", deflateSync(rows)), part("IEND", Buffer.alloc(0))]);
+}
+
+/** Draws jobs; calls `say` with what is refused. Returns how many jobs have pictures. */
+export async function drawAll(key, jobs, { replace = [], seconds = 20, say = console.error } = {}) {
+  const [client, from] = kClients[key];
+  const folder = mkdtempSync(join(tmpdir(), "rgs-clients-"));
+  let server;
+  let browser;
+  let page;
+  let said = [];
+  const close = async () => {
+    await browser?.close();
+    browser = page = undefined;
+  };
+  /** A page that hangs is left behind with its browser. */
+  const limited = async (work) => {
+    let timer;
+    const late = new Promise((_, reject) => {
+      timer = setTimeout(() => reject(new Error(`no picture after ${seconds} s`)), 1000 * seconds);
+    });
+    try {
+      return await Promise.race([work, late]);
+    } finally {
+      clearTimeout(timer);
+    }
+  };
+  const openPage = async () => {
+    browser ??= await launch("webgl2");
+    page = await newPage(browser);
+    page.on("pageerror", (error) => said.push(String(error)));
+    page.on("console", (message) => message.type() === "error" && said.push(message.text()));
+    await page.goto(`${server.url}${key}.html`);
+    await page.waitForFunction(() => window.draw);
+  };
+  /** What the client opens. */
+  const served = (scene, i) => {
+    if (key !== "cesium") {
+      symlinkSync(resolve(scene), join(folder, `${i}.ply`));
+      return `${i}.ply`;
+    }
+    mkdirSync(join(folder, `${i}`));
+    execFileSync(program("rgs-convert"), ["--quiet", scene, join(folder, `${i}`, "tileset.json")], { stdio: ["ignore", "ignore", "pipe"] });
+    return `${i}/tileset.json`;
+  };
+  try {
+    await buildPage(key, folder, replace);
+    server = await startServer({ root: folder });
+    const { version } = JSON.parse(readFileSync(join(kWeb, "node_modules", from, "package.json"), "utf8"));
+    let nDrawn = 0;
+    for (const [i, { scene, cameras, out, near = 0.2 }] of jobs.entries()) {
+      const pictures = [];
+      const about = { client, key, version, browser: undefined, api: "webgl2" };
+      said = [];
+      mkdirSync(out, { recursive: true });
+      try {
+        if (!page) await limited(openPage());
+        about.browser = await limited(page.evaluate(() => navigator.userAgent));
+        const url = served(scene, i);
+        for (const { img_name: name, id, ...camera } of readCameras(cameras)) {
+          const { width, height, cx = width / 2, cy = height / 2 } = camera;
+          const { rgba } = await limited(page.evaluate(([url, camera]) => window.draw(url, camera), [url, { ...camera, cx, cy, near }]));
+          pictures.push([`${name ?? id}.png`, png(Buffer.from(rgba, "base64"), width, height)]);
+        }
+        for (const [name, picture] of pictures) writeFileSync(join(out, name), picture);
+        ++nDrawn;
+      } catch (error) {
+        const [why] = String(error.stderr || error.message).replace(/^page\.evaluate: (Error: )?/, "").split("\n");
+        about.error = [why, ...new Set(said)].join("; ");
+        say(`${client}: ${scene}: ${about.error}`);
+        // The next scene gets a page that nothing has happened to.
+        await close();
+      }
+      writeFileSync(join(out, "client.json"), `${JSON.stringify(about)}\n`);
+    }
+    return nDrawn;
+  } finally {
+    await close();
+    await server?.end();
+    rmSync(folder, { recursive: true });
+  }
+}
+
+if (process.argv[1] && realpathSync(process.argv[1]) === fileURLToPath(import.meta.url)) {
+  const { values, positionals } = parseArgs({ allowPositionals: true, options: { seconds: { type: "string" }, replace: { type: "string", multiple: true } } });
+  const [key, list] = positionals;
+  if (!kClients[key] || !list || positionals.length !== 2) {
+    console.error(`usage: node draw.mjs CLIENT JOBS.json [--seconds 20] [--replace FROM=TO]...\nclients: ${Object.keys(kClients).join(" ")}`);
+    process.exit(2);
+  }
+  const replace = (values.replace ?? []).map((text) => [text.slice(0, text.indexOf("=")), text.slice(text.indexOf("=") + 1)]);
+  const jobs = JSON.parse(readFileSync(list, "utf8"));
+  const nDrawn = await drawAll(key, jobs, { replace, seconds: Number(values.seconds ?? 20) });
+  console.log(`${kClients[key][0]}: ${nDrawn} of ${jobs.length} scenes drawn`);
+}

@@ -1,0 +1,39 @@
+// spark.js - pictures by Spark, by its defaults: three.js sorts and draws what SparkRenderer finds in a scene.
+// SPDX-License-Identifier: Apache-2.0
+import { SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
+import { Scene } from "three";
+import { nextFrame, pixels } from "./pixels.js";
+import { newCamera, newRenderer, setCamera } from "./three.js";
+
+const camera = newCamera();
+const renderer = newRenderer({ width: 1, height: 1 });
+const scene = new Scene();
+const spark = new SparkRenderer({ renderer });
+scene.add(spark);
+let mesh;
+let drawn;
+
+window.draw = async (url, pinhole) => {
+  if (url !== drawn) {
+    if (mesh) {
+      scene.remove(mesh);
+      mesh.dispose();
+    }
+    mesh = new SplatMesh({ url });
+    await mesh.initialized;
+    scene.add(mesh);
+    drawn = url;
+  }
+  setCamera(camera, renderer, pinhole);
+  scene.updateMatrixWorld(true);
+  const sorted = async () => {
+    while (spark.sorting || spark.sortDirty || spark.sortTimeoutId !== -1) await nextFrame();
+  };
+  renderer.render(scene, camera);
+  await sorted();
+  // By itself it keeps the order, and the colours, of views that are much alike.
+  await spark.update({ scene, camera });
+  await sorted();
+  renderer.render(scene, camera);
+  return { gaussians: mesh.numSplats, rgba: pixels(renderer.domElement) };
+};
