@@ -1,4 +1,4 @@
-// babylon.js - a page that clients.test.mjs drives: pictures by Babylon.js, from cameras in the axes of 3DGS.
+// babylon.js - pictures by Babylon.js, from cameras in the axes of 3DGS, by its defaults, but for the hand of the axes with glTF.
 // SPDX-License-Identifier: Apache-2.0
 import { FreeCamera } from "@babylonjs/core/Cameras/freeCamera.js";
 import { Engine } from "@babylonjs/core/Engines/engine.js";
@@ -7,20 +7,28 @@ import { Color4 } from "@babylonjs/core/Maths/math.color.js";
 import { Vector3 } from "@babylonjs/core/Maths/math.vector.js";
 import { Scene } from "@babylonjs/core/scene.js";
 import "@babylonjs/loaders/glTF/index.js";
-import { newCanvas, nextFrame, pixels } from "./pixels.js";
+import "@babylonjs/loaders/SPLAT/index.js";
+import { kFar, newCanvas, nextFrame, pixels } from "./pixels.js";
 
-/** Of glTF: left, up, forward. */
-const turned = ([right, down, forward]) => new Vector3(-right, -down, forward);
-
-window.draw = async (url, { position, rotation, height, fy }, [w, h]) => {
-  const canvas = newCanvas([w, h]);
+window.draw = async (url, pinhole) => {
+  const { position, rotation, width, height, fx, fy, cx, cy, near = 0.2 } = pinhole;
+  const isGltf = url.endsWith(".glb");
+  // Of glTF: left, up, forward. Of a PLY, in left-handed axes: right, up, forward.
+  const turned = ([right, down, forward]) => new Vector3(isGltf ? -right : right, -down, forward);
+  const canvas = newCanvas(pinhole);
   const scene = new Scene(new Engine(canvas, false, { alpha: false }));
-  Object.assign(scene, { useRightHandedSystem: true, clearColor: new Color4(0, 0, 0, 1) });
+  Object.assign(scene, { useRightHandedSystem: isGltf, clearColor: new Color4(0, 0, 0, 1) });
   const camera = new FreeCamera("camera", turned(position), scene);
   const axis = (k) => turned(rotation.map((row) => row[k]));
   camera.upVector = axis(1).negate();
   camera.setTarget(camera.position.add(axis(2)));
-  Object.assign(camera, { fov: 2 * Math.atan(height / 2 / fy), minZ: 0.2, maxZ: 1e5 });
+  Object.assign(camera, { minZ: near, maxZ: kFar });
+  const projection = camera.getProjectionMatrix(true).clone();
+  const [, , , , , , , , , , depth, toward] = projection.m;
+  projection.setRowFromFloats(0, (2 * fx) / width, 0, 0, 0);
+  projection.setRowFromFloats(1, 0, (2 * fy) / height, 0, 0);
+  projection.setRowFromFloats(2, toward * ((2 * cx) / width - 1), toward * (1 - (2 * cy) / height), depth, toward);
+  camera.freezeProjectionMatrix(projection);
   const { meshes } = await ImportMeshAsync(url, scene);
   const splats = meshes.find((mesh) => mesh.getClassName() === "GaussianSplattingMesh");
   do {
