@@ -23,8 +23,9 @@ window.draw = async (url, pinhole) => {
   camera.upVector = axis(1).negate();
   camera.setTarget(camera.position.add(axis(2)));
   Object.assign(camera, { minZ: near, maxZ: kFar });
+  // With other focal lengths in x and y, and principal points.
   const projection = camera.getProjectionMatrix(true).clone();
-  const [, , , , , , , , , , depth, toward] = projection.m;
+  const [depth, toward] = projection.m.slice(10);
   projection.setRowFromFloats(0, (2 * fx) / width, 0, 0, 0);
   projection.setRowFromFloats(1, 0, (2 * fy) / height, 0, 0);
   projection.setRowFromFloats(2, toward * ((2 * cx) / width - 1), toward * (1 - (2 * cy) / height), depth, toward);

@@ -1,5 +1,6 @@
 // cesium.js - pictures by CesiumJS, from cameras in the axes of 3DGS, by its defaults, but without a globe and several samples a pixel,
-// which change no Gaussian. Each has a scene of its own, because it keeps the order of views that are much alike.
+// which change no Gaussian. Each has a scene of its own, because it keeps the order of views that are much alike. Principal points are
+// lost where it copies its frustum.
 // SPDX-License-Identifier: Apache-2.0
 import { Cartesian3, Cesium3DTileset, Color, JulianDate, PerspectiveFrustum, Scene } from "@cesium/engine";
 import { kFar, newCanvas, nextFrame, pixels } from "./pixels.js";
@@ -10,7 +11,7 @@ const kTime = JulianDate.fromIso8601("2026-01-01");
 
 /** What a camera sees of a tileset once nothing is left to load or to sort: tiles, their Gaussians and pixels. */
 window.draw = async (url, pinhole) => {
-  const { position, rotation, width, height, fx, fy, cx, cy, near = 0.2 } = pinhole;
+  const { position, rotation, width, height, fx, fy, near = 0.2 } = pinhole;
   const canvas = newCanvas(pinhole);
   const scene = new Scene({ canvas, contextOptions: { webgl: { alpha: false } }, msaaSamples: 1 });
   Object.assign(scene, { backgroundColor: Color.BLACK, rethrowRenderErrors: true });
@@ -19,8 +20,7 @@ window.draw = async (url, pinhole) => {
   const [right, down, direction] = [0, 1, 2].map((k) => turned(axis(k)));
   const up = Cartesian3.negate(down, down);
   const aspectRatio = width / fx / (height / fy);
-  const offset = { xOffset: (near * (width / 2 - cx)) / fx, yOffset: (near * (cy - height / 2)) / fy };
-  const frustum = new PerspectiveFrustum({ fov: 2 * Math.atan(Math.max(width / 2 / fx, height / 2 / fy)), aspectRatio, near, far: kFar, ...offset });
+  const frustum = new PerspectiveFrustum({ fov: 2 * Math.atan(Math.max(width / 2 / fx, height / 2 / fy)), aspectRatio, near, far: kFar });
   Object.assign(scene.camera, { position: turned(position), direction, up, right, frustum });
 
   const tileset = await Cesium3DTileset.fromUrl(url, { show: false, preloadWhenHidden: true });

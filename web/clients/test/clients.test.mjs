@@ -1,19 +1,19 @@
-// clients.test.mjs - CesiumJS and Babylon.js draw what rgs-convert writes as rgs-render draws the scene; CesiumJS takes coarse tiles from afar.
+// clients.test.mjs - CesiumJS and Babylon.js draw glTF and 3D Tiles of rgs-convert as rgs-render draws the scene; CesiumJS takes coarse
+// tiles from afar.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
-import { symlinkSync, writeFileSync } from "node:fs";
-import { basename, dirname, join } from "node:path";
+import { writeFileSync } from "node:fs";
+import { basename, join } from "node:path";
 import test from "node:test";
-import { fileURLToPath } from "node:url";
-import { build } from "vite";
+import { resizePinhole } from "@roofgs/playcanvas";
 import { program, psnr, readCameras, renderAll } from "../../playcanvas/test/pictures.mjs";
 import { hasChromium, launch, newPage } from "../../reader/test/chromium.mjs";
 import { scenes } from "../../reader/test/dump.mjs";
 import { hasNginx, skip, startNginx } from "../../reader/test/servers.mjs";
+import { buildPage } from "../draw.mjs";
 
 const kSize = [320, 180];
-const kNames = ["cesium", "babylon"];
 const kSplats = ["KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"];
 
 test("pictures by other programs", async (t) => {
@@ -26,12 +26,6 @@ test("pictures by other programs", async (t) => {
     await server.end();
   });
   const file = (name) => join(server.files, name);
-  const input = kNames.map((name) => fileURLToPath(new URL(`${name}.js`, import.meta.url)));
-  const rollupOptions = { input, output: { entryFileNames: "[name].js" } };
-  await build({ configFile: false, logLevel: "error", build: { outDir: server.files, target: "es2022", minify: false, rollupOptions } });
-  // What CesiumJS looks for beside its module.
-  const engine = dirname(fileURLToPath(import.meta.resolve("@cesium/engine")));
-  for (const folder of ["Build/Workers", "Source/Assets", "Source/ThirdParty"]) symlinkSync(join(engine, folder), file(basename(folder)));
   const scene = join(scenes(), "packed.rgs");
   const list = join(scenes(), "cameras.json");
   const cameras = readCameras(list);
@@ -43,13 +37,13 @@ test("pictures by other programs", async (t) => {
   /** `leastDb`: of the program's own low-pass. Calls `more` with what draws by a camera. */
   const client = (name, lowPass, leastDb, pictures, more) =>
     t.test(name, async (t) => {
-      writeFileSync(file(`${name}.html`), `<!doctype html><link rel="icon" href="data:,"><script type="module" src="${name}.js"></script>`);
+      await buildPage(name, server.files);
       const page = await newPage(browser);
       const problems = [];
       page.on("console", (message) => ["error", "warning"].includes(message.type()) && problems.push(message.text()));
       page.on("pageerror", (error) => problems.push(String(error)));
       await page.goto(`${server.url}/${name}.html`);
-      const draw = (url, camera) => page.evaluate((words) => window.draw(...words), [url, camera, kSize]);
+      const draw = (url, camera) => page.evaluate((words) => window.draw(...words), [url, resizePinhole(camera, ...kSize)]);
       for (const [url, view] of pictures) {
         await t.test(`${url}, view ${view}`, async (t) => {
           const found = await draw(url, cameras[view]);
