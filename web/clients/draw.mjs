@@ -131,7 +131,10 @@ export async function drawAll(key, jobs, { replace = [], seconds = 20, say = con
           const { rgba } = await limited(page.evaluate(([url, camera]) => window.draw(url, camera), [url, { ...camera, cx, cy, near }]));
           pictures.push([`${name ?? id}.png`, png(Buffer.from(rgba, "base64"), width, height)]);
         }
-        for (const [name, picture] of pictures) writeFileSync(join(out, name), picture);
+        for (const [name, picture] of pictures) {
+          mkdirSync(dirname(join(out, name)), { recursive: true });
+          writeFileSync(join(out, name), picture);
+        }
         ++nDrawn;
       } catch (error) {
         const [why] = String(error.stderr || error.message).replace(/^page\.evaluate: (Error: )?/, "").split("\n");
@@ -153,12 +156,13 @@ export async function drawAll(key, jobs, { replace = [], seconds = 20, say = con
 if (process.argv[1] && realpathSync(process.argv[1]) === fileURLToPath(import.meta.url)) {
   const { values, positionals } = parseArgs({ allowPositionals: true, options: { seconds: { type: "string" }, replace: { type: "string", multiple: true } } });
   const [key, list] = positionals;
-  if (!kClients[key] || !list || positionals.length !== 2) {
+  const seconds = Number(values.seconds ?? 20);
+  const replace = (values.replace ?? []).map((text) => /^(.+?)=(.*)$/s.exec(text)?.slice(1));
+  if (!kClients[key] || !list || positionals.length !== 2 || !(seconds > 0) || replace.includes(undefined)) {
     console.error(`usage: node draw.mjs CLIENT JOBS.json [--seconds 20] [--replace FROM=TO]...\nclients: ${Object.keys(kClients).join(" ")}`);
     process.exit(2);
   }
-  const replace = (values.replace ?? []).map((text) => [text.slice(0, text.indexOf("=")), text.slice(text.indexOf("=") + 1)]);
   const jobs = JSON.parse(readFileSync(list, "utf8"));
-  const nDrawn = await drawAll(key, jobs, { replace, seconds: Number(values.seconds ?? 20) });
+  const nDrawn = await drawAll(key, jobs, { replace, seconds });
   console.log(`${kClients[key][0]}: ${nDrawn} of ${jobs.length} scenes drawn`);
 }
