@@ -97,8 +97,8 @@ export async function drawAll(key, jobs, { replace = [], seconds = 20, say = con
   const openPage = async () => {
     browser ??= await launch("webgl2");
     page = await newPage(browser);
-    page.on("pageerror", (error) => said.push(String(error)));
-    page.on("console", (message) => message.type() === "error" && said.push(message.text()));
+    page.on("pageerror", (error) => said.push(String(error).split("\n")[0]));
+    page.on("console", (message) => message.type() === "error" && said.push(message.text().split("\n")[0]));
     await page.goto(`${server.url}${key}.html`);
     await page.waitForFunction(() => window.draw);
   };
