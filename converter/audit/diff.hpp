@@ -25,6 +25,13 @@ struct Change {
 /// What happened to a Gaussian of B, the first that holds.
 enum class Fate : std::uint8_t { unchanged, moved, reshaped, recoloured, opacity, added };
 
+/// Pictures of both by a camera.
+struct DiffView {
+  std::string name;
+  double psnr = 0;    ///< infinity for equal pictures
+  float largest = 0;  ///< difference of a channel
+};
+
 struct Diff {
   struct Side {
     std::string path, format;
@@ -44,6 +51,7 @@ struct Diff {
   std::vector<DeclaredDifference> declared;
   std::vector<Fate> fates;             ///< [n of B]
   std::vector<std::uint32_t> removed;  ///< rows of A alone
+  std::vector<DiffView> views{};       ///< if pictures are asked for
 
   bool same() const;
 };
@@ -61,6 +69,14 @@ Outcome<Diff> compare_files(const std::string& a, const std::string& b, const Re
 
 /// Writes B's Gaussians and A's removed ones after them as a PLY of SH degree 0 in the colours of their fates.
 Status write_fates(const std::string& path, const Diff& diff, const Sides& sides, bool overwrite);
+
+/// The files of draw_differences(): NAME.a.png, NAME.b.png and NAME.difference.png in `folder`, by the cameras of
+/// `options`. Errors: those of choose_views().
+Outcome<std::vector<std::string>> difference_paths(const std::string& folder, const Options& options);
+/// Draws both, each with the anti-aliasing that it declares, by the cameras of `options`, into difference_paths().
+/// Errors: those of choose_views(), rendering and writing.
+Outcome<std::vector<DiffView>> draw_differences(const std::string& folder, const Sides& sides, const Options& options,
+                                                bool overwrite);
 
 /// Schema "rgs-diff/1", docs/user/DIFF_JSON.md; ASCII, "\n" at the end.
 std::string diff_json(const Diff& diff);

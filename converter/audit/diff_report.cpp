@@ -46,6 +46,8 @@ class Text : private tool::TextLines {
              c.unit, c.a, c.b);
     }
     for (const DeclaredDifference& x : d.declared) line("  declared  {}: {}; in B {}", x.name, x.source, x.asset);
+    for (const DiffView& v : d.views)
+      line("  picture   {}: {:.1f} dB, {:.0f} levels at most", tool::printable(v.name), v.psnr, 255 * v.largest);
     line("{}", d.same() ? "same" : "different");
     return take();
   }
@@ -67,20 +69,24 @@ std::string diff_json(const Diff& d) {
     Json row = {{"key", x.key}, {"a", x.source}, {"b", x.asset}};
     declared.push_back(std::move(row));
   }
-  const Json json{{"schema", "rgs-diff/1"},
-                  {"tool", "rgs-diff " RGS_VERSION},
-                  {"same", d.same()},
-                  {"a", json_of(d.a)},
-                  {"b", json_of(d.b)},
-                  {"tolerance", d.tolerance},
-                  {"matched_by", name_of(d.pairs.by)},
-                  {"matched", d.pairs.n_paired},
-                  {"equal", d.n_equal},
-                  {"reshaped", d.n_reshaped},
-                  {"removed", d.pairs.n_source_only},
-                  {"added", d.pairs.n_asset_only},
-                  {"changes", changes},
-                  {"declared_differences", declared}};
+  Json json{{"schema", "rgs-diff/1"},
+            {"tool", "rgs-diff " RGS_VERSION},
+            {"same", d.same()},
+            {"a", json_of(d.a)},
+            {"b", json_of(d.b)},
+            {"tolerance", d.tolerance},
+            {"matched_by", name_of(d.pairs.by)},
+            {"matched", d.pairs.n_paired},
+            {"equal", d.n_equal},
+            {"reshaped", d.n_reshaped},
+            {"removed", d.pairs.n_source_only},
+            {"added", d.pairs.n_asset_only},
+            {"changes", changes},
+            {"declared_differences", declared}};
+  for (const DiffView& v : d.views) {
+    Json row = {{"name", v.name}, {"psnr", v.psnr}, {"largest", v.largest}};
+    json["views"].push_back(std::move(row));
+  }
   return json.dump(2, ' ', true, Json::error_handler_t::replace) + "\n";
 }
 

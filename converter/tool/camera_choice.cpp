@@ -8,6 +8,7 @@
 #include <array>
 #include <charconv>
 #include <filesystem>
+#include <set>
 #include <string_view>
 
 namespace rgs {
@@ -32,6 +33,19 @@ std::string picture_stem(const Camera& camera, std::size_t index) {
   }
   if (stem.empty() || stem.front() == '.') stem = fmt::format("view_{:04}", index) + stem;
   return stem;
+}
+
+std::vector<std::string> picture_paths(const std::string& folder, std::span<const Camera> cameras,
+                                       std::span<const char* const> kinds) {
+  std::vector<std::string> paths;
+  std::set<std::string> used;
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    std::string stem = picture_stem(cameras[i], i);
+    while (!used.insert(stem).second) stem += fmt::format("_{:04}", i);
+    for (const char* kind : kinds)
+      paths.push_back((std::filesystem::path(folder) / (stem + "." + kind + ".png")).string());
+  }
+  return paths;
 }
 
 tl::expected<std::vector<Camera>, std::string> choose_cameras(const CameraSet& set, const std::string& split,

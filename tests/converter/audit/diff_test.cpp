@@ -266,6 +266,43 @@ TEST_CASE("the program writes JSON, and a PLY in the colours of what happened") 
   CHECK(quiet.out.empty());
 }
 
+TEST_CASE("with cameras the program draws both files and their difference") {
+  const Files f;
+  SplatCloud other = f.cloud;
+  for (std::uint64_t i = 0; i < 50; ++i) change(other, i, [](Splat& s) { s.sh[0] += 1; });
+  write_ply(f.b, other);
+  const std::string cameras = write_cameras(f.folder.file("cameras.json"), 2), pictures = f.folder.file("pictures");
+  const std::vector<std::string> options{"--cameras", cameras, "--pictures", pictures, "--json", "-"};
+  const auto run = [&](const std::string& b, const std::vector<std::string>& more) {
+    std::vector<std::string> arguments{f.a, b};
+    arguments.insert(arguments.end(), options.begin(), options.end());
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return run_diff(arguments);
+  };
+  const ProgramResult first = run(f.b, {});
+  REQUIRE(first.exit_code == 1);
+  const json views = json::parse(first.out).at("views");
+  REQUIRE(views.size() == 2);
+  CHECK(views[0].at("psnr") < 50);
+  CHECK(views[0].at("largest") > 0.01);
+  std::size_t n = 0;
+  for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(pictures)) ++n;
+  CHECK(n == 6);
+  CHECK(run(f.b, {}).exit_code == 3);
+  // Cameras of one name have pictures each, and no output is an input.
+  json twins = json::parse(read_text(cameras));
+  for (json& camera : twins) camera[camera.contains("img_name") ? "img_name" : "name"] = "twin";
+  write_text(cameras, twins.dump());
+  REQUIRE(run(f.b, {"--overwrite"}).exit_code == 1);
+  CHECK(std::filesystem::exists(pictures + "/twin_0001.a.png"));
+  CHECK(run(f.b, {"--overwrite", "--ply", pictures + "/twin.a.png"}).exit_code == 2);
+  const ProgramResult same = run(f.a, {"--overwrite", "--size", "48x36"});
+  REQUIRE(same.exit_code == 0);
+  CHECK(json::parse(same.out).at("views")[1].at("psnr").is_null());
+  CHECK(run_diff({f.a, f.b, "--cameras", cameras}).exit_code == 2);
+  CHECK(run_diff({f.a, f.b, "--pictures", pictures}).exit_code == 2);
+}
+
 TEST_CASE("usage, missing and malformed files have exit codes of their own, and no input is written") {
   const Files f;
   const std::string damaged = f.folder.file("damaged.ply");
