@@ -90,7 +90,7 @@ foreach(component format interchange cuda runtime)
 endforeach()
 
 set(RGS_INSTALLED_PROGRAMS "")
-foreach(program rgs-convert rgs-info rgs-audit rgs-diff rgs-make-scene rgs-prune rgs-render rgs-bench
+foreach(program rgs-convert rgs-info rgs-audit rgs-diff rgs-judge rgs-make-scene rgs-prune rgs-render rgs-bench
         rgs-bench-flight rgs-bench-opening rgs-view)
   if(TARGET ${program})
     list(APPEND RGS_INSTALLED_PROGRAMS ${program})

@@ -80,6 +80,6 @@ rgs_debian_package(development libroofgs-dev libdevel "3D Gaussian splat scenes:
   "${rgs_about}\n.\nThis package has what programs in C++20 are built with: headers, the CMake\npackage rgs, and for pkg-config rgs-format, rgs-interchange, rgs-cameras and\nrgs-runtime."
   "libroofgs (= ${rgs_debian_version})" "libexpected-dev" "libglm-dev")
 rgs_debian_package(programs roofgs graphics "3D Gaussian splat scenes: converter, audit and renderer"
-  "${rgs_about}\n.\nThis package has the programs: rgs-convert, rgs-info, rgs-audit, rgs-diff,\nrgs-prune, rgs-render, rgs-view and rgs-make-scene."
+  "${rgs_about}\n.\nThis package has the programs: rgs-convert, rgs-info, rgs-audit, rgs-diff,\nrgs-judge, rgs-prune, rgs-render, rgs-view and rgs-make-scene."
   "libroofgs (= ${rgs_debian_version})")
 include(CPack)

@@ -51,7 +51,7 @@ bundle() {
   rm -f build/packaging/roofgs.tar.gz
   step bundle-build sh -c '{ [ -f build/release/build.ninja ] || cmake --preset release; } &&
     cmake --build build/release --parallel "${RGS_JOBS:-$(nproc)}" \
-      --target rgs-audit rgs-convert rgs-diff rgs-info rgs-make-scene rgs-prune rgs-render rgs-view &&
+      --target rgs-audit rgs-convert rgs-diff rgs-info rgs-judge rgs-make-scene rgs-prune rgs-render rgs-view &&
     sh scripts/build_page.sh && sh scripts/bundle.sh build/release build/packaging/roofgs.tar.gz'
   # The distribution of the build, and a newer one.
   for release in bookworm trixie; do

@@ -20,6 +20,7 @@ ROOMS = {
     "converter/lod": "lod",
     "converter/inspect": "inspect",
     "converter/audit": "audit",
+    "converter/judge": "judge",
     "converter/prune": "prune",
     "converter/tool": "tool",
     "python": "python",
@@ -37,12 +38,13 @@ BUILDS_ON = {
     "convert": ["formats", "cameras", "lod"],
     "inspect": ["formats", "lod"],
     "audit": ["inspect", "formats", "runtime"],
+    "judge": ["audit"],
     "prune": ["convert", "runtime"],
     "tool": ["formats", "runtime"],
     "python": ["convert", "inspect", "tool"],
 }
 # Rooms with programs; they may use what programs share, but not what that builds on.
-TOOL_USERS = ["convert", "inspect", "audit", "prune"]
+TOOL_USERS = ["convert", "inspect", "audit", "judge", "prune"]
 # Include folders that are installed: all that everybody else may use.
 INSTALLED = ["format/include", "kernels/math/include", "runtime/include", "converter/formats/include"]
 # Include folders whose headers are a room's own, and the other folders that may use them.
@@ -55,8 +57,8 @@ PRIVATE = {
     "converter/formats": ["tests/converter/formats", "web/reader/wasm"],  # spz_header.hpp
 }
 # Further include folders. A header outside all of them has its own folder's.
-SHARED = ["converter/convert", "converter/inspect", "converter/audit", "converter/prune", "converter/lod",
-          "converter/tool"]
+SHARED = ["converter/convert", "converter/inspect", "converter/audit", "converter/judge", "converter/prune",
+          "converter/lod", "converter/tool"]
 OUTSIDERS = ["samples/minimal", "samples/consumer"]
 # A program outside the rooms that feeds a room's library.
 FEEDS = {"samples/make_scene": "convert"}

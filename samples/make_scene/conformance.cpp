@@ -218,6 +218,7 @@ std::vector<MicroScene> micro_scenes() {
       {{0, 20, 32}, {0, 44, 32}, {0, 28, 32}});
 
   std::vector<Splat> stopping;
+  stopping.reserve(9);
   for (int k = 0; k < 5; ++k)
     stopping.push_back(Gaussian(32, 32, 4 + 0.125 * k).sigmas(60, 60, 1).opacity(0.82).colour({0.2, 0.2, 0.2}));
   for (const double x : {20.0, 44.0}) {
@@ -313,6 +314,7 @@ std::vector<MicroScene> micro_scenes() {
       {{0, 16, 20}, {0, 48, 20}, {0, 32, 48}});
 
   std::vector<Splat> layers;
+  layers.reserve(64);
   for (int k = 0; k < 64; ++k)
     layers.push_back(Gaussian(32, 32, 4 + k / 64.0).round(10).opacity(0.01).colour({0.15, 0.3, 0.7}));
   add("22-many-faint-layers",

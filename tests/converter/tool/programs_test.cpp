@@ -158,8 +158,8 @@ TEST_CASE("every --help lists the exit codes and the inputs") {
     REQUIRE(codes != help.out.npos);
     for (const char* code : {" 1 ", " 2 ", " 3 "}) CHECK(help.out.find(code, codes) != help.out.npos);
     CHECK((help.out.find(" 4 ", codes) != help.out.npos) == (name != "rgs-make-scene"));
-    if (name == "rgs-convert" || name == "rgs-audit" || name == "rgs-diff" || name == "rgs-prune" ||
-        name == "rgs-render" || name == "rgs-view") {
+    if (name == "rgs-convert" || name == "rgs-audit" || name == "rgs-diff" || name == "rgs-judge" ||
+        name == "rgs-prune" || name == "rgs-render" || name == "rgs-view") {
       for (const std::string format : {".rgs", " .ply", ".compressed.ply", ".sog", ".spz", ".splat", ".ksplat", ".glb",
                                        ".usda", ".usdz", ".npz", ".pt", ".rad"}) {
         CAPTURE(format);

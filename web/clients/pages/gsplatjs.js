@@ -16,12 +16,15 @@ window.draw = async (url, pinhole) => {
   const { data } = await PLYLoader.LoadAsync(url, scene);
   renderer.setSize(width, height);
   const { renderProgram: program } = renderer;
+  // Its worker tells nothing when an order stays, and may be behind by several pictures.
   let before;
-  do {
-    before = program.depthIndex;
+  let nQuiet = 0;
+  while (nQuiet < 30) {
     renderer.render(scene, camera);
     await nextFrame();
-  } while (program.depthIndex !== before || before.length !== data.vertexCount);
+    nQuiet = program.depthIndex === before && before.length === data.vertexCount ? nQuiet + 1 : 0;
+    before = program.depthIndex;
+  }
   renderer.render(scene, camera);
   const rgba = pixels(canvas);
   renderer.dispose();
