@@ -28,6 +28,7 @@ constexpr std::array kKinds{"a", "b", "difference"};
 
 std::vector<std::string> paths_of(const std::string& folder, const std::vector<View>& views) {
   std::vector<Camera> cameras;
+  cameras.reserve(views.size());
   for (const View& view : views) cameras.push_back(view.camera);
   return picture_paths(folder, cameras, kKinds);
 }
