@@ -18,13 +18,11 @@ window.draw = async (url, pinhole) => {
   const { renderProgram: program } = renderer;
   // Its worker tells nothing when an order stays, and may be behind by several pictures.
   let before;
-  let nQuiet = 0;
-  while (nQuiet < 30) {
-    renderer.render(scene, camera);
-    await nextFrame();
-    nQuiet = program.depthIndex === before && before.length === data.vertexCount ? nQuiet + 1 : 0;
+  do {
     before = program.depthIndex;
-  }
+    renderer.render(scene, camera);
+    for (let i = 0; i < 30 && program.depthIndex === before; ++i) await nextFrame();
+  } while (program.depthIndex !== before || before.length !== data.vertexCount);
   renderer.render(scene, camera);
   const rgba = pixels(canvas);
   renderer.dispose();
