@@ -21,15 +21,12 @@ const readJson = (path) => JSON.parse(readFileSync(path, "utf8"));
 const rounded = (value, digits = 4) => (value === null ? null : Number(value.toFixed(digits)));
 const psnrOf = (mse) => (mse > 0 ? -10 * Math.log10(mse) : null);
 
-/** Three cameras of a list, 180 rows high. */
+/** The first camera of a list, 180 rows high: rgs-judge draws a large scene some hundred times. */
 function resized(from, to) {
-  const list = readJson(from);
-  const some = [0, 1, 2].map((k) => list[Math.floor((k * list.length) / 3)]);
-  const small = some.map(({ name, width, height, fx, fy, cx, cy, world_to_camera }) => {
-    const scale = 180 / height;
-    return { name, split: "test", width: Math.round(scale * width), height: 180, fx: scale * fx, fy: scale * fy, cx: scale * cx, cy: scale * cy, world_to_camera };
-  });
-  writeFileSync(to, JSON.stringify(small));
+  const [{ name, width, height, fx, fy, cx, cy, world_to_camera }] = readJson(from);
+  const scale = 180 / height;
+  const camera = { name, split: "test", width: Math.round(scale * width), height: 180, fx: scale * fx, fy: scale * fy, cx: scale * cx, cy: scale * cy, world_to_camera };
+  writeFileSync(to, JSON.stringify([camera]));
 }
 
 /** Writes the scenes of these names, or all. */
