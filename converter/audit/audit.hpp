@@ -40,15 +40,19 @@ struct Measure {
   bool at_least;  ///< more is better
   const char* scale;
   const char* method;
+  const char* shows;  ///< of its maps
 };
 inline constexpr std::size_t kFlip = 0, kMsSsim = 1, kGmsd = 2;
 inline constexpr std::array<Measure, 3> kMeasures{{
     {"flip", "flip", "FLIP", false, "0 is equal, 1 the most",
-     "LDR-FLIP (Andersson et al. 2020) of sRGB values clamped to 0..1, at 67.02 pixels per degree"},
+     "LDR-FLIP (Andersson et al. 2020) of sRGB values clamped to 0..1, at 67.02 pixels per degree",
+     "What an observer sees who flips between both pictures"},
     {"ms-ssim", "ms_ssim", "MS-SSIM", true, "1 is equal",
-     "multi-scale SSIM (Wang et al. 2003), whole 11 x 11 windows of SSIM at five scales, at fewer in small pictures"},
+     "multi-scale SSIM (Wang et al. 2003), whole 11 x 11 windows of SSIM at five scales, at fewer in small pictures",
+     "What differs in contrast and structure, fine or coarse"},
     {"gmsd", "gmsd", "GMSD", false, "0 is equal",
-     "gradient magnitude similarity deviation (Xue et al. 2014) of luma at half the size"},
+     "gradient magnitude similarity deviation (Xue et al. 2014) of luma at half the size",
+     "Where edges differ, at half the size"},
 }};
 using Chosen = std::array<bool, kMeasures.size()>;
 using Values = std::array<std::optional<double>, kMeasures.size()>;

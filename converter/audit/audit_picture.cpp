@@ -77,11 +77,6 @@ Image combined(const Image& image, int width, const Combine& combine) {
   return out;
 }
 
-// Of the values over two backgrounds the worse one, or an error.
-Result<double> worse(const Result<double>& black, const Result<double>& white, bool at_least) {
-  return black && (!white || (at_least ? *white < *black : *white > *black)) ? white : black;
-}
-
 }  // namespace
 
 Colour heat(float share) {
@@ -117,20 +112,19 @@ Result<ImageDifference> difference(const Picture& a, const Picture& b) {
 }
 
 Result<double> ssim(const Picture& a, const Picture& b) {
-  return worse(rgs::ssim(a.black, b.black), rgs::ssim(a.white, b.white), true);
+  const auto black = rgs::ssim(a.black, b.black), white = rgs::ssim(a.white, b.white);
+  return black && (!white || *white < *black) ? white : black;
 }
 
-Result<double> measure(std::size_t which, const Picture& a, const Picture& b) {
-  if (which == kFlip) return flip(a, b);
-  const auto of = which == kMsSsim ? rgs::ms_ssim : rgs::gmsd;
-  return worse(of(a.black, b.black), of(a.white, b.white), kMeasures[which].at_least);
-}
-
-Result<double> flip(const Picture& a, const Picture& b, Image* map) {
+Result<double> measure(std::size_t which, const Picture& a, const Picture& b, Image* map) {
+  const auto of = [which](const Image& x, const Image& y, Image* where) {
+    if (which == kFlip) return rgs::flip(x, y, kPixelsPerDegree, where);
+    return which == kMsSsim ? ms_ssim(x, y, where) : gmsd(x, y, where);
+  };
   Image over_white;
-  const auto black = rgs::flip(a.black, b.black, kPixelsPerDegree, map);
-  const auto white = rgs::flip(a.white, b.white, kPixelsPerDegree, map != nullptr ? &over_white : nullptr);
-  if (!black || (white && *white <= *black)) return black;
+  const auto black = of(a.black, b.black, map);
+  const auto white = of(a.white, b.white, map != nullptr ? &over_white : nullptr);
+  if (!black || (white && (kMeasures[which].at_least ? *white >= *black : *white <= *black))) return black;
   if (map != nullptr) *map = std::move(over_white);
   return white;
 }

@@ -25,10 +25,8 @@ Picture over_backgrounds(Image black, std::span<const float> alpha);
 /// As Score has them. Errors: those of rgs::difference() and rgs::ssim().
 Result<ImageDifference> difference(const Picture& a, const Picture& b);
 Result<double> ssim(const Picture& a, const Picture& b);
-/// That of kMeasures[which].
-Result<double> measure(std::size_t which, const Picture& a, const Picture& b);
-/// rgs::flip() over the background where it is higher, and its map if not null.
-Result<double> flip(const Picture& a, const Picture& b, Image* map = nullptr);
+/// That of kMeasures[which], over the background where it is worse, and its map if not null.
+Result<double> measure(std::size_t which, const Picture& a, const Picture& b, Image* map = nullptr);
 /// Score::depth; absent if no pixel can be compared, or without depths.
 std::optional<DepthScore> depth_difference(const Picture& source, const Picture& asset);
 /// Score::over_white.

@@ -27,7 +27,7 @@ using tool::format_count;
 
 // Encoded bytes of pictures; base64 adds a third. Two pictures and a map on top, maps of two more views, six crops of
 // three pictures: at most 13.5 MB of text, also with photographs, which share these; strips of four from four
-// distances: 1.3 MB; maps of FLIP: 2.8 MB.
+// distances: 1.3 MB; maps of a measure: 2.8 MB.
 constexpr std::size_t kTopBytes = 3'000'000, kMapBytes = 700'000, kCropBytes = 70'000;
 constexpr std::size_t kTopBytesBesidePhoto = kTopBytes * 2 / 3, kCropBytesBesidePhoto = kCropBytes * 3 / 4;
 constexpr int kTopWidth = 1920, kMapWidth = 960;
@@ -292,24 +292,25 @@ class Page {
           format_psnr(v.score.psnr), levels(v.score.mse), 255 * static_cast<double>(v.score.largest));
     }
     add("</div>\n");
-    if (r.measures[kFlip]) flip_maps(r);
+    for (std::size_t which = 0; which < kMeasures.size(); ++which)
+      if (r.measures[which]) measure_maps(r, which);
     add("<h3>The worst regions, pixel for pixel</h3>\n<div class=\"grid wide\">\n");
     for (const Region& region : worst_regions(maps_, kCropWidth, kCropHeight, kCrops, kCropsPerView)) crop(region);
     add("</div>\n");
     end_section();
   }
 
-  void flip_maps(const RenderReport& r) {
-    add("<h3>FLIP</h3>\n<p>What an observer sees who flips between both pictures, in the same colours from 0 to "
-        "1.</p>\n<div class=\"grid\">\n");
+  void measure_maps(const RenderReport& r, std::size_t which) {
+    const Measure& m = kMeasures[which];
+    add("<h3>{}</h3>\n<p>{}, in the same colours from 0 to 1.</p>\n<div class=\"grid\">\n", m.title, m.shows);
     for (std::size_t i = 0; i < std::min(kMaps, r.pictures.size()); ++i) {
       const ViewPictures& p = r.pictures[i];
       const std::string name = html(r.views[p.view].name);
       Image map;
-      const auto mean = flip(p.source, p.asset, &map);
-      if (!mean) continue;
-      add("<figure><img src=\"{}\" alt=\"FLIP map of {}\"><figcaption>{}: mean {:.6f}</figcaption></figure>\n",
-          picture_uri(heat_map(shrunk(map, kMapWidth), 1), kMapBytes), name, name, *mean);
+      const auto value = measure(which, p.source, p.asset, &map);
+      if (!value) continue;
+      add("<figure><img src=\"{}\" alt=\"{} map of {}\"><figcaption>{}: {:.6f}</figcaption></figure>\n",
+          picture_uri(heat_map(shrunk(map, kMapWidth), 1), kMapBytes), m.title, name, name, *value);
     }
     add("</div>\n");
   }

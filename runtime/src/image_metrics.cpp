@@ -143,8 +143,8 @@ Image halved(const Image& image) {
   return out;
 }
 
-// Means by channel over the windows that lie in the picture.
-std::vector<RowMoments::Similarity> mean_similarity(const Image& a, const Image& b) {
+// Means by channel over the windows that lie in the picture. `map` takes the mean over channels at their middles.
+std::vector<RowMoments::Similarity> mean_similarity(const Image& a, const Image& b, bool is_coarsest, Image* map) {
   const auto half = window();
   const auto n_channels = static_cast<std::size_t>(a.channels);
   const auto n_rows = static_cast<std::size_t>(a.height - 2 * kRadius);
@@ -157,6 +157,10 @@ std::vector<RowMoments::Similarity> mean_similarity(const Image& a, const Image&
         const auto found = moments.at(i);
         auto& sum = rows[y * n_channels + i % n_channels];
         sum.ssim += found.ssim, sum.structure += found.structure;
+        if (map == nullptr) continue;
+        float& pixel = map->pixels[(y + kRadius) * static_cast<std::size_t>(a.width) + i / n_channels];
+        const double value = std::max(0.0, is_coarsest ? found.ssim : found.structure);
+        pixel = (i % n_channels == 0 ? 0 : pixel) + static_cast<float>(value / static_cast<double>(n_channels));
       }
     }
   });
@@ -240,7 +244,7 @@ Result<double> ssim(const Image& a, const Image& b) {
   });
 }
 
-Result<double> ms_ssim(const Image& a, const Image& b) {
+Result<double> ms_ssim(const Image& a, const Image& b, Image* map) {
   return detail::guard_memory([&]() -> Result<double> {
     if (const auto ok = difference(a, b); !ok) return tl::unexpected(ok.error());  // sizes, and finite values
     constexpr int kWindow = 2 * kRadius + 1;
@@ -251,23 +255,39 @@ Result<double> ms_ssim(const Image& a, const Image& b) {
     while (n_scales < kScaleWeights.size() && (side = (side + 1) / 2) >= kWindow) ++n_scales;
     const double weights = std::accumulate(&kScaleWeights[0], &kScaleWeights[0] + n_scales, 0.0);
     std::vector<double> products(static_cast<std::size_t>(a.channels), 1);
-    Image small_a, small_b;
+    Image small_a, small_b, level;
+    if (map != nullptr) {
+      *map = Image::make(a.width, a.height, 1);
+      std::fill(map->pixels.begin(), map->pixels.end(), 1.0F);
+    }
     for (std::size_t scale = 0; scale < n_scales; ++scale) {
       if (scale > 0) {
         small_a = halved(scale == 1 ? a : small_a);
         small_b = halved(scale == 1 ? b : small_b);
       }
-      const auto means = scale == 0 ? mean_similarity(a, b) : mean_similarity(small_a, small_b);
+      const Image &of_a = scale == 0 ? a : small_a, &of_b = scale == 0 ? b : small_b;
+      const bool is_coarsest = scale + 1 == n_scales;
+      if (map != nullptr) {
+        level = Image::make(of_a.width, of_a.height, 1);
+        std::fill(level.pixels.begin(), level.pixels.end(), 1.0F);
+      }
+      const auto means = mean_similarity(of_a, of_b, is_coarsest, map != nullptr ? &level : nullptr);
+      for (int y = 0; map != nullptr && y < map->height; ++y)
+        for (int x = 0; x < map->width; ++x)
+          map->at(x, y, 0) *=
+              static_cast<float>(std::pow(level.at(x >> scale, y >> scale, 0), kScaleWeights[scale] / weights));
       for (std::size_t c = 0; c < products.size(); ++c) {
-        const double mean = scale + 1 == n_scales ? means[c].ssim : means[c].structure;
+        const double mean = is_coarsest ? means[c].ssim : means[c].structure;
         products[c] *= std::pow(std::max(0.0, mean), kScaleWeights[scale] / weights);
       }
     }
+    if (map != nullptr)
+      for (float& v : map->pixels) v = 1 - v;
     return std::accumulate(products.begin(), products.end(), 0.0) / static_cast<double>(products.size());
   });
 }
 
-Result<double> gmsd(const Image& a, const Image& b) {
+Result<double> gmsd(const Image& a, const Image& b, Image* map) {
   return detail::guard_memory([&]() -> Result<double> {
     if (const auto ok = difference(a, b); !ok) return tl::unexpected(ok.error());  // sizes, and finite values
     if (a.channels != 1 && a.channels != 3)
@@ -277,6 +297,10 @@ Result<double> gmsd(const Image& a, const Image& b) {
     for (std::size_t i = 0; i < similarity.size(); ++i) {
       const double x = similarity[i], y = of_b[i];
       similarity[i] = (2 * x * y + kGmsdC) / (x * x + y * y + kGmsdC);
+    }
+    if (map != nullptr) {
+      *map = Image::make((a.width + 1) / 2, (a.height + 1) / 2, 1);
+      for (std::size_t i = 0; i < similarity.size(); ++i) map->pixels[i] = static_cast<float>(1 - similarity[i]);
     }
     const auto n = static_cast<double>(similarity.size());
     const double mean = std::accumulate(similarity.begin(), similarity.end(), 0.0) / n;

@@ -205,14 +205,43 @@ TEST_CASE("MS-SSIM of equal pictures is 1 and GMSD 0; both are symmetric and hav
   CHECK(gmsd(a, b).value() == g);
 }
 
+TEST_CASE("maps of MS-SSIM and GMSD show where their values come from") {
+  const Image one = noise(1, 20, 19, 1), two = noise(2, 20, 19, 1);  // one scale
+  Image map;
+  const double m = ms_ssim(one, two, &map).value();
+  CHECK(m == ms_ssim(one, two).value());
+  REQUIRE(map.pixels.size() == 20 * 19);
+  CHECK(map.at(4, 9, 0) == 0);  // its window reaches beyond the edge
+  double sum = 0;
+  for (int y = 5; y < 14; ++y)
+    for (int x = 5; x < 15; ++x) sum += static_cast<double>(map.at(x, y, 0));
+  CHECK(1 - sum / 90 <= 1);
+  CHECK(1 - sum / 90 >= m - 1e-6);  // negative values count as 0 pixel by pixel
+  const auto [a, b] = patterns(201, 170);
+  REQUIRE(ms_ssim(a, b, &map));
+  CHECK(map.width == 201);
+  CHECK(map.at(20, 60, 0) > 0.2);     // a channel is flat
+  CHECK(map.at(150, 160, 0) < 0.01);  // equal far around
+  CHECK(map.at(100, 90, 0) > map.at(150, 160, 0));
+  const double g = gmsd(a, b, &map).value();
+  REQUIRE(map.width == 101);
+  REQUIRE(map.height == 85);
+  double mean = 0, squares = 0;
+  for (const float v : map.pixels) mean += static_cast<double>(v) / (101 * 85);
+  for (const float v : map.pixels) squares += (static_cast<double>(v) - mean) * (static_cast<double>(v) - mean);
+  CHECK(std::sqrt(squares / (101 * 85)) == doctest::Approx(g).epsilon(1e-5));
+  CHECK(ms_ssim(a, a, &map).value() == 1);
+  CHECK(std::all_of(map.pixels.begin(), map.pixels.end(), [](float v) { return v == 0; }));
+}
+
 TEST_CASE("MS-SSIM and GMSD refuse what they cannot compare") {
   const Image a = noise(3, 12, 12, 3), two = noise(4, 12, 12, 2), narrow = noise(5, 10, 40, 3);
   Image bad = a;
   bad.pixels[7] = std::numeric_limits<float>::infinity();
   for (const auto& measure : {ms_ssim, gmsd}) {
-    CHECK(measure(a, two).error().code == Errc::bad_argument);
-    CHECK(measure(a, bad).error().code == Errc::bad_value);
-    CHECK(measure(a, bad).error().offset == 7);
+    CHECK(measure(a, two, nullptr).error().code == Errc::bad_argument);
+    CHECK(measure(a, bad, nullptr).error().code == Errc::bad_value);
+    CHECK(measure(a, bad, nullptr).error().offset == 7);
   }
   CHECK(ms_ssim(narrow, narrow).error().code == Errc::bad_argument);
   CHECK(ms_ssim(two, two).value() == 1);

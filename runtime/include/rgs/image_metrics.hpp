@@ -37,15 +37,18 @@ Result<double> ssim(const Image& a, const Image& b);
 /// large, and luminance at the coarsest, to the powers 0.0448, 0.2856, 0.3001, 0.2363 and 0.1333. As in the authors'
 /// program only windows that lie in the picture count. Mean over the channels; a scale's negative mean counts as 0.
 /// Below 161 pixels a side, scales with a side shorter than the window are left out, and the other powers scaled to sum
-/// to 1. 1 for equal pictures, exactly. Also bad_argument: a side below 11 pixels.
-Result<double> ms_ssim(const Image& a, const Image& b);
+/// to 1. 1 for equal pictures, exactly. `map` takes 1 less the product of the scales' means over channels at each pixel,
+/// [height, width, 1], where windows that do not lie in the picture count as 1; may be null. Also bad_argument: a side
+/// below 11 pixels.
+Result<double> ms_ssim(const Image& a, const Image& b, Image* map = nullptr);
 
 /// Gradient magnitude similarity deviation (Xue, Zhang, Mou, Bovik, "Gradient Magnitude Similarity Deviation", 2014) of
 /// the luma (BT.601) of two pictures of 1 or 3 channels, at half the size, by Prewitt's filter, with c = 170 for luma
 /// of 0 to 255: 0 for equal pictures, exactly, and for all of up to 2x2 pixels; larger the less alike they are. As in
-/// the paper, the squared deviations are divided by the number of pixels (in the authors' program by one less). Also
+/// the paper, the squared deviations are divided by the number of pixels (in the authors' program by one less). `map`
+/// takes 1 less the similarity at half the size, [(height + 1) / 2, (width + 1) / 2, 1]; may be null. Also
 /// bad_argument: other channels.
-Result<double> gmsd(const Image& a, const Image& b);
+Result<double> gmsd(const Image& a, const Image& b, Image* map = nullptr);
 
 inline constexpr double kPixelsPerDegree = 67.02;  ///< a monitor of 3840 pixels on 0.7 m, seen from 0.7 m
 /// Mean of LDR-FLIP (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", HPG 2020) of two sRGB

@@ -125,7 +125,7 @@ TEST_CASE("FLIP is measured when asked for or when a condition needs it, and onl
   Image map;
   for (const auto& [x, y] :
        {std::pair(a, b), std::pair(audit::Picture{a.white, a.black}, audit::Picture{b.white, b.black})}) {
-    CHECK(flip(x, y, &map).value() == std::max(over_black, over_white));
+    CHECK(audit::measure(audit::kFlip, x, y, &map).value() == std::max(over_black, over_white));
     CHECK(std::accumulate(map.pixels.begin(), map.pixels.end(), 0.0) / (96 * 72) ==
           doctest::Approx(std::max(over_black, over_white)).epsilon(1e-6));
   }
@@ -191,6 +191,8 @@ TEST_CASE("MS-SSIM and GMSD are measured like FLIP, and limited from below and f
   CHECK(fails.out.find("MS-SSIM") != std::string::npos);
   CHECK(read_text(page).find("<th>MS-SSIM</th>") != std::string::npos);
   CHECK(read_text(page).find("<dt>MS-SSIM</dt>") != std::string::npos);
+  CHECK(read_text(page).find("alt=\"MS-SSIM map of b.png\"") != std::string::npos);
+  CHECK(read_text(page).find("alt=\"GMSD map") == std::string::npos);
 }
 
 TEST_CASE("--video measures its frames in the cameras' order, with the flicker that the source does not have") {
