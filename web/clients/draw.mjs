@@ -1,4 +1,4 @@
-// draw.mjs - pictures of scenes by a web client of 3D Gaussian splats: node draw.mjs CLIENT JOBS.json [--seconds 20] [--replace FROM=TO]...
+// draw.mjs - pictures of scenes by a web client of 3D Gaussian splats: node draw.mjs CLIENT JOBS.json [--api webgpu] [--seconds 20] [--replace FROM=TO]...
 // JOBS.json: [{"scene": PLY, "cameras": FILE, "out": FOLDER, "near": 0.2}, ...]; writes OUT/NAME.png of each camera, RGB over black, and
 // OUT/client.json, which has "error" if there are no pictures. Clients: those of kClients. Each draws by its own defaults, in software;
 // cameras, near and far planes, a black background and waiting for orders are ours. --replace changes @roofgs/playcanvas, to break it.
@@ -17,15 +17,15 @@ import { startServer } from "../viewer/test/server.mjs";
 
 const kWeb = fileURLToPath(new URL("..", import.meta.url));
 
-/** By key: the client, and the package whose version is told. */
+/** By key: the client, the package whose version is told, and the APIs that it draws by, its default first. */
 export const kClients = {
-  spark: ["Spark", "@sparkjsdev/spark"],
-  playcanvas: ["PlayCanvas", "playcanvas"],
-  gaussiansplats3d: ["GaussianSplats3D", "@mkkellogg/gaussian-splats-3d"],
-  gsplatjs: ["gsplat.js", "gsplat"],
-  cesium: ["CesiumJS", "@cesium/engine"],
-  babylon: ["Babylon.js", "@babylonjs/core"],
-  roofgs: ["RoofGS", "@roofgs/playcanvas"],
+  spark: ["Spark", "@sparkjsdev/spark", ["webgl2"]],
+  playcanvas: ["PlayCanvas", "playcanvas", ["webgl2", "webgpu"]],
+  gaussiansplats3d: ["GaussianSplats3D", "@mkkellogg/gaussian-splats-3d", ["webgl2"]],
+  gsplatjs: ["gsplat.js", "gsplat", ["webgl2"]],
+  cesium: ["CesiumJS", "@cesium/engine", ["webgl2"]],
+  babylon: ["Babylon.js", "@babylonjs/core", ["webgl2", "webgpu"]],
+  roofgs: ["RoofGS", "@roofgs/playcanvas", ["webgl2", "webgpu"]],
 };
 
 /** Page and script of a client, in a folder. `replace`: pairs of texts. */
@@ -71,7 +71,7 @@ function png(rgba, width, height) {
 }
 
 /** Draws jobs; calls `say` with what is refused. Returns how many jobs have pictures. */
-export async function drawAll(key, jobs, { replace = [], seconds = 20, say = console.error } = {}) {
+export async function drawAll(key, jobs, { api = "webgl2", replace = [], seconds = 20, say = console.error } = {}) {
   const [client, from] = kClients[key];
   const folder = mkdtempSync(join(tmpdir(), "rgs-clients-"));
   let server;
@@ -95,11 +95,11 @@ export async function drawAll(key, jobs, { replace = [], seconds = 20, say = con
     }
   };
   const openPage = async () => {
-    browser ??= await launch("webgl2");
+    browser ??= await launch(api);
     page = await newPage(browser);
     page.on("pageerror", (error) => said.push(String(error).split("\n")[0]));
     page.on("console", (message) => message.type() === "error" && said.push(message.text().split("\n")[0]));
-    await page.goto(`${server.url}${key}.html`);
+    await page.goto(`${server.url}${key}.html?api=${api}`);
     await page.waitForFunction(() => window.draw);
   };
   /** What the client opens. */
@@ -119,7 +119,7 @@ export async function drawAll(key, jobs, { replace = [], seconds = 20, say = con
     let nDrawn = 0;
     for (const [i, { scene, cameras, out, near = 0.2 }] of jobs.entries()) {
       const pictures = [];
-      const about = { client, key, version, browser: undefined, api: "webgl2" };
+      const about = { client, key, version, browser: undefined, api };
       said = [];
       mkdirSync(out, { recursive: true });
       try {
@@ -154,15 +154,18 @@ export async function drawAll(key, jobs, { replace = [], seconds = 20, say = con
 }
 
 if (process.argv[1] && realpathSync(process.argv[1]) === fileURLToPath(import.meta.url)) {
-  const { values, positionals } = parseArgs({ allowPositionals: true, options: { seconds: { type: "string" }, replace: { type: "string", multiple: true } } });
+  const words = { api: { type: "string", default: "webgl2" }, seconds: { type: "string", default: "20" }, replace: { type: "string", multiple: true, default: [] } };
+  const { values, positionals } = parseArgs({ allowPositionals: true, options: words });
   const [key, list] = positionals;
-  const seconds = Number(values.seconds ?? 20);
-  const replace = (values.replace ?? []).map((text) => /^(.+?)=(.*)$/s.exec(text)?.slice(1));
-  if (!kClients[key] || !list || positionals.length !== 2 || !(seconds > 0) || replace.includes(undefined)) {
-    console.error(`usage: node draw.mjs CLIENT JOBS.json [--seconds 20] [--replace FROM=TO]...\nclients: ${Object.keys(kClients).join(" ")}`);
+  const { api } = values;
+  const seconds = Number(values.seconds);
+  const replace = values.replace.map((text) => /^(.+?)=(.*)$/s.exec(text)?.slice(1));
+  if (!kClients[key]?.[2].includes(api) || !list || positionals.length !== 2 || !(seconds > 0) || replace.includes(undefined)) {
+    console.error(`usage: node draw.mjs CLIENT JOBS.json [--api webgpu] [--seconds 20] [--replace FROM=TO]...`);
+    for (const [name, [, , apis]] of Object.entries(kClients)) console.error(`${name}: ${apis.join(", ")}`);
     process.exit(2);
   }
   const jobs = JSON.parse(readFileSync(list, "utf8"));
-  const nDrawn = await drawAll(key, jobs, { replace, seconds });
+  const nDrawn = await drawAll(key, jobs, { api, replace, seconds });
   console.log(`${kClients[key][0]}: ${nDrawn} of ${jobs.length} scenes drawn`);
 }

@@ -2,13 +2,14 @@
 // SPDX-License-Identifier: Apache-2.0
 import { FreeCamera } from "@babylonjs/core/Cameras/freeCamera.js";
 import { Engine } from "@babylonjs/core/Engines/engine.js";
+import { WebGPUEngine } from "@babylonjs/core/Engines/webgpuEngine.js";
 import { ImportMeshAsync } from "@babylonjs/core/Loading/sceneLoader.js";
 import { Color4 } from "@babylonjs/core/Maths/math.color.js";
 import { Vector3 } from "@babylonjs/core/Maths/math.vector.js";
 import { Scene } from "@babylonjs/core/scene.js";
 import "@babylonjs/loaders/glTF/index.js";
 import "@babylonjs/loaders/SPLAT/index.js";
-import { kFar, newCanvas, nextFrame, pixels } from "./pixels.js";
+import { kApi, kFar, newCanvas, nextFrame, pixels } from "./pixels.js";
 
 window.draw = async (url, pinhole) => {
   const { position, rotation, width, height, fx, fy, cx, cy, near = 0.2 } = pinhole;
@@ -16,7 +17,8 @@ window.draw = async (url, pinhole) => {
   // Of glTF: left, up, forward. Of a PLY, in left-handed axes: right, up, forward.
   const turned = ([right, down, forward]) => new Vector3(isGltf ? -right : right, -down, forward);
   const canvas = newCanvas(pinhole);
-  const scene = new Scene(new Engine(canvas, false, { alpha: false }));
+  const engine = kApi === "webgpu" ? await WebGPUEngine.CreateAsync(canvas) : new Engine(canvas, false, { alpha: false });
+  const scene = new Scene(engine);
   Object.assign(scene, { useRightHandedSystem: isGltf, clearColor: new Color4(0, 0, 0, 1) });
   const camera = new FreeCamera("camera", turned(position), scene);
   const axis = (k) => turned(rotation.map((row) => row[k]));
@@ -32,13 +34,18 @@ window.draw = async (url, pinhole) => {
   camera.freezeProjectionMatrix(projection);
   const { meshes } = await ImportMeshAsync(url, scene);
   const splats = meshes.find((mesh) => mesh.getClassName() === "GaussianSplattingMesh");
-  do {
+  const draw = () => {
+    engine.beginFrame();
     scene.render();
+    engine.endFrame();
+  };
+  do {
+    draw();
     await nextFrame();
   } while (!(splats.isReady(true) && splats._isDepthSortSettled));
-  scene.render();
+  draw();
   const found = { gaussians: splats.splatCount, rgba: pixels(canvas) };
-  scene.getEngine().dispose();
+  engine.dispose();
   canvas.remove();
   return found;
 };

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
 export const kFar = 1e5;
+export const kApi = new URLSearchParams(location.search).get("api") ?? "webgl2";
 
 /** RGBA over black, in base64. */
 export function pixels(image) {

@@ -13,7 +13,7 @@ import {
   GSplatHandler,
   TextureHandler,
 } from "playcanvas";
-import { kFar, newCanvas, pixels } from "./pixels.js";
+import { kApi, kFar, newCanvas, pixels } from "./pixels.js";
 
 let app;
 let eye;
@@ -21,7 +21,9 @@ let asset;
 
 async function start(canvas) {
   const options = new AppOptions();
-  options.graphicsDevice = await createGraphicsDevice(canvas, { deviceTypes: ["webgl2"] });
+  options.graphicsDevice = await createGraphicsDevice(canvas, { deviceTypes: [kApi] });
+  // It takes another API than asked for without a word.
+  if (options.graphicsDevice.deviceType !== kApi) throw new Error(`the engine draws by ${options.graphicsDevice.deviceType}`);
   options.componentSystems = [CameraComponentSystem, GSplatComponentSystem];
   options.resourceHandlers = [GSplatHandler, TextureHandler];
   app = new AppBase(canvas);
@@ -60,7 +62,7 @@ window.draw = async (url, pinhole) => {
   setPinhole(eye, pinhole);
   eye.camera.nearClip = pinhole.near ?? 0.2;
   // A new one, because the engine keeps colours of views within 10 degrees.
-  const sorted = new Promise((resolve) => app.scene.once("gsplat:sorted", resolve));
+  const sorted = kApi === "webgl2" ? new Promise((resolve) => app.scene.once("gsplat:sorted", resolve)) : undefined; // else on the GPU
   const scene = new Entity();
   scene.addComponent("gsplat", { asset });
   app.root.addChild(scene);

@@ -3,13 +3,14 @@
 import { viewOf } from "../../viewer/src/cameras.ts";
 import { openScene, readFile } from "../../viewer/src/open-scene.ts";
 import { Stage } from "../../viewer/src/stage.ts";
-import { newCanvas, pixels } from "./pixels.js";
+import { kApi, newCanvas, pixels } from "./pixels.js";
 
 let stage;
 let scene;
 
 window.draw = async (url, pinhole) => {
-  stage ??= await Stage.start(newCanvas(pinhole), ["webgl2"], { frame: () => false, resized() {}, lost() {}, restored() {} });
+  stage ??= await Stage.start(newCanvas(pinhole), [kApi], { frame: () => false, resized() {}, lost() {}, restored() {} });
+  if (stage.app.graphicsDevice.deviceType !== kApi) throw new Error(`the engine draws by ${stage.app.graphicsDevice.deviceType}`);
   if (!stage.isAsDefined) throw new Error("the engine has other shaders");
   if (url !== scene?.name) {
     scene?.destroy();
