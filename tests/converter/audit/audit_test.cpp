@@ -419,7 +419,16 @@ TEST_CASE("the verdict follows the worst view and says what is missing") {
   CHECK(grade_with(std::numeric_limits<float>::quiet_NaN()) == Verdict::Grade::visible);
   CHECK(verdict(report).detail.find("largest difference of a pixel") != std::string::npos);
   r.largest = 0;
-  r.worst_psnr = 55;
+  const auto grade_seen = [&](double flip) {
+    r.worst_measures[kFlip] = flip;
+    return grade_at(55);
+  };
+  CHECK(grade_seen(0.05) == Verdict::Grade::lossless);
+  CHECK(grade_seen(0.051) == Verdict::Grade::close);
+  CHECK(grade_seen(0.101) == Verdict::Grade::visible);
+  CHECK(grade_seen(0.201) == Verdict::Grade::poor);
+  CHECK(verdict(report).detail.find("FLIP reaches 0.201.") != std::string::npos);
+  r.worst_measures[kFlip].reset();
   r.worst_ssim = 0.9;
   CHECK(verdict(report).grade == Verdict::Grade::visible);
   CHECK_FALSE(verdict(report).depth_range_misfit);
