@@ -47,6 +47,9 @@ def runs(program, inputs):
          False),
         ("audit", lambda out: [program("rgs-audit"), scene, asset, "--no-render", "--quiet", "--report", f"{out}/a.html", "--json",
                                f"{out}/a.json"], True),
+        ("diff", lambda out: [program("rgs-diff"), scene, scene, "--quiet", "--json", f"{out}/a.json", "--ply", f"{out}/a.ply"], True),
+        ("judge", lambda out: [program("rgs-judge"), scene, "--cameras", cameras, "--against", str(inputs / "pictures"), "--quiet", "--json",
+                               f"{out}/a.json", "--report", f"{out}/a.html"], True),
         ("render", lambda out: [program("rgs-render"), asset, "-c", cameras, "-o", f"{out}/a.png", "--backend", "cpu", "--quiet"], False),
     ]
 
@@ -146,6 +149,8 @@ def main():
             subprocess.run([program("rgs-make-scene"), str(inputs / path), "--gaussians", "600", "--seed", str(len(path)), "--quiet"],
                            check=True)
         subprocess.run([program("rgs-convert"), "--quiet", str(inputs / "scene.ply"), str(inputs / "scene.rgs")], check=True)
+        subprocess.run([program("rgs-render"), str(inputs / "scene.rgs"), "-c", str(inputs / "cameras.json"), "-o", str(inputs / "pictures"),
+                        "--quiet"], check=True)
         for work, profile in ((str(inputs / "work"), "packed"), (str(inputs / "work_archive"), "archive")):
             begin = ["--lod-partition", work, "--ranges", "2", "--chunk-size", "32", "--profile", profile, str(inputs / "scene.ply")]
             for step in (begin, ["--lod-build", work]):
