@@ -14,7 +14,7 @@ import {
   TONEMAP_NONE,
 } from "playcanvas";
 
-/** docs/format/RENDERING.md, "Low-pass". */
+/** How a picture is anti-aliased: docs/format/RENDERING.md, "Low-pass". */
 export interface AntiAliasing {
   /** Added to the diagonal of the screen-space covariance, square pixels. */
   readonly lowPassPx2: number;
@@ -25,13 +25,13 @@ export interface AntiAliasing {
 const kClassic: AntiAliasing = { lowPassPx2: 0.3, compensated: false };
 const kMipSplatting: AntiAliasing = { lowPassPx2: 0.1, compensated: true };
 
-/** As files declare it; the default low-pass is that of the mode. */
+/** Anti-aliasing as files declare it; the default low-pass is that of the mode. */
 export interface DeclaredAntiAliasing {
   readonly aaMode: Declarations["aaMode"];
   readonly lowPassPx2?: number | undefined;
 }
 
-/** A declared low-pass applies only in its own mode. `coarser`: pages above level 0 are drawn. */
+/** The anti-aliasing that a file declares. A low-pass applies only in its own mode. `coarser`: pages above level 0 are drawn. */
 export function antiAliasingOf({ aaMode, lowPassPx2 }: DeclaredAntiAliasing, coarser = false): AntiAliasing {
   const usual = coarser || aaMode === "mip_splatting" ? kMipSplatting : kClassic;
   return coarser || aaMode === "undeclared" || lowPassPx2 === undefined ? usual : { ...usual, lowPassPx2 };
@@ -126,10 +126,10 @@ function watch({ scene, graphicsDevice }: AppBase): void {
 }
 
 /**
- * Call it before anything is drawn. The engine and this camera then show colours as they are in the file, Gaussians of any size, SH
+ * Makes the engine draw the image that the format defines. Call it before anything is drawn. The engine and this camera then show colours as they are in the file, Gaussians of any size, SH
  * from the camera's position, and the falloff of 3DGS. `antiAliasing` applies to everything that this camera draws: files that declare
  * another one need a camera and a layer of their own. Call it again to change it. Returns false if this package does not know the
- * engine's shaders; the engine's own falloff then stays.
+ * engine's shaders; the engine then draws its own falloff.
  */
 export function drawAsDefined(app: AppBase, camera: CameraComponent, antiAliasing: AntiAliasing = kClassic): boolean {
   const { gsplat } = app.scene;

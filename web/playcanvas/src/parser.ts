@@ -13,18 +13,20 @@ export type RgsParserOptions = Omit<OpenOptions, "signal" | "onProgress">;
 type Callback = (error: any, resource?: RgsResource) => void;
 type Contents = ArrayBuffer | Blob | Response | undefined;
 
-/** After `app.loader.getHandler("gsplat").addParser(new RgsParser(app))` it loads assets whose URL ends in .rgs. */
+/** Loads gsplat assets whose URL ends in .rgs, once it is added to the engine's handler of gsplat assets. */
 export class RgsParser {
+  /** `options` are those of open() of `@roofgs/reader`, for every file. */
   constructor(
     private readonly app: AppBase,
     private readonly options: RgsParserOptions = {},
   ) {}
 
+  /** Called by the engine: whether the extension is rgs. */
   canParse(context: { ext: string }): boolean {
     return context.ext === "rgs";
   }
 
-  /** Called by the engine. Errors of the file are RgsErrors. */
+  /** Called by the engine: gives the callback an RgsResource of the finest level, or an error, an RgsError if the file is at fault. */
   load(
     url: string | { load: string; original: string },
     callback: Callback,
@@ -36,6 +38,7 @@ export class RgsParser {
     );
   }
 
+  /** Called by the engine: returns what load() gave. */
   open(_url: string, data: unknown): unknown {
     return data;
   }

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { ASPECT_MANUAL, type Entity, Mat4, Quat, Vec2 } from "playcanvas";
 
-/** A pinhole camera; axes x right, y down, z forward. */
+/** A pinhole camera, as in cameras.json (docs/user/CAMERAS.md); axes x right, y down, z forward. */
 export interface Pinhole {
   /** Pixels, like all lengths of the image. */
   readonly width: number;
@@ -36,6 +36,7 @@ export function resizePinhole(pinhole: Pinhole, width: number, height: number): 
 /**
  * Gives an entity with a camera component the position and the projection of a pinhole camera. The file's `origin`
  * (Declarations.origin) is subtracted in FP64, because resources are relative to it. The picture fills the camera's render target.
+ * TypeError without a camera component.
  */
 export function setPinhole(entity: Entity, pinhole: Pinhole, origin: readonly number[] = [0, 0, 0]): void {
   const { width, height, fx, fy, cx = width / 2, cy = height / 2, position, rotation } = pinhole;

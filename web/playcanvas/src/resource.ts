@@ -17,6 +17,7 @@ import { kReadGlsl } from "./shader-glsl.js";
 import { kReadWgsl } from "./shader-wgsl.js";
 import { type Colour, kRowTexels, kShTextures, kTableColumns, pack, type Packed, shTextureWords } from "./stored.js";
 
+/** Options of RgsResource. */
 export interface RgsResourceOptions {
   /** Whether the engine sorts on the CPU, which needs the means there; true by default. */
   prepareCenters?: boolean;
@@ -60,7 +61,7 @@ class Data {
 }
 
 /**
- * A gsplat resource of files or pages of one SH degree. It takes 36, 48, 64 or 80 bytes per Gaussian at degree 0, 1, 2 or 3. Use it in
+ * A gsplat resource of files or pages of one SH degree, if you read them yourself. It takes 36, 48, 64 or 80 bytes per Gaussian at degree 0, 1, 2 or 3. Use it in
  * a gsplat component: `entity.addComponent("gsplat", { resource })`.
  */
 export class RgsResource extends GSplatResourceBase {
@@ -68,6 +69,7 @@ export class RgsResource extends GSplatResourceBase {
   readonly antiAliasing: AntiAliasing | undefined;
   private readonly packed: Packed;
 
+  /** `parts`: what readStored(), storedParts() or readPageStored() gave; RangeError if there is none, or SH degrees differ. */
   constructor(device: GraphicsDevice, parts: readonly StoredGaussians[], options: RgsResourceOptions = {}) {
     super(device, new Data(parts), options);
     this.antiAliasing = options.antiAliasing;
@@ -98,12 +100,14 @@ export class RgsResource extends GSplatResourceBase {
   }
 
   /**
-   * Limits the SH degree, and tints parts. To apply it, set `workBufferUpdate = WORKBUFFER_UPDATE_ONCE` on the component.
+   * Limits the SH degree, 0 to 3, and tints parts in their order. To apply it, set `workBufferUpdate = WORKBUFFER_UPDATE_ONCE` on the
+   * component.
    */
   setTable(shDegree: number, colours?: readonly Colour[]): void {
     this.fill("rgsTable", (out) => this.packed.table(out as Float32Array, shDegree, colours));
   }
 
+  /** Called by the engine. */
   override configureMaterialDefines(defines: Map<string, string | number | boolean>): void {
     defines.set("SH_BANDS", this.packed.shDegree);
   }

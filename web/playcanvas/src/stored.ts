@@ -100,16 +100,10 @@ export function pack(parts: readonly StoredGaussians[]): Packed {
   };
 }
 
-/** All Gaussians of a file's finest level as stored. */
+/** All Gaussians of a file's finest level as parts for RgsResource. Rejects as readStored() does. */
 export async function readStoredParts(file: RgsFile, options: ReadOptions = {}): Promise<StoredGaussians[]> {
   if (!file.levels) return [await file.readStored(options)];
   const parts: StoredGaussians[] = [];
-  const total = file.header.nGaussians;
-  let done = 0;
-  for (const page of file.levels.ofLevel(0)) {
-    parts.push(await file.readPageStored(page.index, options));
-    done += page.count;
-    options.onProgress?.({ phase: "decode", done, total });
-  }
+  for await (const part of file.storedParts(options)) parts.push(part);
   return parts;
 }

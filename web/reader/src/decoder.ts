@@ -5,6 +5,7 @@ import { type Axis, type Box, kAxes, type Vector3 } from "./head.js";
 
 /** Decoded Gaussians, structure of arrays. */
 export interface Gaussians {
+  /** Gaussians. */
   readonly n: number;
   /** 0 to 3. */
   readonly shDegree: number;
@@ -24,7 +25,9 @@ export interface Gaussians {
 
 /** Gaussians as a GPU reads them: docs/format/FORMAT.md, "Attributes". */
 export interface StoredGaussians {
+  /** Gaussians. */
   readonly n: number;
+  /** 0 to 3. */
   readonly shDegree: number;
   /** Stored scale = scale * 2^scaleExponent. */
   readonly scaleExponent: number;
@@ -34,6 +37,7 @@ export interface StoredGaussians {
   readonly geometry: Uint16Array;
   /** [n, shBytes] codes; value = step * code. shBytes: 4, 12, 28, 48 by degree. */
   readonly sh: Int8Array;
+  /** Gaussian i belongs to chunk floor(i / chunkSize). */
   readonly chunkSize: number;
   /** [nChunks, 8] box of the means, radius, largest opacity: min x, y, z, radius, max x, y, z, opacity. */
   readonly chunkBounds: Float32Array;
@@ -51,7 +55,7 @@ export interface Limits {
   maxDecodedBytes?: number;
 }
 
-/** Of a .spz. */
+/** The header of a .spz. */
 export interface SpzHeader {
   version: number;
   n: number;

@@ -31,6 +31,7 @@ export type RgsErrorCode =
   | "corrupt_data"
   | "pages_missing";
 
+/** What an RgsError says. */
 export interface RgsErrorFields {
   code: RgsErrorCode;
   /** What is wrong and, where it helps, what to do. */
@@ -60,14 +61,17 @@ export function allocate<T>(make: () => T): T {
   }
 }
 
+/** Every error of a file, a source or memory; an aborted call rejects with its signal's reason instead. */
 export class RgsError extends Error implements RgsErrorFields {
   override readonly name = "RgsError";
+  /** Stable; the text is not. */
   readonly code: RgsErrorCode;
   readonly text: string;
   readonly offset: number | undefined;
   readonly expected: bigint | undefined;
   readonly found: bigint | undefined;
 
+  /** For sources of your own. */
   constructor(fields: RgsErrorFields, options?: ErrorOptions) {
     const { code, text, offset, expected, found } = fields;
     const notes: string[] = [];
@@ -82,7 +86,7 @@ export class RgsError extends Error implements RgsErrorFields {
     this.found = found;
   }
 
-  /** For messages between threads, which do not keep the class. */
+  /** All of them, for messages between threads, which do not keep the class. */
   get fields(): RgsErrorFields {
     return { code: this.code, text: this.text, offset: this.offset, expected: this.expected, found: this.found };
   }

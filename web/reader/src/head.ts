@@ -13,6 +13,7 @@ const kDepthSources = ["undeclared", "cameras", "scene_extent", "by_hand"] as co
 const kOrders = ["undeclared", "input", "morton"] as const;
 const kCodecs = ["none", "planes", "archive_draco", "archive"] as const;
 
+/** x, y, z. */
 export type Vector3 = readonly [number, number, number];
 
 /** World units, relative to the origin. */
@@ -21,14 +22,18 @@ export interface Box {
   readonly max: Vector3;
 }
 
+/** The header's counts: docs/format/FORMAT.md, "Header". */
 export interface Header {
+  /** Of the format. */
   readonly versionMajor: number;
   readonly versionMinor: number;
+  /** Of the whole file, as it was written. */
   readonly fileBytes: number;
   /** Of the finest level; so are chunks and step sets. */
   readonly nGaussians: number;
   readonly nChunks: number;
   readonly nStepSets: number;
+  /** Gaussians in a chunk; fewer in the last one. */
   readonly chunkSize: number;
   /** 0 to 3. */
   readonly shDegree: number;
@@ -53,18 +58,22 @@ export interface Declarations {
   readonly zFar: number;
   /** 0: unknown. */
   readonly metresPerUnit: number;
-  /** Extent of the kernel in standard deviations. */
+  /** Extent of the kernel, standard deviations. */
   readonly cutoffSigma: number;
+  /** Smaller alphas are not blended, larger ones than alphaMax are clamped. */
   readonly alphaThreshold: number;
   readonly alphaMax: number;
   /** Added to the diagonal of the screen-space covariance, square pixels. */
   readonly lowPassPx2: number;
+  /** Blending ends below it. */
   readonly transmittanceMin: number;
+  /** Of means within `robust`, on each axis. */
   readonly robustFraction: number;
   /** Of all means. */
   readonly full: Box;
   /** Of the means without the outermost on each axis. */
   readonly robust: Box;
+  /** Gaussians of the source; of these the conversion dropped and repaired some. */
   readonly nSource: number;
   readonly nDropped: number;
   readonly nRepaired: number;
@@ -77,34 +86,44 @@ export interface Declarations {
   /** Coordinate reference system of world positions; null: not stated. */
   readonly crs: Crs | null;
 }
-/** The text is untrusted: show it as plain text. */
+
+/** A coordinate reference system. The text is untrusted: show it as plain text. */
 export interface Crs {
   /** An authority's code, such as `EPSG:4978`, or WKT. */
   readonly text: string;
   /** Where its coordinates point, if not along x, y and z of positions: these are `undeclared` then. */
   readonly axes: readonly [Axis, Axis, Axis];
 }
+
+/** A direction, or `undeclared`. */
 export type Axis = (typeof kAxes)[number];
 
 /** Where a file comes from. The texts are untrusted: show them as plain text. */
 export interface Provenance {
+  /** Of the file that was converted. */
   readonly sourceBytes: number;
   readonly sourceXxh3: bigint;
   readonly sourceName: string;
+  /** What wrote the file, with its version. */
   readonly tool: string;
 }
 
+/** An entry of the file's table of sections. */
 export interface Section {
   /** Four characters, such as `MEAN`. */
   readonly type: string;
   readonly flags: number;
   /** A number if this reader does not know the codec. */
   readonly codec: Codec | number;
+  /** Byte of the file. */
   readonly offset: number;
   readonly storedBytes: number;
   readonly decodedBytes: number;
+  /** Checksum of the stored bytes. */
   readonly xxh3: bigint;
 }
+
+/** How a section's or a page's bytes are coded: docs/format/FORMAT.md and ARCHIVE.md. */
 export type Codec = (typeof kCodecs)[number];
 
 export interface Head {
@@ -116,6 +135,7 @@ export interface Head {
 
 /** A page of a file with levels of detail. Its Gaussians replace those of its descendants. */
 export interface Page {
+  /** 0 to nPages - 1. */
   readonly index: number;
   /** 0: the scene itself. */
   readonly level: number;
@@ -255,7 +275,9 @@ const kCount = 5;
 
 /** The tree of pages, coarse to fine: page 0 is the root. */
 export class Levels {
+  /** Pages of all levels, known or not. */
   readonly nPages: number;
+  /** Level nLevels - 1 is the root. */
   readonly nLevels: number;
   /** Gaussians of all pages. */
   readonly nStored: number;
@@ -263,8 +285,9 @@ export class Levels {
   readonly pageChunks: number;
   /** The PSNR that Page.error stands for: a page's picture against that of its descendants, dB; 0: not stated. */
   readonly qualityDb: number;
+  /** Of all pages. */
   readonly codec: Codec;
-  /** All pages are known. */
+  /** Whether all pages are known. */
   isComplete = false;
   /** Of all pages, [nPages, kPageNumbers]; unknown ones have no parent. @internal */
   readonly pageNumbers: Float64Array;
@@ -297,12 +320,12 @@ export class Levels {
     return told;
   }
 
-  /** Not before its record of the table is read: `table` of OpenOptions. */
+  /** Whether page(index) is there yet: with `table: "beginning"` of OpenOptions, not before its record of the table is read. */
   isKnown(index: number): boolean {
     return index === 0 || (Number.isInteger(index) && (this.pageNumbers[kPageNumbers * index + kParent] ?? -1) >= 0);
   }
 
-  /** `index` of a known page. */
+  /** A known page. RangeError: no such page, or not known yet. */
   page(index: number): Page {
     if (!this.isKnown(index)) throw new RangeError(`page ${index} is not there, or not known yet`);
     const in_ = new Numbers(this.pageNumbers.subarray(kPageNumbers * index, kPageNumbers * (index + 1)));
@@ -324,7 +347,7 @@ export class Levels {
     };
   }
 
-  /** All known pages of one level. */
+  /** All known pages of one level, in order. */
   ofLevel(level: number): Page[] {
     const pages: Page[] = [];
     for (let i = 0; i < this.nPages; ++i) {

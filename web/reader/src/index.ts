@@ -1,5 +1,6 @@
 // index.ts - exports that the entries for browsers and Node share.
 // SPDX-License-Identifier: Apache-2.0
+export type { OpenOptions, Progress, ReadOptions, RgsFile, Source } from "./reader.js";
 export type { Gaussians, Limits, StoredGaussians } from "./decoder.js";
 export { RgsError, type RgsErrorCode } from "./errors.js";
 export type {
@@ -15,7 +16,6 @@ export type {
   Section,
   Vector3,
 } from "./head.js";
-export type { OpenOptions, Progress, ReadOptions, RgsFile, Source } from "./reader.js";
 export type { Look, PageAction, PageEvent, PageSchedule, PageScheduler } from "./pages.js";
 export type { RangeSource, UrlOptions } from "./source.js";
 export type { Spz } from "./spz.js";

@@ -3,12 +3,13 @@
 import type { Heap } from "./decoder.js";
 import { outOfMemory } from "./errors.js";
 
-/** The scene's tree is read as so many readers do; it shares nothing with other schedulers. */
+/** What a scheduler may use: it shares nothing with others. */
 export interface PageSchedule {
   /** Memory for pages beside the root; a page takes pageBytes and rowBytes for each Gaussian. */
   budget: number;
   pageBytes: number;
   rowBytes: number;
+  /** Reads that may be in flight. */
   nReaders: number;
   /** Of one read, and of what it skips between groups. */
   mostBytes: number;
@@ -38,7 +39,7 @@ const kFaults = ["lost", "checksum", "damaged"] as const;
 // In the order of WireEvent in runtime/pages/wire.hpp.
 const kEvents = ["looks", "frame", "frameEnds", "idle", "done", "arrived", "failed", "probed", "take", "release", "tableGrew", "tableFailed"] as const;
 
-/** A name and fields; a group is the children of one page, and has its number. */
+/** What the caller tells the scheduler: a name and fields. A group is the children of one page, and has its number. */
 export type PageEvent =
   | readonly ["looks", view: number, look: Look]
   /** Draw follows; its pages stay until the frame ends. */
@@ -63,6 +64,7 @@ export type PageEvent =
 /** Of readTable: the first page of all that is not known. */
 export const kAnyGroup = 0xffffffff;
 
+/** What the caller carries out; pages of a group are the children of one page. */
 export type PageAction =
   /** Read and decode groups first .. first + n - 1. */
   | { is: "read"; first: number; n: number }
@@ -141,7 +143,7 @@ function* actionsOf(numbers: Float64Array): Generator<PageAction> {
   }
 }
 
-/** Events go in, actions come out; times are milliseconds and never go back. */
+/** Decides which pages a view draws, and which are read, kept and evicted: events go in, actions come out. */
 export class PageScheduler {
   private readonly wire: number;
 
@@ -170,10 +172,12 @@ export class PageScheduler {
     return new PageScheduler(exports as unknown as Exports, pages, setup);
   }
 
+  /** Returns the number of a new view: a picture that is drawn again and again. */
   addView(): number {
     return this.wasm.rgs_pages_add_view(this.wire);
   }
 
+  /** Takes what has happened, in order, and returns what to do, in order. `now`: milliseconds, never less than before. */
   step(events: readonly PageEvent[], now: number): PageAction[] {
     return [...actionsOf(this.stepNumbers(events.flatMap(eventNumbers), Math.round(now * kMillisecond)))];
   }

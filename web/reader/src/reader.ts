@@ -9,23 +9,29 @@ import type { Requests } from "./service.js";
 import type { Spz } from "./spz.js";
 import { BlobSource, MemorySource, type RangeSource, UrlSource, type UrlOptions } from "./source.js";
 
+/** What open() reads: a URL (also as text), a Blob such as a File, a buffer or a view of one, or the caller's own ranges. */
 export type Source = ArrayBuffer | ArrayBufferView | Blob | URL | string | RangeSource;
 
-/** `total` is undefined while it is not known. */
+/** How far a call is. */
 export interface Progress {
   phase: "read" | "decode";
   /** Bytes while reading, Gaussians while decoding. */
   done: number;
+  /** Undefined while it is not known. */
   total: number | undefined;
 }
 
+/** Options of every call that reads. */
 export interface ReadOptions {
   /** Stops the call, which rejects with the signal's reason. */
   signal?: AbortSignal | undefined;
+  /** Called after each piece. */
   onProgress?: ((progress: Progress) => void) | undefined;
 }
 
+/** Options of open(). */
 export interface OpenOptions extends ReadOptions {
+  /** For files that are not trusted. */
   limits?: Limits;
   /** Of the table of pages, "beginning" reads what the first 64 KiB have; the rest is up to readTable(). */
   table?: "whole" | "beginning";
@@ -50,14 +56,17 @@ const kLarge = new Set(["MEAN", "GEOM", "SHI8", "PERM"]);
 /** Most groups in a part, which bounds the memory for parts. */
 const kMostGroups = 16;
 
-/** An opened file. Its own worker decodes it until close(). */
+/** An opened file; a worker of its own decodes it until close(). */
 export class RgsFile {
+  /** Counts, SH degree, version. */
   readonly header: Header;
+  /** What the file states of its scene: axes, anti-aliasing, units, origin, boxes. */
   readonly declarations: Declarations;
-  /** Null if the file has none, or if it lies behind pages and has not been read. */
+  /** Where the file comes from: untrusted texts. Null if it has none, or if it lies behind pages and has not been read. */
   readonly provenance: Provenance | null;
+  /** The table of sections, in its order. */
   readonly sections: readonly Section[];
-  /** Null without levels of detail. */
+  /** The tree of pages, coarse to fine. Null without levels of detail. */
   readonly levels: Levels | null;
   /** Actual bytes of the file; may be fewer than its header says. */
   readonly fileBytes: number;
@@ -83,36 +92,38 @@ export class RgsFile {
   }
 
   /**
-   * All Gaussians of the finest level. Reads the whole file and checks every checksum and every value. Peak memory is the file and the
-   * result.
+   * All Gaussians of the finest level, activated. Reads the whole file and checks every checksum and every value. Peak memory is the
+   * file and the result.
    */
   async read(options: ReadOptions = {}): Promise<Gaussians> {
     return (await this.readAll(options)).gaussians;
   }
 
-  /** The same with positions in the source, FP64 [n]; null if the file keeps none. */
+  /** What read() gives, and positions in the source, FP64 [n] from 0; null if the file keeps none. */
   readAll(options: ReadOptions = {}): Promise<{ gaussians: Gaussians; sourceIndex: Float64Array | null }> {
     const { nGaussians: n, shDegree } = this.header;
     return this.whole(options, (call) => this.client.call("wholeGaussians", { n, shDegree }, call));
   }
 
-  /** All Gaussians as a GPU reads them. bad_argument for files with levels of detail: use readPageStored(). */
+  /**
+   * All Gaussians as a GPU reads them: FP16 geometry, SH codes with their steps; not with levels of detail. There pages have step sets
+   * and a scale exponent of their own: bad_argument, use storedParts().
+   */
   async readStored(options: ReadOptions = {}): Promise<StoredGaussians> {
     if (this.levels) {
-      throw new RgsError({ code: "bad_argument", text: "a file with levels of detail is read by readPageStored() only" });
+      throw new RgsError({ code: "bad_argument", text: "a file with levels of detail is read by storedParts() or by page" });
     }
     const { nGaussians: n, ...shape } = this.shape;
     return (await this.whole(options, (call) => this.client.call("wholeStored", { n, shape }, call))).gaussians;
   }
 
   /**
-   * The same in parts, while the file is read: the first part has some ten thousand Gaussians, and each further one doubles the count.
-   * Parts are checked when they are given; the file as a whole is checked when the generator ends. Other read() calls wait until then.
+   * The same of any file in parts, for `for await`, while the file is read; with levels of detail they are the leaves, in order. Else
+   * the first part has some ten thousand Gaussians, and each further one doubles the count. Parts are checked when they are given;
+   * without levels the file as a whole is checked when the generator ends, and other read() calls wait until then.
    */
   async *storedParts({ signal, onProgress }: ReadOptions = {}): AsyncGenerator<StoredGaussians, void, undefined> {
-    if (this.levels) {
-      throw new RgsError({ code: "bad_argument", text: "a file with levels of detail is read by readPageStored() only" });
-    }
+    if (this.levels) return yield* this.storedLeaves(this.levels, { signal, onProgress });
     const { nGaussians: n, ...shape } = this.shape;
     const total = this.fileBytes;
     const all = [{ offset: 0, bytes: total }];
@@ -180,14 +191,14 @@ export class RgsFile {
   }
 
   /**
-   * What a view without cameras looks at (docs/user/CAMERAS.md), relative to the origin. Without levels of detail null until the first of
-   * storedParts().
+   * What a view without cameras looks at (docs/user/CAMERAS.md), relative to the origin. Null without levels of detail, until the first
+   * of storedParts().
    */
   get subjectBox(): Box | null {
     return this.subject;
   }
 
-  /** Pages 0 .. nPresent - 1 lie within the actual file. Of a file that was cut off, known pages alone may count. */
+  /** Pages 0 .. nPresent - 1 lie within the actual file, which may be cut off: then known pages alone may count. */
   get nPresent(): number {
     const { levels } = this;
     let low = 0;
@@ -202,9 +213,9 @@ export class RgsFile {
   }
 
   /**
-   * Reads more of the table of pages as the scheduler's readTable asks for it: from a page's first unknown child on, or from the first
-   * unknown page of all. Returns what to tell the scheduler. One at a time. Errors: those of open() for the table; bad_argument
-   * without levels; RangeError.
+   * Reads more of the table of pages: from the first unknown child of page `group` on, or from the first unknown page of all. Returns
+   * what to tell the scheduler, whose readTable asks for it. One at a time. Errors: those of open() for the table; bad_argument without
+   * levels; RangeError.
    */
   async readTable(group = kAnyGroup, { signal }: ReadOptions = {}, most = kTableBytes): Promise<PageEvent> {
     const { tree } = this;
@@ -216,13 +227,14 @@ export class RgsFile {
     return ["tableGrew", group, tree.extend(values)];
   }
 
-  /** Gaussians of a page; checks its checksum and every value. */
+  /** Gaussians of a page, by one request; checks its checksum and every value. pages_missing beyond nPresent. */
   async readPage(page: number, options: ReadOptions = {}): Promise<Gaussians> {
     const bytes = await this.storedPage(page, options);
     const { shDegree } = this.header;
     return this.client.call("page", { page, bytes, shDegree }, { ...options, onProgress: undefined, transfer: [own(bytes)] });
   }
 
+  /** Gaussians of a page as a GPU reads them, by one request; checks its checksum and every value. pages_missing beyond nPresent. */
   async readPageStored(page: number, options: ReadOptions = {}): Promise<StoredGaussians> {
     const bytes = await this.storedPage(page, options);
     const { nGaussians: _, ...shape } = this.shape;
@@ -231,7 +243,10 @@ export class RgsFile {
     return this.client.call("pageStored", { page, bytes, shape }, call);
   }
 
-  /** What decides which pages are drawn, read and evicted. It runs on the caller's thread, so a busy worker does not hold it up. */
+  /**
+   * Decides which pages a view draws, and which are read, kept and evicted; your code carries that out. It runs on the caller's thread,
+   * so a busy worker does not hold it up.
+   */
   async pageScheduler(schedule: PageSchedule): Promise<PageScheduler> {
     const { pageNumbers } = this.tree;
     return PageScheduler.start(await this.client.call("module", {}), pageNumbers, schedule);
@@ -251,6 +266,26 @@ export class RgsFile {
   private get tree(): Levels {
     if (this.levels) return this.levels;
     throw new RgsError({ code: "bad_argument", text: "the file has no levels of detail, so it has no pages" });
+  }
+
+  /** Reads one leaf ahead of what is taken. */
+  private async *storedLeaves(levels: Levels, { signal, onProgress }: ReadOptions): AsyncGenerator<StoredGaussians, void, undefined> {
+    while (!levels.isComplete) await this.readTable(kAnyGroup, { signal }, kPieceBytes);
+    const leaves = levels.ofLevel(0).map(({ index }) => index);
+    const read = (page: number | undefined): Promise<StoredGaussians> | undefined => {
+      const part = page === undefined ? undefined : this.readPageStored(page, { signal });
+      part?.catch(() => undefined); // reported when it is taken
+      return part;
+    };
+    let done = 0;
+    let next = read(leaves[0]);
+    for (let i = 1; next; ++i) {
+      const part = await next;
+      next = read(leaves[i]);
+      done += part.n;
+      onProgress?.({ phase: "decode", done, total: this.header.nGaussians });
+      yield part;
+    }
   }
 
   private isPresent(index: number): boolean {

@@ -10,9 +10,11 @@ export interface RangeSource {
   read(offset: number, bytes: number, signal?: AbortSignal): Promise<Uint8Array>;
 }
 
+/** How a URL is read. */
 export interface UrlOptions {
   /** Sent with each request. */
   headers?: Record<string, string>;
+  /** As fetch() has it. */
   credentials?: RequestCredentials;
   /** Of one read, in a row without a byte; 2 by default. Pauses of 0.25 s, doubled up to 8 s. */
   retries?: number;

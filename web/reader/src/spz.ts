@@ -6,8 +6,9 @@ import { RgsError } from "./errors.js";
 const kHeaderBytes = 16;
 const kStreams = ["positions", "alphas", "colors", "scales", "rotations", "sh"] as const;
 
-/** `rotations`: 3 bytes each in version 2, else 4. */
+/** A .spz: its header, and its streams as the file packs them. */
 export interface Spz extends SpzHeader {
+  /** Decompressed. `rotations`: 3 bytes each in version 2, else 4. */
   streams: Record<(typeof kStreams)[number], Uint8Array>;
 }
 

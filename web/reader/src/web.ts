@@ -22,17 +22,17 @@ function startWorker(make: OpenOptions["worker"]): Port {
   };
 }
 
-/** Opens an .rgs file. Rejects with an RgsError, or with the reason of `options.signal`. */
+/** Opens an .rgs file: reads header, declarations and the table of pages. Rejects with an RgsError, or the signal's reason. */
 export function open(source: Source, options: OpenOptions = {}): Promise<RgsFile> {
   return openWith(() => startWorker(options.worker), source, options);
 }
 
-/** RgsFile.subjectBox of Gaussians that come from elsewhere: `means` [n, 3], `opacities` [n]. */
+/** RgsFile.subjectBox of Gaussians that come from elsewhere: `means` [n, 3], `opacities` [n] 0 to 1. */
 export function subjectBox(means: Float32Array, opacities: Float32Array, options: Pick<OpenOptions, "wasm" | "worker"> = {}): Promise<Box> {
   return subjectBoxWith(() => startWorker(options.worker), means, opacities, options);
 }
 
-/** The streams of a .spz, as bytes; the file as a whole. Rejects with an RgsError. */
+/** Header, declared axes and streams of a whole .spz, as `rgs-convert` checks them. Rejects with an RgsError. */
 export function readSpz(bytes: Uint8Array<ArrayBuffer>, options: Pick<OpenOptions, "wasm" | "worker"> = {}): Promise<Spz> {
   return readSpzWith(() => startWorker(options.worker), bytes, options);
 }

@@ -190,9 +190,36 @@ test("who stops reading leaves the file as it was, and a signal stops it", async
   await assert.rejects(parts.next(), { message: "enough" });
   assert.equal((await file.readStored()).n, 60000);
   file.close();
-  const levels = await open(readFileSync(join(scenes(), "levels.rgs")));
-  await assert.rejects(levels.storedParts().next(), { code: "bad_argument" });
-  levels.close();
+});
+
+test("of a file with levels of detail the parts are the leaves in order", async (t) => {
+  const bytes = readFileSync(join(scenes(), "levels.rgs"));
+  for (const table of ["whole", "beginning"]) {
+    await t.test(`opened with the ${table} of the table`, async () => {
+      const file = await open(bytes, { table });
+      await assert.rejects(file.readStored(), { code: "bad_argument" });
+      const means = [];
+      let last;
+      for await (const part of file.storedParts({ onProgress: (progress) => (last = progress) })) means.push(...part.means);
+      const n = file.header.nGaussians;
+      assert.deepEqual(last, { phase: "decode", done: n, total: n });
+      assert.deepEqual(new Float32Array(means), (await file.read()).means);
+      file.close();
+    });
+  }
+  await t.test("and a page that is damaged or missing is an error", async () => {
+    const { levels } = await open(bytes);
+    const { offset, storedBytes } = levels.ofLevel(0)[1];
+    const damaged = Uint8Array.from(bytes);
+    damaged[offset + storedBytes - 1] ^= 1;
+    for (const [content, code] of [[damaged, "checksum_mismatch"], [bytes.subarray(0, offset), "pages_missing"]]) {
+      const file = await open(content);
+      const parts = file.storedParts();
+      assert.ok((await parts.next()).value.n > 0);
+      await assert.rejects(parts.next(), { code });
+      file.close();
+    }
+  });
 });
 
 test("who stops waiting for another's read leaves it alone", async () => {
