@@ -4,6 +4,7 @@
 # `install-deps.sh python` adds those that the Python module and its tests need.
 # `install-deps.sh page` adds those that the viewer's page is built with: clang 19 and binaryen for WebAssembly, and npm where there is none.
 # `install-deps.sh test` adds those that only tests need, a browser among them; `install-deps.sh web` adds both.
+# `install-deps.sh site` adds those that scripts/site.sh makes pages with.
 # Set RGS_SKIP_INSTALL=1 where the dependencies come from elsewhere.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
@@ -18,14 +19,17 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
   patchelf python3-dev pybind11-dev libdlpack-dev"
 [ "${1:-}" != python ] || packages="$packages python3-dev pybind11-dev libdlpack-dev python3-pytest mypy
   python3-nbformat python3-nbclient python3-ipykernel"
+[ "${1:-}" != site ] || packages="$packages doxygen python3-sphinx python3-myst-parser python3-breathe python3-numpydoc furo python3-dev
+  pybind11-dev libdlpack-dev"
 case ${1:-} in test | web) packages="$packages chromium pkgconf nginx-light openssl valgrind" ;; esac
 case ${1:-} in
   page | web)
     packages="$packages clang-19 lld-19 libc++-19-dev-wasm32 libc++abi-19-dev-wasm32 wasi-libc libclang-rt-19-dev-wasm32
       binaryen"
-    command -v npm >/dev/null || packages="$packages npm" # a newer one need not be a package
     ;;
 esac
+# A newer npm need not be a package.
+case ${1:-} in page | site | web) command -v npm >/dev/null || packages="$packages npm" ;; esac
 
 [ "${RGS_SKIP_INSTALL:-0}" = 1 ] && exit 0
 

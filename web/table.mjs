@@ -37,7 +37,7 @@ export function exportsOf(name) {
   const returnsOf = (declaration) =>
     declaration.type?.getText() ?? (ts.isPropertyDeclaration(declaration) ? checker.typeToString(checker.getTypeAtLocation(declaration)) : "");
   const described = (symbol, declaration) => {
-    const parameters = declaration.parameters?.map((p) => (ts.isIdentifier(p.name) ? p.name.text : "options") + (p.initializer || p.questionToken ? "?" : ""));
+    const parameters = declaration.parameters?.map((p) => p.name.getText() + (p.initializer || p.questionToken ? "?" : ""));
     const called = parameters && !ts.isGetAccessor(declaration) ? `(${parameters.join(", ")})` : "";
     return { name: symbol.name + called, kind: ts.SyntaxKind[declaration.kind], returns: returnsOf(declaration), text: textOf(symbol) };
   };

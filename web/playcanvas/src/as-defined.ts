@@ -32,7 +32,8 @@ export interface DeclaredAntiAliasing {
 }
 
 /** The anti-aliasing that a file declares. A low-pass applies only in its own mode. `coarser`: pages above level 0 are drawn. */
-export function antiAliasingOf({ aaMode, lowPassPx2 }: DeclaredAntiAliasing, coarser = false): AntiAliasing {
+export function antiAliasingOf(declared: DeclaredAntiAliasing, coarser = false): AntiAliasing {
+  const { aaMode, lowPassPx2 } = declared;
   const usual = coarser || aaMode === "mip_splatting" ? kMipSplatting : kClassic;
   return coarser || aaMode === "undeclared" || lowPassPx2 === undefined ? usual : { ...usual, lowPassPx2 };
 }

@@ -1,5 +1,9 @@
 // index.ts - .rgs files in the PlayCanvas engine.
 // SPDX-License-Identifier: Apache-2.0
+/**
+ * Draws .rgs files with the PlayCanvas engine.
+ * @module @roofgs/playcanvas
+ */
 export { RgsError, type RgsErrorCode } from "@roofgs/reader";
 export { type AntiAliasing, antiAliasingOf, type DeclaredAntiAliasing, drawAsDefined } from "./as-defined.js";
 export { type Pinhole, resizePinhole, setPinhole } from "./pinhole.js";

@@ -123,7 +123,7 @@ export interface Section {
   readonly xxh3: bigint;
 }
 
-/** How a section's or a page's bytes are coded: docs/format/FORMAT.md and ARCHIVE.md. */
+/** How a section's or a page's bytes are coded: docs/format/FORMAT.md, docs/format/ARCHIVE.md. */
 export type Codec = (typeof kCodecs)[number];
 
 export interface Head {

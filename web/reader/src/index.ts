@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 export type { OpenOptions, Progress, ReadOptions, RgsFile, Source } from "./reader.js";
 export type { Gaussians, Limits, StoredGaussians } from "./decoder.js";
-export { RgsError, type RgsErrorCode } from "./errors.js";
+export { RgsError, type RgsErrorCode, type RgsErrorFields } from "./errors.js";
 export type {
   Axis,
   Box,

@@ -122,8 +122,9 @@ export class RgsFile {
    * the first part has some ten thousand Gaussians, and each further one doubles the count. Parts are checked when they are given;
    * without levels the file as a whole is checked when the generator ends, and other read() calls wait until then.
    */
-  async *storedParts({ signal, onProgress }: ReadOptions = {}): AsyncGenerator<StoredGaussians, void, undefined> {
-    if (this.levels) return yield* this.storedLeaves(this.levels, { signal, onProgress });
+  async *storedParts(options: ReadOptions = {}): AsyncGenerator<StoredGaussians, void, undefined> {
+    if (this.levels) return yield* this.storedLeaves(this.levels, options);
+    const { signal, onProgress } = options;
     const { nGaussians: n, ...shape } = this.shape;
     const total = this.fileBytes;
     const all = [{ offset: 0, bytes: total }];
@@ -214,10 +215,11 @@ export class RgsFile {
 
   /**
    * Reads more of the table of pages: from the first unknown child of page `group` on, or from the first unknown page of all. Returns
-   * what to tell the scheduler, whose readTable asks for it. One at a time. Errors: those of open() for the table; bad_argument without
-   * levels; RangeError.
+   * what to tell the scheduler, whose readTable asks for it. One at a time, of about `most` bytes.
+   * Errors: those of open() for the table; bad_argument without levels; RangeError.
    */
-  async readTable(group = kAnyGroup, { signal }: ReadOptions = {}, most = kTableBytes): Promise<PageEvent> {
+  async readTable(group = kAnyGroup, options: ReadOptions = {}, most = kTableBytes): Promise<PageEvent> {
+    const { signal } = options;
     const { tree } = this;
     if (group !== kAnyGroup) tree.page(group);
     const range = await this.client.call("unreadTable", { below: group, most: Math.max(112, Math.min(most, kPieceBytes)) }, { signal });

@@ -1,5 +1,9 @@
 // web.ts - the entry for browsers.
 // SPDX-License-Identifier: Apache-2.0
+/**
+ * Reads .rgs files, in browsers and in Node.
+ * @module @roofgs/reader
+ */
 import type { Port } from "./client.js";
 import type { Box } from "./head.js";
 import { type OpenOptions, openWith, readSpzWith, type RgsFile, type Source, subjectBoxWith } from "./reader.js";

@@ -1,7 +1,5 @@
-// MiB); truncated (expected and found bytes; lines in text); trailing_bytes; bad_value (negative list length);
-// not_gaussian_splats (names the missing property; 2DGS); unsupported_feature (packed PLY; an f_rest count that fits no
-// degree, in Error::found).
-// Anything but a regular file is read as by open(int).
+// ply.hpp - 3DGS scenes in PLY files: streamed, random-access reading and writing.
+// SPDX-License-Identifier: Apache-2.0
 #pragma once
 
 #include <cstddef>
@@ -30,7 +28,9 @@ class PlyFile {
  public:
   /// Errors, for header lines with their byte offset: open_failed, read_failed, write_failed (temporary file);
   /// bad_magic, unsupported_version, bad_syntax, bad_value (a comment rgs_KEY with an invalid value), limit_exceeded
-  /// (header above
+  /// (header above 1 MiB); truncated (expected and found bytes; lines in text); trailing_bytes; bad_value (negative list
+  /// length); not_gaussian_splats (names the missing property; 2DGS); unsupported_feature (packed PLY; an f_rest count that
+  /// fits no degree, in Error::found). Anything but a regular file is read as by open(int).
   static Result<PlyFile> open(const std::string& path);
   /// Reads from the descriptor's position to its end. A regular file at its start is mapped; anything else (a pipe) is
   /// copied first, above 1 MiB into an unlinked temporary file. The caller keeps the descriptor.
