@@ -22,10 +22,10 @@ quiet module cmake --build build/python --parallel "$jobs"
 
 # The pages that are in the repository, and all that they link to.
 git ls-files -z '*.md' docs LICENSE samples converter/formats | xargs -0 cp --parents -t "$source"
-cp docs/site/index.md "$source"
+cp docs/site/index.md docs/site/scoreboard.md "$source"
 
 # C++: a page for each header that is installed; its head comment says what it is for.
-headers=$(git ls-files 'format/include/*.hpp' 'kernels/math/include/*.hpp' 'converter/formats/include/*.hpp' 'runtime/include/*.hpp')
+headers=$(for folder in format runtime converter/formats kernels/math; do git ls-files "$folder/include/*.hpp"; done)
 # shellcheck disable=SC2086  # lists of words
 {
   printf '%s\n' GENERATE_HTML=NO GENERATE_LATEX=NO GENERATE_XML=YES XML_PROGRAMLISTING=NO "OUTPUT_DIRECTORY=$work" QUIET=YES \
@@ -36,10 +36,10 @@ headers=$(git ls-files 'format/include/*.hpp' 'kernels/math/include/*.hpp' 'conv
                library = FILENAME; sub(/\/include.*/, "", library); text = ""; ended = 0 }
     ended { next }
     /^\/\/ SPDX/ || !/^\/\// {
-      ended = 1; sub(/^[^ ]* - /, "", text)
+      ended = 1; sub(/^[^ ]* - /, "", text); text = toupper(substr(text, 1, 1)) substr(text, 2)
       if (library != last) printf "\n## %s\n\n| header | |\n|---|---|\n", last = library
       printf "| [%s](%s.md) | %s |\n", name, page, text
-      printf "# %s\n\n%s\n\n```{doxygenfile} %s\n```\n", name, toupper(substr(text, 1, 1)) substr(text, 2), FILENAME >(api "/" page ".md")
+      printf "# %s\n\n%s\n\n```{doxygenfile} %s\n```\n", name, text, FILENAME >(api "/" page ".md")
       close(api "/" page ".md"); next
     }
     { sub(/^\/\/ ?/, ""); text = text (text ? " " : "") $0 }' $headers >"$work/headers.md"
@@ -61,8 +61,7 @@ sed -i 's|HOME/|../../|' "$html"/api/typescript/*.html
 sed -i 's|HOME/|../../../|' "$html"/api/typescript/*/*.html
 cp docs/records/scoreboard.json "$html/docs/records"
 sed 's|\(href="[^":]*\)\.md|\1.html|g' docs/records/scoreboard.html >"$html/docs/records/scoreboard.html"
-rm -f "$html/.buildinfo"
-
+rm "$html/.buildinfo"
 quiet links python3 scripts/check_links.py "$html"
 [ -z "${folder:-}" ] || cp -R "$html/." "$folder"
 echo "open ${folder:-$html}/index.html"
