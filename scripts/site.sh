@@ -57,8 +57,8 @@ cp docs/site/python.md docs/site/typescript.md "$source/api"
 export RGS_SITE_PYTHON="$PWD/build/python/python/package" RGS_SITE_XML="$work/xml"
 quiet sphinx sphinx-build -q -W --keep-going -j "$jobs" -c docs/site -d "$work/doctrees" "$source" "$html"
 quiet typedoc sh -c 'cd web && node node_modules/typedoc/bin/typedoc --options typedoc.json --out "$1"' sh "$html/api/typescript"
-sed -i 's|HOME/|../../|' "$html"/api/typescript/*.html
-sed -i 's|HOME/|../../../|' "$html"/api/typescript/*/*.html
+sed -i 's|HOME/|../../|g' "$html"/api/typescript/*.html
+sed -i 's|HOME/|../../../|g' "$html"/api/typescript/*/*.html
 cp docs/records/scoreboard.json "$html/docs/records"
 sed 's|\(href="[^":]*\)\.md|\1.html|g' docs/records/scoreboard.html >"$html/docs/records/scoreboard.html"
 rm "$html/.buildinfo"

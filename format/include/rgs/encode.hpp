@@ -18,9 +18,9 @@
 namespace RGS_API rgs {
 
 struct DepthRange {
-  float z_near = 0;
+  float z_near = 0;  ///< camera z, world units
   float z_far = 0;
-  DepthSource source = DepthSource::by_hand;
+  DepthSource source = DepthSource::by_hand;  ///< how it was found
 };
 
 /// The default range: from the near plane of 3DGS to ten diagonals of the robust box, or one if linear.
@@ -49,31 +49,31 @@ inline constexpr int kMaxLevel = 19;
 struct EncodeOptions {
   Profile profile = Profile::direct;
   ArchiveOptions archive;
-  int level = 1;                   ///< packed: effort, 1 to kMaxLevel; docs/user/PROFILES.md
-  std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^16], 2^15 with archive
-  bool chunk_step_sets = true;     ///< SH steps per chunk; false: one set for the file (the paper's scheme)
-  Order order = Order::morton;
-  bool keep_permutation = false;  ///< store each Gaussian's position in the source
-  int sh_degree = kMaxShDegree;   ///< higher degrees are stripped
-  BadPolicy on_bad = BadPolicy::drop;
+  int level = 1;                       ///< packed: effort, 1 to kMaxLevel; docs/user/PROFILES.md
+  std::uint32_t chunk_size = 256;      ///< Gaussians per chunk, a multiple of 32 in [32, 2^16], 2^15 with archive
+  bool chunk_step_sets = true;         ///< SH steps per chunk; false: one set for the file (the paper's scheme)
+  Order order = Order::morton;         ///< of the Gaussians in the file
+  bool keep_permutation = false;       ///< store each Gaussian's position in the source
+  int sh_degree = kMaxShDegree;        ///< higher degrees are stripped
+  BadPolicy on_bad = BadPolicy::drop;  ///< what becomes of damaged Gaussians
   double max_bad_fraction = 0.01;  ///< a larger share of damaged Gaussians is too_many_bad; ignored under repair/refuse
-  std::optional<DepthRange> depth;                         ///< absent: from the extent of the scene
-  DepthMapping depth_mapping = DepthMapping::logarithmic;  ///< about 4.5 bits better than linear, the paper's
-  std::array<Axis, 3> axes{Axis::right, Axis::down, Axis::forward};
+  std::optional<DepthRange> depth;                                   ///< absent: from the extent of the scene
+  DepthMapping depth_mapping = DepthMapping::logarithmic;            ///< about 4.5 bits better than linear, the paper's
+  std::array<Axis, 3> axes{Axis::right, Axis::down, Axis::forward};  ///< where +x, +y and +z of the means point
   ColourSpace colour_space = ColourSpace::srgb_display;
-  AaMode aa_mode = AaMode::classic;
+  AaMode aa_mode = AaMode::classic;                  ///< how the scene was trained
   std::optional<float> low_pass_px2 = std::nullopt;  ///< absent: default_low_pass_px2(aa_mode)
-  float metres_per_unit = 0;
+  float metres_per_unit = 0;                         ///< 0: unknown
   /// of the means; |x| <= kMaxOrigin
   Origin origin = kNoOrigin;
   Crs crs;  ///< of origin + mean
   /// With levels, but not Profile::archive: pages get origins of their own where a Splat::mean_rest is not 0, so that
   /// means keep a quarter of a millimetre however far apart they are (a unit of unknown size counts as a metre).
   bool page_origins = false;
-  float cutoff_sigma = 3.f;
-  float alpha_threshold = 1.f / 255.f;
-  float alpha_max = 0.99f;
-  float transmittance_min = 1e-4f;
+  float cutoff_sigma = 3.f;             ///< extent of the kernel, standard deviations
+  float alpha_threshold = 1.f / 255.f;  ///< smaller alphas are not blended
+  float alpha_max = 0.99f;              ///< larger alphas are clamped to it
+  float transmittance_min = 1e-4f;      ///< blending ends below it
   std::optional<Provenance> provenance;
   /// For Gaussians that were loaded or filtered before, so that the file describes their original source:
   std::uint64_t n_source = 0;    ///< Gaussians in it; 0 or fewer than given: those given

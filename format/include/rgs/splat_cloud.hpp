@@ -61,7 +61,7 @@ struct SplatView {
 
 /// Owning counterpart of SplatView.
 struct SplatCloud {
-  int sh_degree = 0;
+  int sh_degree = 0;                  ///< 0 to 3
   std::vector<float> mean;            ///< [n, 3] relative to the scene's origin
   std::vector<float> log_scale;       ///< [n, 3]
   std::vector<float> rotation;        ///< [n, 4] w, x, y, z
@@ -69,7 +69,7 @@ struct SplatCloud {
   std::vector<float> sh;              ///< [n, sh_coefficients(sh_degree), 3]
   std::vector<float> mean_rest = {};  ///< [n, 3], see Splat; or empty: 0. A new size empties it
 
-  std::uint64_t size() const { return opacity_logit.size(); }
+  std::uint64_t size() const { return opacity_logit.size(); }  ///< Gaussians
   SplatView view() const { return {size(), sh_degree, mean, log_scale, rotation, opacity_logit, sh, mean_rest}; }
   void resize(std::uint64_t n, int degree);
   void set(std::uint64_t i, const Splat& splat);

@@ -42,7 +42,7 @@ std::array<double, 16> row_major(const glm::dmat4& matrix);
 glm::dmat4 from_row_major(const std::array<double, 16>& matrix);
 
 struct Intrinsics {
-  int width = 0, height = 0;
+  int width = 0, height = 0;              ///< pixels
   double fx = 0, fy = 0, cx = 0, cy = 0;  ///< as in Camera
 };
 
@@ -68,8 +68,8 @@ glm::dvec3 camera_axis(const Camera& camera, int axis);
 
 /// Image format of a view without a camera file. Angles in degrees.
 struct ViewFormat {
-  int width = 1280, height = 720;
-  double horizontal_fov = 60;
+  int width = 1280, height = 720;  ///< pixels
+  double horizontal_fov = 60;      ///< from edge to edge
 };
 
 /// Camera at `eye` that sees `target` in the image centre, with `up` pointing up in the image. An `up` along the line
@@ -78,7 +78,7 @@ Camera look_at(const glm::dvec3& eye, const glm::dvec3& target, const glm::dvec3
 
 /// Axis-aligned box of the bulk of a scene.
 struct SceneBounds {
-  glm::dvec3 low{0, 0, 0}, high{0, 0, 0};
+  glm::dvec3 low{0, 0, 0}, high{0, 0, 0};  ///< corners, world units
 };
 
 /// Views [n, 3] floats, such as a scene's means, as vectors.

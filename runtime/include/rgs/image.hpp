@@ -19,7 +19,7 @@ namespace RGS_API rgs {
 /// 8-bit output is round(255 * clamp(v, 0, 1)) and nothing else.
 struct Image {
   int width = 0;
-  int height = 0;
+  int height = 0;  ///< pixels
   int channels = 0;
   std::vector<float> pixels;  ///< [height, width, channels]
 

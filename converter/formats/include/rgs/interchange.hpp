@@ -116,7 +116,7 @@ struct SplatFile {
   /// its Gaussians, what of an OpenUSD stage is not shown or not followed, coarser levels, the environment, meshes and
   /// the georeference of an LCC.
   std::vector<std::string> unused = {};
-  SplatCloud cloud;
+  SplatCloud cloud;              ///< the Gaussians
   Origin origin = kNoOrigin;     ///< of `cloud`, in `axes`; from an .rgs, doubles of a PLY, npz or pt, or a far node or
                                  ///< prim of a glb or usda
   Crs crs = {};                  ///< of origin + mean
@@ -185,8 +185,8 @@ struct WriteOptions {
 
 /// How many Gaussians have a value beyond the format's range, and by how much at most.
 struct Clamped {
-  std::uint64_t n = 0;
-  double largest = 0;
+  std::uint64_t n = 0;  ///< Gaussians
+  double largest = 0;   ///< excess, in the attribute's unit
 };
 
 /// What a format's ranges changed in a scene, by attribute. Rounding to the nearest code is not clamping:
