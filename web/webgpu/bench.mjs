@@ -98,7 +98,7 @@ const median = (list) => list.sort((a, b) => a - b)[list.length >> 1];
 
 const { vendor, architecture, description } = adapter.info;
 console.log(`${[vendor, architecture, description].join(" ")}; ${file.header.nGaussians} Gaussians, ${width}x${height}, median of ${nFrames} frames, ms by ${hasTimestamps ? "timestamps" : "the queue"}`);
-console.log("view       ms  frames/s waited for     visible     entries");
+console.log("view       ms  frames/s in a row     visible     entries");
 const list = readCameras(cameras);
 for (const view of values.views ? values.views.split(",").map(Number) : list.keys()) {
   renderer.setView(list[view], origin);
@@ -110,13 +110,13 @@ for (const view of values.views ? values.views.split(",").map(Number) : list.key
   const { nVisible, nEntries } = await renderer.render(target, options);
   const times = [];
   for (let i = 0; i < nFrames; ++i) times.push(await timeFrame());
-  // As many frames as the queue takes, which is what an animation sees.
+  // What an animation sees: the queue is never empty.
   const begin = performance.now();
   const frames = Array.from({ length: nFrames }, () => renderer.render(target, options));
   await Promise.all(frames);
   await device.queue.onSubmittedWorkDone();
   const rate = (1000 * nFrames) / (performance.now() - begin);
-  console.log(`${String(view).padStart(4)} ${(nFrames ? median(times) : 0).toFixed(3).padStart(8)} ${rate.toFixed(1).padStart(20)} ${String(nVisible).padStart(11)} ${String(nEntries).padStart(11)}`);
+  console.log(`${String(view).padStart(4)} ${(nFrames ? median(times) : 0).toFixed(3).padStart(8)} ${rate.toFixed(1).padStart(18)} ${String(nVisible).padStart(11)} ${String(nEntries).padStart(11)}`);
 }
 // Dawn's threads keep the process.
 process.exit(0);

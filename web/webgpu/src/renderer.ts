@@ -90,7 +90,9 @@ export class SplatRenderer {
     const byBlock = new Map<Block, { groups: Uint32Array; order: number }[]>();
     let order = 0;
     for (const { block, groups } of pieces) {
-      byBlock.set(block, [...(byBlock.get(block) ?? []), { groups, order }]);
+      const list = byBlock.get(block) ?? [];
+      list.push({ groups, order });
+      byBlock.set(block, list);
       order += groups.length / kGroupWords;
     }
     let at = 0;

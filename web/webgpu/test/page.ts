@@ -20,18 +20,42 @@ async function start(isLeast: boolean): Promise<void> {
   device.addEventListener("uncapturederror", ({ error }) => problems.push(error.message));
 }
 
+/** Means in eighths, all further along each axis. */
+function shifted(part: StoredGaussians, shift: number): StoredGaussians {
+  const means = part.means.map((value) => Math.round(8 * value) / 8 + shift);
+  const chunkBounds = part.chunkBounds.map((value, i) => (i % 4 === 3 ? value : value + shift + (i % 8 < 4 ? -1 / 8 : 1 / 8)));
+  return { ...part, means, chunkBounds };
+}
+
 /** A new renderer with the Gaussians of a file: of one with levels of detail the leaves. `room`: first room for splats and entries. */
-async function load(url: string, room?: [number, number]): Promise<number> {
+async function load(url: string, room?: [number, number], shift?: number): Promise<number> {
   renderer?.destroy();
   file?.close();
   renderer = await SplatRenderer.create(device, room);
   file = await open(url);
   ({ declarations } = file);
   parts = [];
-  if (!file.levels) for await (const part of file.storedParts()) parts.push(renderer.add(part));
+  if (!file.levels) for await (const part of file.storedParts()) parts.push(renderer.add(shift === undefined ? part : shifted(part, shift)));
   else for (const { index } of file.levels.ofLevel(0)) parts.push(renderer.add(await file.readPageStored(index)));
   renderer.setParts(parts);
   return file.header.nGaussians;
+}
+
+/**
+ * Draws the three parts of a file and the same in other colours, which lie in another block. `order`: numbers of parts, of the others 3
+ * to 5. `isSwapped`: the others are added first.
+ */
+async function loadTwice(url: string, order: readonly number[], isSwapped: boolean): Promise<void> {
+  await load(url);
+  const stored: StoredGaussians[] = [];
+  for await (const part of file.storedParts()) stored.push(part);
+  if (stored.length !== 3) throw new Error(`${stored.length} parts`);
+  const both = [...stored, ...stored.map((part) => ({ ...part, sh: part.sh.map((code) => -code) }))];
+  for (const part of parts) renderer.remove(part);
+  const added = new Map<number, Part>();
+  for (const i of isSwapped ? [3, 4, 5, 0, 1, 2] : [0, 1, 2, 3, 4, 5]) added.set(i, renderer.add(both[i] as StoredGaussians));
+  parts = order.map((i) => added.get(i) as Part);
+  renderer.setParts(parts);
 }
 
 /** Draws the cut that the scheduler chooses for a camera; pages are added last to first, between others that leave. */
@@ -160,4 +184,4 @@ async function sort(keys: number[], bits: number): Promise<[number[], number[]]>
   return [(sorted as number[]).slice(0, keys.length), (places as number[]).slice(0, keys.length)];
 }
 
-Object.assign(window, { splats: { start, load, loadCut, picture, rendered, decode, sums, sort, problems: () => problems } });
+Object.assign(window, { splats: { start, load, loadTwice, loadCut, picture, rendered, decode, sums, sort, problems: () => problems } });

@@ -45,9 +45,9 @@ test("pictures", async (t) => {
   // A device as every browser has it.
   const page = await openPage(true);
   const call = (name, ...args) => page.evaluate(([name, args]) => window.splats[name](...args), [name, args]);
-  const load = (scene, room) => {
+  const load = (scene, ...how) => {
     cpSync(scene, join(server.files, basename(scene)));
-    return call("load", `/${basename(scene)}`, room);
+    return call("load", `/${basename(scene)}`, ...how);
   };
   const convert = (from, name, ...more) => {
     const to = join(made, name);
@@ -148,6 +148,30 @@ test("pictures", async (t) => {
     assert.equal(frames.length, 3, "splats, entries, then the picture");
     for (const [pixels] of frames.slice(0, 2)) assert.ok(bytes(pixels).every((byte) => byte === 0));
     assert.deepEqual(bytes(frames[2][0]), first);
+  });
+
+  await t.test("equal depths are in the order of parts, wherever these lie", async () => {
+    const size = [120, 90];
+    const twice = async (...how) => {
+      await call("loadTwice", `/${basename(packed)}`, ...how);
+      return draw(generated[0], size);
+    };
+    await load(packed);
+    const first = await twice([0, 3, 4, 1, 2, 5], false);
+    assert.deepEqual(await twice([0, 3, 4, 1, 2, 5], true), first);
+    assert.ok(psnr(await twice([0, 3, 1, 4, 2, 5], false), first) < kLeastDb);
+  });
+
+  // Where FP32 has eighths, a camera is somewhere between.
+  await t.test("far from a file's origin the picture is the same", async (t) => {
+    const far = 2 ** 20;
+    const camera = { ...generated[0], position: generated[0].position.map((value) => Math.round(2 ** 20 * value) / 2 ** 20 + 0.06) };
+    await load(packed, undefined, 0);
+    const near = await draw(camera, [120, 90]);
+    await load(packed, undefined, far);
+    const db = psnr(await draw({ ...camera, position: camera.position.map((value) => value + far) }, [120, 90]), near);
+    t.diagnostic(`${db.toFixed(1)} dB`);
+    assert.ok(db >= kLeastDb, `${db} dB`);
   });
 
   await t.test("what a file declares, and files of each degree", async (t) => {
