@@ -1,5 +1,5 @@
 // bench.mjs - what a frame takes, and its picture: node bench.mjs scene.rgs cameras.json [--size 1920x1080] [--views 0,10]
-// [--frames 50] [--detail PX] [--out FOLDER]. Dawn for Node draws; docs/develop/WEBGPU.md says what it needs.
+// [--frames 50] [--out FOLDER]. Of a file with levels of detail it draws the leaves. Dawn for Node draws; docs/develop/WEBGPU.md says what it needs.
 // SPDX-License-Identifier: Apache-2.0
 import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { open as openFile } from "node:fs/promises";
@@ -12,11 +12,11 @@ import { create, globals } from "webgpu";
 
 const { values, positionals } = parseArgs({
   allowPositionals: true,
-  options: Object.fromEntries(["size", "views", "frames", "detail", "out"].map((name) => [name, { type: "string" }])),
+  options: Object.fromEntries(["size", "views", "frames", "out"].map((name) => [name, { type: "string" }])),
 });
 const [scene, cameras] = positionals;
 if (!cameras) {
-  console.error("usage: node bench.mjs scene.rgs cameras.json [--size WxH] [--views 0,1] [--frames N] [--detail PX] [--out FOLDER]");
+  console.error("usage: node bench.mjs scene.rgs cameras.json [--size WxH] [--views 0,1] [--frames N] [--out FOLDER]");
   process.exit(2);
 }
 const [width, height] = (values.size ?? "1920x1080").split("x").map(Number);
@@ -97,7 +97,8 @@ async function timeFrame() {
 const median = (list) => list.sort((a, b) => a - b)[list.length >> 1];
 
 const { vendor, architecture, description } = adapter.info;
-console.log(`${[vendor, architecture, description].join(" ")}; ${file.header.nGaussians} Gaussians, ${width}x${height}, median of ${nFrames} frames, ms by ${hasTimestamps ? "timestamps" : "the queue"}`);
+const clock = hasTimestamps ? "timestamps" : "the queue";
+console.log(`${vendor} ${architecture} ${description}; ${file.header.nGaussians} Gaussians, ${width}x${height}, median of ${nFrames} frames, ms by ${clock}`);
 console.log("view       ms  frames/s in a row     visible     entries");
 const list = readCameras(cameras);
 for (const view of values.views ? values.views.split(",").map(Number) : list.keys()) {
@@ -116,7 +117,8 @@ for (const view of values.views ? values.views.split(",").map(Number) : list.key
   await Promise.all(frames);
   await device.queue.onSubmittedWorkDone();
   const rate = (1000 * nFrames) / (performance.now() - begin);
-  console.log(`${String(view).padStart(4)} ${(nFrames ? median(times) : 0).toFixed(3).padStart(8)} ${rate.toFixed(1).padStart(18)} ${String(nVisible).padStart(11)} ${String(nEntries).padStart(11)}`);
+  const cells = [[view, 4], [(median(times) ?? 0).toFixed(3), 9], [rate.toFixed(1), 19], [nVisible, 12], [nEntries, 12]];
+  console.log(cells.map(([cell, n]) => String(cell).padStart(n)).join(""));
 }
 // Dawn's threads keep the process.
 process.exit(0);

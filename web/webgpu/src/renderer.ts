@@ -203,7 +203,7 @@ export class SplatRenderer {
     return { nVisible, nEntries, isComplete };
   }
 
-  /** For half as many again as a frame needed. Entries are not known where splats had no room. */
+  /** For half as many again as a frame needed. Where splats had no room there are no entries. */
   private makeRoom(nVisible: number, nEntries: number): void {
     const { maxStorageBufferBindingSize, maxBufferSize } = this.device.limits;
     const bytes = Math.min(maxStorageBufferBindingSize, maxBufferSize);
@@ -211,10 +211,10 @@ export class SplatRenderer {
       if (n > most) throw new RangeError(`the picture needs ${n} ${what}, and the device's buffers hold ${most}: draw a coarser detail, or a smaller picture`);
       return n > room ? Math.min(most, Math.ceil(1.5 * n)) : room;
     };
-    const most = Math.min(0xffff * 256, Math.floor(bytes / kSplatBytes));
-    const visible = roomFor(nVisible, this.room[0], most, "Gaussians");
-    const entries = visible > this.room[0] ? this.room[1] : roomFor(nEntries, this.room[1], Math.min(0xffff * kSortItems, Math.floor(bytes / 4)), "pairs of a tile and a Gaussian");
-    this.room = [visible, entries];
+    const [splats, entries] = this.room;
+    const mostSplats = Math.min(0xffff * 256, Math.floor(bytes / kSplatBytes));
+    const mostEntries = Math.min(0xffff * kSortItems, Math.floor(bytes / 4));
+    this.room = [roomFor(nVisible, splats, mostSplats, "Gaussians"), roomFor(nEntries, entries, mostEntries, "pairs of a tile and a Gaussian")];
     this.steps = undefined;
   }
 

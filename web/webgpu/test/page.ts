@@ -6,6 +6,7 @@ import { kCounter, kCounters, kDispatch, kSortItems } from "../src/shaders/scan.
 import { kDispatchBytes, Kernels, type Pair, run, Steps } from "../src/steps.js";
 
 let device: GPUDevice;
+let kernels: Kernels;
 let renderer: SplatRenderer;
 let declarations: Declarations;
 let file: RgsFile;
@@ -18,6 +19,7 @@ async function start(isLeast: boolean): Promise<void> {
   if (!adapter) throw new Error("no adapter");
   device = await (isLeast ? adapter.requestDevice() : requestDevice(adapter));
   device.addEventListener("uncapturederror", ({ error }) => problems.push(error.message));
+  kernels = await Kernels.create(device);
 }
 
 /** Means in eighths, all further along each axis. */
@@ -144,7 +146,6 @@ async function compute(n: number, values: readonly Uint32Array[], build: (steps:
     device.queue.writeBuffer(made, 0, Uint32Array.from(words));
     return made;
   };
-  const kernels = await Kernels.create(device);
   const counts = Array.from({ length: kCounters }, () => n);
   const [counters, totals] = [buffer(counts), buffer(new Uint32Array(256))];
   const workgroups = buffer(Array.from({ length: kDispatchBytes / 4 }, (_, i) => (i % 3 === 0 ? Math.ceil(n / kSortItems) : 1)), GPUBufferUsage.INDIRECT);

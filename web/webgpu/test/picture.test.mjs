@@ -176,7 +176,11 @@ test("pictures", async (t) => {
 
   await t.test("what a file declares, and files of each degree", async (t) => {
     const ply = join(scenes(), "scene.ply");
-    for (const [name, declared] of [["wide-filter.rgs", ["--aa", "classic", "--low-pass", "1.5"]], ["mip.rgs", ["--aa", "mip"]], ["direct.rgs", ["--profile", "direct"]]]) {
+    for (const [name, declared] of [
+      ["wide-filter.rgs", ["--aa", "classic", "--low-pass", "1.5"]],
+      ["mip.rgs", ["--aa", "mip"]],
+      ["direct.rgs", ["--profile", "direct"]],
+    ]) {
       const rgs = convert(ply, name, ...declared);
       await load(rgs);
       await compare(t, rgs, cameras, [2], { size: [120, 90], most: 2 });
