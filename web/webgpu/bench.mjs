@@ -1,7 +1,7 @@
 // bench.mjs - what a frame takes, and its picture: node bench.mjs scene.rgs cameras.json [--size 1920x1080] [--views 0,10]
 // [--frames 50] [--out FOLDER]. Of a file with levels of detail it draws the leaves. Dawn for Node draws; docs/develop/WEBGPU.md says what it needs.
 // SPDX-License-Identifier: Apache-2.0
-import { mkdirSync, readFileSync, writeFileSync } from "node:fs";
+import { mkdirSync, writeFileSync } from "node:fs";
 import { open as openFile } from "node:fs/promises";
 import { join } from "node:path";
 import { parseArgs } from "node:util";
@@ -9,6 +9,7 @@ import { crc32, deflateSync } from "node:zlib";
 import { antiAliasingOf, requestDevice, SplatRenderer } from "@roofgs/webgpu";
 import { open } from "@roofgs/reader";
 import { create, globals } from "webgpu";
+import { readCameras } from "../playcanvas/test/pictures.mjs";
 
 const { values, positionals } = parseArgs({
   allowPositionals: true,
@@ -21,16 +22,6 @@ if (!cameras) {
 }
 const [width, height] = (values.size ?? "1920x1080").split("x").map(Number);
 const nFrames = Number(values.frames ?? 50);
-
-/** 3DGS's list of cameras, or the project's own. */
-function readCameras(path) {
-  return JSON.parse(readFileSync(path, "utf8")).map((camera) => {
-    const rows = camera.world_to_camera;
-    if (!rows) return camera;
-    const rotation = [0, 1, 2].map((row) => [0, 1, 2].map((column) => rows[column][row]));
-    return { ...camera, rotation, position: rotation.map((row) => -row.reduce((sum, value, k) => sum + value * rows[k][3], 0)) };
-  });
-}
 
 function png(pixels) {
   const lines = Buffer.alloc((4 * width + 1) * height);
