@@ -7,7 +7,6 @@ const kMarker = "<!-- rgs-view:insert -->";
 const kFolderPolicy = [
   "default-src 'none'",
   "script-src 'self' 'wasm-unsafe-eval'",
-  "style-src 'self'",
   // The engine sorts in a worker made from a text, and loads the images of SOG files from blobs.
   "worker-src 'self' blob:",
   "connect-src 'self' blob:",
@@ -27,37 +26,33 @@ const folderPolicy: Plugin = {
   transformIndexHtml: (html) => html.replace("<!-- policy -->", meta(kFolderPolicy)),
 };
 
-/** Puts the script and the style into the page; the policy names them by their hashes. */
+/** Puts the script into the page, whose policy names it by its hash, and beside it, for pages of others. */
 const single: Plugin = {
   name: "single",
   enforce: "post",
   async generateBundle(_options, bundle) {
     let script = "";
-    let style = "";
     for (const [name, file] of Object.entries(bundle)) {
       if (name.endsWith(".html")) continue;
       if (file.type === "chunk") script += file.code;
-      else if (name.endsWith(".css")) style += String(file.source);
       delete bundle[name];
     }
+    this.emitFile({ type: "asset", fileName: "rgs-view.js", source: script });
     // Nothing in the script may end its element.
     script = script.replaceAll("</script", "<\\/script").replaceAll("<!--", "<\\!--");
     const policy = [
       "default-src 'none'",
       `script-src ${await hashOf(script)} 'wasm-unsafe-eval'`,
-      `style-src ${await hashOf(style)}`,
       "worker-src blob:",
       "connect-src blob: data:",
       "img-src blob: data:",
     ];
     for (const file of Object.values(bundle)) {
-      if (file.type !== "asset") continue;
+      if (file.type !== "asset" || !file.fileName.endsWith(".html")) continue;
       file.fileName = "page.html";
       file.source = String(file.source)
         .replace(/<script[^>]*src=[^>]*><\/script>\s*/g, "")
-        .replace(/<link[^>]*rel="(stylesheet|modulepreload)"[^>]*>\s*/g, "")
         .replace("<!-- policy -->", () => meta(policy))
-        .replace("</head>", () => `<style>${style}</style>\n</head>`)
         .replace(kMarker, () => `${kMarker}\n<script type="module">${script}</script>`);
     }
   },

@@ -1,7 +1,7 @@
 // address.ts - the link in the address bar.
 // SPDX-License-Identifier: Apache-2.0
 import { type LinkState, readLink, writeLink } from "./link.js";
-import { onClick, say, showError } from "./page.js";
+import type { Page } from "./page.js";
 import type { PageStore } from "./state.js";
 
 export function restore(store: PageStore, link: Partial<LinkState>): void {
@@ -10,26 +10,37 @@ export function restore(store: PageStore, link: Partial<LinkState>): void {
   store.set({ ...link, view: link.view ?? (view && { ...view }), playing: undefined });
 }
 
-function write({ state }: PageStore): void {
-  const { view } = state;
-  if (view) history.replaceState(null, "", `#${writeLink({ ...state, view })}`);
-}
-
-async function copy(store: PageStore): Promise<void> {
-  write(store);
-  try {
-    await navigator.clipboard.writeText(location.href);
-    say("Link copied");
-  } catch {
-    showError("The browser does not let this page copy. The link is in the address bar.");
-  }
-}
-
-export function showLink(store: PageStore): void {
-  store.subscribe(({ isAtRest }) => [isAtRest], ([isAtRest]) => isAtRest && write(store));
+/** Only where the address is this viewer's; others tell by an event. */
+export function showLink(page: Page): void {
+  const { store } = page;
+  const link = (): string | undefined => {
+    const { view } = store.state;
+    return view && writeLink({ ...store.state, view });
+  };
+  const write = (): void => {
+    const text = link();
+    if (text !== undefined && page.isWhole) history.replaceState(null, "", `#${text}`);
+  };
+  const copy = async (): Promise<void> => {
+    write();
+    try {
+      await navigator.clipboard.writeText(location.href);
+      page.say("Link copied");
+    } catch {
+      page.showError("The browser does not let this page copy. The link is in the address bar.");
+    }
+  };
+  store.subscribe(({ isAtRest }) => [isAtRest], ([isAtRest]) => {
+    const text = link();
+    if (!isAtRest || text === undefined) return;
+    write();
+    const { cameras, camera } = store.state;
+    page.tell("camera", { name: cameras[camera]?.img_name ?? null, link: text });
+  });
+  page.onClick("link", () => void copy());
+  if (!page.isWhole) return;
   store.subscribe(({ view }) => [view === undefined], ([isGone], before) => {
     if (isGone && before) history.replaceState(null, "", location.pathname + location.search);
   });
-  window.addEventListener("hashchange", () => restore(store, readLink(location.hash)));
-  onClick("link", () => void copy(store));
+  window.addEventListener("hashchange", () => restore(store, readLink(location.hash)), { signal: page.signal });
 }

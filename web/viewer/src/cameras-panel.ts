@@ -2,28 +2,29 @@
 // SPDX-License-Identifier: Apache-2.0
 import { viewFrom, viewOf } from "./cameras.js";
 import type { Captures } from "./captures.js";
-import { element, say } from "./page.js";
-import type { PageStore } from "./state.js";
+import type { Page } from "./page.js";
 
 const kSize = { width: 96, height: 72 };
 
-export function jump(store: PageStore, index: number): void {
+export function jump(page: Page, index: number): void {
+  const { store } = page;
   const { cameras, scenes } = store.state;
   const camera = cameras[index];
   if (!camera || !scenes[0]) return;
   store.set({ camera: index, view: viewFrom(camera, scenes[0].box) });
-  say(`Camera ${camera.img_name}`);
+  page.say(`Camera ${camera.img_name}`);
 }
 
-export function showCameras(store: PageStore, captures: Captures): void {
+export function showCameras(page: Page, captures: Captures): void {
   // Drawn again when all of the scene is there.
-  store.subscribe(({ cameras, isComplete }) => [cameras, isComplete], () => build(store, captures));
+  page.store.subscribe(({ cameras, isComplete }) => [cameras, isComplete], () => build(page, captures));
 }
 
-function build(store: PageStore, captures: Captures): void {
+function build(page: Page, captures: Captures): void {
+  const { store } = page;
   const { cameras, photos } = store.state;
-  const box = element("cameras", HTMLElement);
-  element("camera-set", HTMLFieldSetElement).hidden = cameras.length === 0;
+  const box = page.element("cameras", HTMLElement);
+  page.element("camera-set", HTMLFieldSetElement).hidden = cameras.length === 0;
   box.replaceChildren();
   const draw = async (canvas: HTMLCanvasElement): Promise<void> => {
     const camera = cameras[Number(canvas.dataset["camera"])];
@@ -44,7 +45,7 @@ function build(store: PageStore, captures: Captures): void {
     const button = document.createElement("button");
     button.type = "button";
     button.title = camera.img_name;
-    button.addEventListener("click", () => jump(store, index));
+    button.addEventListener("click", () => jump(page, index));
     const photo = photos.get(camera.img_name);
     if (photo !== undefined) {
       const image = document.createElement("img");

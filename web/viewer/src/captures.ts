@@ -3,9 +3,9 @@
 import type { ViewState } from "./cameras.js";
 import { difference } from "./difference.js";
 import { frameRequest, type Frames } from "./frames.js";
-import { showError } from "./page.js";
+import type { Page } from "./page.js";
 import type { Size } from "./picture-size.js";
-import { type PageStore, rightOf } from "./state.js";
+import { rightOf } from "./state.js";
 import type { Side, Stage } from "./stage.js";
 
 type Pixels = Uint8ClampedArray<ArrayBuffer>;
@@ -15,7 +15,7 @@ export class Captures {
   private last: Promise<unknown> = Promise.resolve();
 
   constructor(
-    private readonly store: PageStore,
+    private readonly page: Page,
     private readonly stage: Stage,
     private readonly frames: Frames | undefined,
     /** Resolves when no scene is being opened. */
@@ -33,7 +33,7 @@ export class Captures {
   async picture(side: Side, size: Size): Promise<Pixels> {
     // Only complete scenes are compared or saved.
     await this.allOpened();
-    const { state } = this.store;
+    const { state } = this.page.store;
     const request = frameRequest(state, size);
     if (!state.view || !request) throw new Error("there is no scene");
     if (side === 0 || !state.isReferenceShown) return this.capture(side, state.view, size);
@@ -47,26 +47,33 @@ export class Captures {
   /** Saves what is shown. */
   async screenshot(): Promise<void> {
     await this.allOpened();
-    const { size, mode, split, isReferenceShown, scenes } = this.store.state;
+    const { scenes: [left] } = this.page.store.state;
+    if (!left) return this.page.showError("There is no picture to save yet. Open a scene first.");
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(await this.shown());
+    link.download = `${left.name}.png`;
+    link.click();
+    URL.revokeObjectURL(link.href);
+  }
+
+  /** A PNG of what is shown. */
+  async shown(): Promise<Blob> {
+    await this.allOpened();
+    const { size, mode, split, isReferenceShown } = this.page.store.state;
     const { width, height } = size;
-    if (!scenes[0]) return showError("There is no picture to save yet. Open a scene first.");
     const context = contextOf(size);
     if (mode === "difference") {
       const { map } = difference(await this.picture(0, size), await this.picture(1, size));
       context.putImageData(new ImageData(map, width, height), 0, 0);
     } else {
-      const border = mode === "slider" && rightOf(this.store.state) !== "none" ? Math.round(split * width) : isReferenceShown && mode === "single" ? 0 : width;
+      const border = mode === "slider" && rightOf(this.page.store.state) !== "none" ? Math.round(split * width) : isReferenceShown && mode === "single" ? 0 : width;
       const put = async (side: Side, from: number, to: number): Promise<void> => {
         if (from === to) return;
         context.putImageData(new ImageData(await this.picture(side, size), width, height), 0, 0, from, 0, to - from, height);
       };
       await Promise.all([put(0, 0, border), put(1, border, width)]);
     }
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(await context.canvas.convertToBlob({ type: "image/png" }));
-    link.download = `${scenes[0].name}.png`;
-    link.click();
-    URL.revokeObjectURL(link.href);
+    return context.canvas.convertToBlob({ type: "image/png" });
   }
 }
 

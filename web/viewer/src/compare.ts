@@ -3,8 +3,8 @@
 import type { Captures } from "./captures.js";
 import { difference } from "./difference.js";
 import type { Mode } from "./link.js";
-import { element, fail } from "./page.js";
-import { type PageStore, rightOf } from "./state.js";
+import type { Page } from "./page.js";
+import { rightOf } from "./state.js";
 import type { Stage } from "./stage.js";
 
 /** Milliseconds that each picture of flicker stays. */
@@ -12,12 +12,13 @@ const kFlickerMs = 500;
 /** Largest width of a difference map. */
 const kMapWidth = 1280;
 
-export function showComparison(store: PageStore, stage: Stage, captures: Captures): void {
-  const slider = element("split", HTMLInputElement);
-  const map = element("map", HTMLCanvasElement);
-  const reference = element("reference-picture", HTMLCanvasElement);
-  const psnr = element("psnr", HTMLOutputElement);
-  const choices = [...document.querySelectorAll<HTMLInputElement>("#modes input")];
+export function showComparison(page: Page, stage: Stage, captures: Captures): void {
+  const { store } = page;
+  const slider = page.element("split", HTMLInputElement);
+  const map = page.element("map", HTMLCanvasElement);
+  const reference = page.element("reference-picture", HTMLCanvasElement);
+  const psnr = page.element("psnr", HTMLOutputElement);
+  const choices = page.all<HTMLInputElement>("#modes input");
   let isFlickered = false;
   let timer = 0;
   /** Counts difference maps, and what outdates them. */
@@ -30,8 +31,8 @@ export function showComparison(store: PageStore, stage: Stage, captures: Capture
     stage.setShow(isReferenceShown ? { only: 0 } : { split: isAlone ? 1 : border });
     reference.hidden = !isReferenceShown || border === 1;
     reference.style.clipPath = `inset(0 0 0 ${100 * border}%)`;
-    element("left", HTMLElement).hidden = isAlone || border === 0;
-    element("right", HTMLElement).hidden = isAlone || border === 1;
+    page.element("left", HTMLElement).hidden = isAlone || border === 0;
+    page.element("right", HTMLElement).hidden = isAlone || border === 1;
   };
   const hideMap = (): void => {
     run += 1;
@@ -53,7 +54,7 @@ export function showComparison(store: PageStore, stage: Stage, captures: Capture
     psnr.textContent = Number.isFinite(psnrDb) ? `${psnrDb.toFixed(1)} dB` : "equal";
     map.hidden = psnr.hidden = false;
   };
-  const tryMap = (): void => void drawMap().catch((error: unknown) => fail("The difference", error));
+  const tryMap = (): void => void drawMap().catch((error: unknown) => page.fail("The difference", error));
 
   slider.addEventListener("input", () => store.set({ split: Number(slider.value) / 1000 }));
   for (const choice of choices) choice.addEventListener("change", () => store.set({ mode: choice.value as Mode }));
@@ -62,7 +63,7 @@ export function showComparison(store: PageStore, stage: Stage, captures: Capture
     if (right === "none" && mode !== "single") store.set({ mode: "single" });
   });
   store.subscribe(({ mode, split, scenes, isReferenceShown }) => [mode, split, scenes, isReferenceShown], ([mode, split]) => {
-    element("compare", HTMLFieldSetElement).hidden = rightOf(store.state) === "none";
+    page.element("compare", HTMLFieldSetElement).hidden = rightOf(store.state) === "none";
     slider.hidden = mode !== "slider";
     slider.value = String(Math.round(1000 * split));
     for (const choice of choices) choice.checked = choice.value === mode;
@@ -80,4 +81,5 @@ export function showComparison(store: PageStore, stage: Stage, captures: Capture
   });
   store.subscribe(({ view, size, background, nChanges }) => [view, size, background, nChanges], hideMap);
   store.subscribe(({ isAtRest }) => [isAtRest], ([isAtRest]) => isAtRest && map.hidden && tryMap());
+  page.signal.addEventListener("abort", () => clearInterval(timer));
 }

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { type CameraEntry, pinholeOf } from "./cameras.js";
 import { ServerError } from "./messages.js";
-import { element, fail } from "./page.js";
+import type { Page } from "./page.js";
 import type { Size } from "./picture-size.js";
 import type { PageStore, State } from "./state.js";
 
@@ -114,13 +114,14 @@ export function showReference(store: PageStore, isOn: boolean): void {
   store.set({ isReferenceShown: isOn, mode: isOn ? mode : scenes[1] ? "slider" : "single" });
 }
 
-export function drawReference(store: PageStore, url: string): Frames {
-  const frames = new Frames(url, { frame: (frame) => store.set({ frame }), error: (error) => fail("The reference picture", error) });
+export function drawReference(page: Page, url: string): Frames {
+  const { store } = page;
+  const frames = new Frames(url, { frame: (frame) => store.set({ frame }), error: (error) => page.fail("The reference picture", error) });
   const ask = (isMoving: boolean): void => {
     const request = store.state.scenes[0] && frameRequest(store.state, store.state.size);
     if (request) frames.ask(request, isMoving);
   };
-  element("reference-label", HTMLLabelElement).hidden = false;
+  page.element("reference-label", HTMLLabelElement).hidden = false;
   store.set({ hasReference: true });
   store.subscribe(({ isReferenceShown, isAtRest }) => [isReferenceShown, isAtRest], ([isShown, isAtRest], before) => {
     if (!isShown) frames.stop();
@@ -129,7 +130,7 @@ export function drawReference(store: PageStore, url: string): Frames {
   store.subscribe(({ view, size, scenes }) => [view, size, scenes], () => store.state.isReferenceShown && ask(true));
   store.subscribe(({ frame }) => [frame], ([frame]) => {
     if (!frame) return;
-    const canvas = element("reference-picture", HTMLCanvasElement);
+    const canvas = page.element("reference-picture", HTMLCanvasElement);
     const { bitmap } = frame;
     Object.assign(canvas, { width: bitmap.width, height: bitmap.height });
     canvas.getContext("2d")?.drawImage(bitmap, 0, 0);

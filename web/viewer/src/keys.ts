@@ -2,16 +2,16 @@
 // SPDX-License-Identifier: Apache-2.0
 import { jump } from "./cameras-panel.js";
 import type { Mode } from "./link.js";
-import { input } from "./page.js";
+import type { Page } from "./page.js";
 import { play } from "./path.js";
 import { showReference } from "./frames.js";
-import type { PageStore } from "./state.js";
 
-export function connectKeys(store: PageStore): void {
+export function connectKeys(page: Page): void {
+  const { store } = page;
   const toggle = (mode: Mode): void => store.set({ mode: store.state.mode === mode ? "single" : mode });
   const go = (by: number): void => {
     const { camera, cameras } = store.state;
-    jump(store, (camera + by + cameras.length) % cameras.length);
+    jump(page, (camera + by + cameras.length) % cameras.length);
   };
   const actions: Record<string, () => void> = {
     KeyN: () => go(1),
@@ -22,10 +22,11 @@ export function connectKeys(store: PageStore): void {
     KeyC: () => toggle("slider"),
     KeyT: () => showReference(store, !store.state.isReferenceShown),
     KeyI: () => store.set({ statistics: !store.state.statistics }),
-    KeyO: () => input("file").click(),
+    KeyO: () => page.input("file").click(),
   };
-  document.addEventListener("keydown", (event) => {
-    const { target } = event;
+  page.listen("keydown", (event) => {
+    // The event's target is the element that the shadow root belongs to.
+    const [target] = event.composedPath();
     const typing = target instanceof HTMLSelectElement || (target instanceof HTMLInputElement && !["checkbox", "radio", "range"].includes(target.type));
     if (typing || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
     actions[event.code]?.();

@@ -56,7 +56,15 @@ export function spzAxesOf(search: string, { settings }: Manifest): SpzAxes {
   return (new URLSearchParams(search).get("spz-axes") ?? settings?.spz_axes) === "opengl" ? "opengl" : "ply";
 }
 
-export async function readManifest(): Promise<Manifest> {
+/** Of the attributes `src`, `compare` and `cameras`. */
+function manifestOf(host: HTMLElement): Manifest {
+  const urls = ["src", "compare"].map((name) => host.getAttribute(name)).filter((url) => url !== null);
+  return { ...kEmpty, scenes: urls.map((url) => ({ name: nameOf(url), url })), cameras: host.getAttribute("cameras") };
+}
+
+/** `isWhole`: the page's address and view.json say what to show. */
+export async function readManifest(host: HTMLElement, isWhole: boolean): Promise<Manifest> {
+  if (!isWhole || host.hasAttribute("src")) return manifestOf(host);
   const inside = document.getElementById("rgs-view");
   if (inside) return parseManifest(inside.textContent ?? "");
   const address = manifestOfAddress(location.search);

@@ -2,10 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 import { defaultView, parseCameras, viewFrom } from "./cameras.js";
 import type { Mode } from "./link.js";
-import { type Manifest, readInside, spzAxesOf } from "./manifest.js";
+import { type Manifest, readInside, type SceneEntry, spzAxesOf } from "./manifest.js";
 import { waitingSentence } from "./messages.js";
 import { openScene, type Read, readFile } from "./open-scene.js";
-import { beginLoading, fail, input, onClick, progressOf, showError, withdrawError } from "./page.js";
+import { beginLoading, type Page, progressOf } from "./page.js";
 import type { Trouble } from "./page-driver.js";
 import type { Scene } from "./scene.js";
 import { type PageStore, type State, worldOf } from "./state.js";
@@ -14,21 +14,24 @@ import type { Side, Stage } from "./stage.js";
 export class Opening {
   /** Resolves when all that was requested so far is open; never rejects. */
   private last: Promise<void> = Promise.resolve();
+  private readonly store: PageStore;
 
   constructor(
-    private readonly store: PageStore,
+    private readonly page: Page,
     private readonly stage: Stage,
     private readonly manifest: Manifest,
   ) {
-    onClick("open", () => input("file").click());
-    input("file").addEventListener("change", () => {
-      this.openFiles([...(input("file").files ?? [])]);
-      input("file").value = "";
+    this.store = page.store;
+    const input = page.input("file");
+    page.onClick("open", () => input.click());
+    input.addEventListener("change", () => {
+      void this.openFiles([...(input.files ?? [])]);
+      input.value = "";
     });
-    document.addEventListener("dragover", (event) => event.preventDefault());
-    document.addEventListener("drop", (event) => {
+    page.listen("dragover", (event) => event.preventDefault());
+    page.listen("drop", (event) => {
       event.preventDefault();
-      this.openFiles([...(event.dataTransfer?.files ?? [])]);
+      void this.openFiles([...(event.dataTransfer?.files ?? [])]);
     });
   }
 
@@ -50,12 +53,27 @@ export class Opening {
 
   /** Opens one scene after the other, because each looks for a free side. */
   private inTurn(work: () => Promise<void>): void {
-    this.last = this.last.then(work).catch((error: unknown) => fail("The page", error));
+    this.last = this.last.then(work).catch((error: unknown) => this.page.fail("The page", error));
   }
 
-  private openFiles(files: readonly File[]): void {
+  openFiles(files: readonly File[]): Promise<void> {
     for (const file of files) performance.mark(`open ${file.name}`);
     for (const file of files) this.inTurn(() => this.openFile(file));
+    return this.last;
+  }
+
+  openUrl(entry: SceneEntry): Promise<void> {
+    this.inTurn(() => this.open(entry.name, readFile({ entry, onProgress: progressOf(this.store) })));
+    return this.last;
+  }
+
+  closeSecond(): Promise<void> {
+    this.inTurn(async () => {
+      const { scenes: [left, right] } = this.store.state;
+      this.store.set({ scenes: [left, undefined] });
+      right?.destroy();
+    });
+    return this.last;
   }
 
   private async openFile(file: File): Promise<void> {
@@ -81,7 +99,7 @@ export class Opening {
     beginLoading(store, name);
     try {
       const read = await reading;
-      scene = await openScene(stage, { name, read, spzAxes: spzAxesOf(location.search, this.manifest), side, onProgress: progressOf(store), on: troubleOf(name) });
+      scene = await openScene(stage, { name, read, spzAxes: spzAxesOf(this.page.search, this.manifest), side, onProgress: progressOf(store), on: this.troubleOf(name) });
       if (before) before.hidden = true;
       this.show(scene, side === 0 ? { scenes: [scene, undefined], referenceScene } : { scenes: [scenesBefore[0], scene], mode: store.state.mode === "single" ? mode : store.state.mode });
       this.markPicture(name);
@@ -93,7 +111,7 @@ export class Opening {
       if (before) before.hidden = false;
       // Without a scene, the next one starts from its own first view.
       store.set({ scenes: scenesBefore, ...(scenesBefore[0] ? {} : { view: viewBefore }) });
-      fail(name, error);
+      this.page.fail(name, error);
     } finally {
       store.set({ loading: undefined });
     }
@@ -118,14 +136,15 @@ export class Opening {
       const cameras = parseCameras(await answer.text());
       this.store.set({ cameras, playing: cameras.length > 1 ? this.store.state.playing : undefined });
     } catch (error) {
-      fail(name, error);
+      this.page.fail(name, error);
     }
   }
-}
 
-/** What happens to a scene that is open. */
-function troubleOf(name: string): Trouble {
-  let said = "";
-  const waiting = (error: unknown): void => (error === null ? withdrawError(said) : showError((said = waitingSentence(name, error))));
-  return { waiting, damaged: (error) => fail(name, error) };
+  /** What happens to a scene that is open. */
+  private troubleOf(name: string): Trouble {
+    const { page } = this;
+    let said = "";
+    const waiting = (error: unknown): void => (error === null ? page.withdrawError(said) : page.showError((said = waitingSentence(name, error))));
+    return { waiting, damaged: (error) => page.fail(name, error) };
+  }
 }

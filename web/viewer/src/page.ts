@@ -1,48 +1,93 @@
-// page.ts - elements by id, error messages, loading progress, announcements to screen readers.
+// page.ts - one viewer's state and elements, in a shadow root of its own: error messages, announcements, events.
 // SPDX-License-Identifier: Apache-2.0
 import { bytesText, sentence } from "./messages.js";
 import type { PageStore } from "./state.js";
 
-export function element<T extends HTMLElement>(id: string, type: abstract new () => T): T {
-  const found = document.getElementById(id);
-  if (!(found instanceof type)) throw new Error(`the page has no ${id}`);
-  return found;
+/** Events of the element, by name, with their details. */
+export interface Events {
+  ready: null;
+  progress: { text: string; share: number | undefined } | null;
+  error: { message: string };
+  camera: { name: string | null; link: string };
 }
 
-export const input = (id: string): HTMLInputElement => element(id, HTMLInputElement);
+export class Page {
+  /** Whether title, address, keys and drops of the whole document are this viewer's. */
+  readonly isWhole: boolean;
 
-export function onClick(id: string, action: () => void): void {
-  element(id, HTMLButtonElement).addEventListener("click", action);
-}
+  constructor(
+    readonly store: PageStore,
+    readonly host: HTMLElement,
+    private readonly root: ShadowRoot,
+    /** Aborted when the viewer ends. */
+    readonly signal: AbortSignal,
+  ) {
+    this.isWhole = host.hasAttribute("whole");
+  }
 
-/** Shows an error until somebody closes it. The same error is not shown twice. */
-export function showError(sentence: string): void {
-  const list = element("errors", HTMLElement);
-  if ([...list.children].some(({ firstChild }) => firstChild?.textContent === sentence)) return;
-  const line = document.createElement("p");
-  const close = document.createElement("button");
-  Object.assign(close, { type: "button", textContent: "×" });
-  close.setAttribute("aria-label", "Close");
-  close.addEventListener("click", () => line.remove());
-  line.append(sentence, close);
-  list.append(line);
-  // More than four would cover the picture.
-  while (list.children.length > 4) list.firstElementChild?.remove();
-}
+  /** The query of the address, where that is this viewer's. */
+  get search(): string {
+    return this.isWhole ? location.search : "";
+  }
 
-/** Shows what happened to `name`. */
-export function fail(name: string, error: unknown): void {
-  if ((error as { name?: string } | null)?.name !== "AbortError") showError(sentence(name, error));
-}
+  element<T extends HTMLElement>(id: string, type: abstract new () => T): T {
+    const found = this.root.getElementById(id);
+    if (!(found instanceof type)) throw new Error(`the page has no ${id}`);
+    return found;
+  }
 
-/** Removes an error that no longer holds. */
-export function withdrawError(sentence: string): void {
-  for (const line of [...element("errors", HTMLElement).children]) if (line.firstChild?.textContent === sentence) line.remove();
-}
+  input(id: string): HTMLInputElement {
+    return this.element(id, HTMLInputElement);
+  }
 
-/** Announces a text to screen readers. */
-export function say(text: string): void {
-  element("status", HTMLElement).textContent = text;
+  all<T extends HTMLElement>(selector: string): T[] {
+    return [...this.root.querySelectorAll<T>(selector)];
+  }
+
+  onClick(id: string, action: () => void): void {
+    this.element(id, HTMLButtonElement).addEventListener("click", action);
+  }
+
+  /** Listens wherever this viewer's keys and drops are, until it ends. */
+  listen<Name extends keyof GlobalEventHandlersEventMap>(name: Name, heard: (event: GlobalEventHandlersEventMap[Name]) => void): void {
+    const target: GlobalEventHandlers = this.isWhole ? document : this.host;
+    target.addEventListener(name, heard, { signal: this.signal });
+  }
+
+  tell<Name extends keyof Events>(name: Name, detail: Events[Name]): void {
+    this.host.dispatchEvent(new CustomEvent(name, { detail }));
+  }
+
+  /** Shows an error until somebody closes it. The same error is not shown twice. */
+  showError(message: string): void {
+    const list = this.element("errors", HTMLElement);
+    if ([...list.children].some(({ firstChild }) => firstChild?.textContent === message)) return;
+    const line = document.createElement("p");
+    const close = document.createElement("button");
+    Object.assign(close, { type: "button", textContent: "×" });
+    close.setAttribute("aria-label", "Close");
+    close.addEventListener("click", () => line.remove());
+    line.append(message, close);
+    list.append(line);
+    // More than four would cover the picture.
+    while (list.children.length > 4) list.firstElementChild?.remove();
+    this.tell("error", { message });
+  }
+
+  /** Shows what happened to `name`. */
+  fail(name: string, error: unknown): void {
+    if ((error as { name?: string } | null)?.name !== "AbortError") this.showError(sentence(name, error));
+  }
+
+  /** Removes an error that no longer holds. */
+  withdrawError(message: string): void {
+    for (const line of [...this.element("errors", HTMLElement).children]) if (line.firstChild?.textContent === message) line.remove();
+  }
+
+  /** Announces a text to screen readers. */
+  say(text: string): void {
+    this.element("status", HTMLElement).textContent = text;
+  }
 }
 
 export function beginLoading(store: PageStore, name: string): void {
@@ -56,13 +101,14 @@ export const progressOf = (store: PageStore) => (done: number, total: number): v
   if (loading) store.set({ loading: { text, share: total > 0 ? done / total : loading.share } });
 };
 
-export function showLoading(store: PageStore): void {
-  const bar = element("progress", HTMLProgressElement);
-  store.subscribe(({ loading, scenes }) => [loading, scenes], ([loading, [left]]) => {
-    element("loading", HTMLElement).hidden = loading === undefined;
-    element("welcome", HTMLElement).hidden = loading !== undefined || left !== undefined;
+export function showLoading(page: Page): void {
+  const bar = page.element("progress", HTMLProgressElement);
+  page.store.subscribe(({ loading, scenes }) => [loading, scenes], ([loading, [left]]) => {
+    page.element("loading", HTMLElement).hidden = loading === undefined;
+    page.element("welcome", HTMLElement).hidden = loading !== undefined || left !== undefined;
+    page.tell("progress", loading ?? null);
     if (!loading) return;
-    element("progress-text", HTMLElement).textContent = loading.text;
+    page.element("progress-text", HTMLElement).textContent = loading.text;
     if (loading.share === undefined) bar.removeAttribute("value");
     else bar.value = loading.share;
   });

@@ -1,7 +1,7 @@
 // path.ts - plays the path through the cameras.
 // SPDX-License-Identifier: Apache-2.0
 import { add, axisOf, type CameraEntry, looking, normalised, pathPosition, viewOf } from "./cameras.js";
-import { element, onClick } from "./page.js";
+import type { Page } from "./page.js";
 import { type PageStore, worldOf } from "./state.js";
 
 /** Seconds from one camera to the next. */
@@ -26,7 +26,8 @@ export function advance(store: PageStore, seconds: number): void {
   store.set({ playing, view: { ...viewOf(from, pivot), position, rotation: looking(forward, up) } });
 }
 
-export function showPath(store: PageStore): void {
-  onClick("play", () => play(store));
-  store.subscribe(({ playing }) => [playing !== undefined], ([isPlaying]) => element("play", HTMLButtonElement).setAttribute("aria-pressed", String(isPlaying)));
+export function showPath(page: Page): void {
+  const { store } = page;
+  page.onClick("play", () => play(store));
+  store.subscribe(({ playing }) => [playing !== undefined], ([isPlaying]) => page.element("play", HTMLButtonElement).setAttribute("aria-pressed", String(isPlaying)));
 }

@@ -32,7 +32,7 @@ export abstract class Scene {
     protected readonly stage: Stage,
     private readonly side: Side,
   ) {
-    this.entity = new Entity(`scene ${side}`);
+    this.entity = new Entity(`scene ${side}`, stage.app);
     stage.app.root.addChild(this.entity);
   }
 
@@ -90,7 +90,7 @@ export abstract class Scene {
 
   /** Draws one more resource. */
   protected add(resource: GSplatResourceBase): void {
-    const entity = new Entity();
+    const entity = new Entity(undefined, this.stage.app);
     entity.addComponent("gsplat", { layers: [this.stage.layers[this.side]], resource });
     this.entity.addChild(entity);
     this.drawing.push(entity);

@@ -39,6 +39,7 @@ export class Stage {
   /** Frames to draw after this one. */
   private more = 0;
   private isBusy = false;
+  private readonly resizes = new ResizeObserver(() => this.resize());
 
   /** Whether the engine draws the image that RENDERING.md defines. */
   readonly isAsDefined: boolean;
@@ -56,7 +57,7 @@ export class Stage {
     });
     this.layers = layers as [number, number];
     this.cameras = this.layers.map((layer, side) => {
-      const entity = new Entity(`camera ${side}`);
+      const entity = new Entity(`camera ${side}`, app);
       entity.addComponent("camera", { layers: [layer, LAYERID_IMMEDIATE], priority: side, farClip: 1e5, clearColor: new Color(0, 0, 0, 1) });
       // Without this the engine ignores scissorRect.
       if (entity.camera) (entity.camera.camera as unknown as { _scissorRectClear: boolean })._scissorRectClear = true;
@@ -80,7 +81,7 @@ export class Stage {
     });
     app.on("postrender", () => (this.frames += 1));
     app.autoRender = false;
-    new ResizeObserver(() => this.resize()).observe(canvas);
+    this.resizes.observe(canvas);
   }
 
   /** `deviceTypes` in order of preference. Rejects if there is none of them. */
@@ -101,6 +102,12 @@ export class Stage {
     app.start();
     stage.resize();
     return stage;
+  }
+
+  /** Gives the graphics device back. */
+  end(): void {
+    this.resizes.disconnect();
+    this.app.destroy();
   }
 
   setAntiAliasing(side: Side, antiAliasing: AntiAliasing | undefined): void {

@@ -1,15 +1,14 @@
 // statistics.ts - the numbers over the picture.
 // SPDX-License-Identifier: Apache-2.0
 import { bytesText, countText } from "./messages.js";
-import { element } from "./page.js";
-import type { PageStore } from "./state.js";
+import type { Page } from "./page.js";
 
 /** Returns what is called before each frame, with the number of frames drawn. */
-export function statisticsOf(store: PageStore): (nFrames: number) => void {
-  const overlay = element("overlay", HTMLOutputElement);
+export function statisticsOf(page: Page): (nFrames: number) => void {
+  const overlay = page.element("overlay", HTMLOutputElement);
   let speed = { at: 0, nFrames: 0, rate: 0 };
   return (nFrames) => {
-    const { scenes, view, statistics, frame, isReferenceShown } = store.state;
+    const { scenes, view, statistics, frame, isReferenceShown } = page.store.state;
     overlay.hidden = !statistics || !view;
     const now = performance.now();
     if (now - speed.at > 500) speed = { at: now, nFrames, rate: (1000 * (nFrames - speed.nFrames)) / (now - speed.at) };

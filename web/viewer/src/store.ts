@@ -6,6 +6,11 @@ export class Store<State extends object> {
 
   constructor(private current: Readonly<State>) {}
 
+  /** No view is called any more. */
+  end(): void {
+    this.views.length = 0;
+  }
+
   get state(): Readonly<State> {
     return this.current;
   }

@@ -5,10 +5,10 @@ import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import test from "node:test";
 import { psnr } from "../../playcanvas/test/pictures.mjs";
-import { hasChromium, kDeviceNames, launch, newPage } from "../../reader/test/chromium.mjs";
+import { hasChromium, kDeviceNames, launch } from "../../reader/test/chromium.mjs";
 import { scenes } from "../../reader/test/dump.mjs";
 import { skip } from "../../reader/test/servers.mjs";
-import { startServer } from "./server.mjs";
+import { newPage, startServer } from "./server.mjs";
 
 const kLeastDb = 60;
 
@@ -47,11 +47,11 @@ async function look(device) {
     page.on("console", (message) => ["error", "warning"].includes(message.type()) && problems.push(message.text()));
     page.on("pageerror", (error) => problems.push(String(error)));
     await page.goto(`${server.url}?device=${device}`);
-    await page.waitForSelector("html[data-ready]", { state: "attached" });
-    const drawnBy = await page.evaluate(() => (document.getElementById("picture").getContext("webgl2") ? "webgl2" : "webgpu"));
+    await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+    const drawnBy = await page.evaluate(() => (byId("picture").getContext("webgl2") ? "webgl2" : "webgpu"));
     await page.locator("#stats").check();
     await page.locator("#detail").fill("0");
-    await page.waitForFunction(() => /^60k of 60k Gaussians[^]*60k of 60k Gaussians/.test(document.getElementById("overlay").textContent));
+    await page.waitForFunction(() => /^60k of 60k Gaussians[^]*60k of 60k Gaussians/.test(byId("overlay").textContent));
     await page.locator("#stats").uncheck();
     await page.locator("#picture").focus();
     await page.keyboard.press("n");

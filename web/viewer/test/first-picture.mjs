@@ -4,7 +4,7 @@
 import { statSync } from "node:fs";
 import { basename } from "node:path";
 import { launch } from "../../reader/test/chromium.mjs";
-import { startServer } from "./server.mjs";
+import { newPage, startServer } from "./server.mjs";
 
 const kRuns = 3;
 const kSize = { width: 320, height: 240 };
@@ -14,7 +14,7 @@ function watch() {
   window.pictures = {};
   new PerformanceObserver((list) => {
     for (const { name, startTime } of list.getEntries()) {
-      const gl = document.getElementById("picture").getContext("webgl2");
+      const gl = byId("picture").getContext("webgl2");
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
       window.pictures[name] = performance.now() - startTime;
     }
@@ -25,18 +25,18 @@ async function measure(browser, path, chosen) {
   const name = basename(path);
   const view = chosen ? null : { version: 1, scenes: [{ name, url: `scenes/0/${name}`, bytes: statSync(path).size }], cameras: null, photos: [], frames: null };
   const server = await startServer({ view, files: { [`scenes/0/${name}`]: path } });
-  const page = await browser.newPage({ viewport: kSize });
+  const page = await newPage(browser, { viewport: kSize });
   try {
     await page.addInitScript(watch);
     await page.goto(server.url);
     if (chosen) {
-      await page.waitForSelector("html[data-ready]", { state: "attached" });
+      await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
       await page.setInputFiles("#file", path);
     }
     const what = `first picture of ${name}`;
     await page.waitForFunction((what) => what in window.pictures, what, { timeout: 300_000 });
     const first = await page.evaluate((what) => window.pictures[what], what);
-    await page.waitForFunction(() => document.getElementById("loading").hidden, undefined, { timeout: 300_000 });
+    await page.waitForFunction(() => byId("loading").hidden, undefined, { timeout: 300_000 });
     const begin = chosen ? await page.evaluate((name) => performance.getEntriesByName(`open ${name}`)[0].startTime, name) : 0;
     const all = (await page.evaluate(() => performance.now())) - begin;
     return { first, all };

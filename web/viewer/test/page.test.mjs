@@ -9,10 +9,10 @@ import test, { after, before } from "node:test";
 import { fileURLToPath, pathToFileURL } from "node:url";
 import { open } from "@roofgs/reader";
 import { program, readCameras } from "../../playcanvas/test/pictures.mjs";
-import { hasChromium, launch, newPage } from "../../reader/test/chromium.mjs";
+import { hasChromium, launch } from "../../reader/test/chromium.mjs";
 import { golden, scenes } from "../../reader/test/dump.mjs";
 import { skip } from "../../reader/test/servers.mjs";
-import { dist, startServer } from "./server.mjs";
+import { dist, newPage, startServer } from "./server.mjs";
 
 const kSize = { width: 800, height: 360 };
 
@@ -46,7 +46,7 @@ function inBrowser(name, { view = null, files = {}, frame = null, hold, ranges =
       await server.end();
     });
     await page.goto(`${server.url}${address}`);
-    if (waits) await page.waitForSelector("html[data-ready]", { state: "attached" });
+    if (waits) await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
     await body({ t, page, server, context });
     const bad = problems.filter((text) => !allowed.some((pattern) => pattern.test(text)));
     assert.deepEqual(bad, []);
@@ -99,14 +99,14 @@ inBrowser("a scene with its cameras", { ...one, files: one.files(), size: { widt
   await untilDrawn(page);
   await page.locator("#stats").check();
   const size = `${(statSync(join(scenes(), "packed.rgs")).size / 1e6).toFixed(1)} MB`;
-  await page.waitForFunction((all) => document.getElementById("overlay").textContent.includes(all), `60k of 60k Gaussians, ${size} of ${size}`);
+  await page.waitForFunction((all) => byId("overlay").textContent.includes(all), `60k of 60k Gaussians, ${size} of ${size}`);
   // Nothing but what it was given.
   const beyond = server.requests.filter((line) => !/^GET (|assets\/[\w-]+\.(js|css|wasm)|view\.json|cameras\.json|scenes\/0\/packed\.rgs)$/.test(line));
   assert.deepEqual(beyond, []);
   assert.ok(server.bytes["scenes/0/packed.rgs"] < 1.1 * readFileSync(join(scenes(), "packed.rgs")).length, "read once");
   assert.equal(await page.locator("#cameras button").count(), 8);
   await page.waitForFunction(() => {
-    const canvas = document.querySelector("#cameras canvas");
+    const canvas = byId("cameras").querySelector("canvas");
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
     return new Set(new Uint32Array(data.buffer)).size > 100;
   });
@@ -182,16 +182,16 @@ inBrowser("the difference is of what the settings say, and is what a screenshot 
   await page.getByRole("radio", { name: "Difference" }).click();
   await page.locator("#map").waitFor();
   for (const [id, value] of [["sh", "0"], ["background", "#ffffff"]]) {
-    await page.evaluate(() => (document.getElementById("psnr").textContent = "of before"));
+    await page.evaluate(() => (byId("psnr").textContent = "of before"));
     await page.locator(`#${id}`).fill(value);
-    await page.waitForFunction(() => !document.getElementById("map").hidden && /dB$/.test(document.getElementById("psnr").textContent));
+    await page.waitForFunction(() => !byId("map").hidden && /dB$/.test(byId("psnr").textContent));
   }
   // Where both are equal, black: most of it.
   const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
   const png = readFileSync(await download.path()).toString("base64");
   const same = await page.evaluate(async (base64) => {
     const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
-    const map = document.getElementById("map");
+    const map = byId("map");
     const pixels = [bitmap, map].map((image) => {
       const context = new OffscreenCanvas(map.width, map.height).getContext("2d");
       context.drawImage(image, 0, 0);
@@ -221,8 +221,8 @@ inBrowser("flicker shows one after the other", { ...two, files: two.files() }, a
   await page.keyboard.press("f");
   const shown = () => page.locator("#left").isVisible();
   const first = await shown();
-  await page.waitForFunction((was) => document.getElementById("left").hidden === was, first);
-  await page.waitForFunction((was) => document.getElementById("left").hidden !== was, first);
+  await page.waitForFunction((was) => byId("left").hidden === was, first);
+  await page.waitForFunction((was) => byId("left").hidden !== was, first);
   await page.keyboard.press("f");
   assert.ok(await page.getByRole("radio", { name: "One" }).isChecked());
 });
@@ -241,14 +241,14 @@ inBrowser("a link restores the view", { ...one, files: one.files() }, async ({ p
   await context.grantPermissions(["clipboard-read", "clipboard-write"]);
   const other = await newPage(context);
   await other.goto(`${server.url}${hash}`);
-  await other.waitForSelector("html[data-ready]", { state: "attached" });
+  await other.waitForSelector("rgs-view[data-ready]", { state: "attached" });
   assert.equal(await other.locator("#sh").inputValue(), "1");
   assert.equal(await other.locator("#background").inputValue(), "#336699");
   // What is behind # is the address's own until the page writes it anew.
   await other.evaluate(() => history.replaceState(null, "", location.pathname));
   await other.locator("#link").click();
   assert.equal(await hashOf(other), hash);
-  await other.waitForFunction(() => document.getElementById("status").textContent === "Link copied");
+  await other.waitForFunction(() => byId("status").textContent === "Link copied");
   assert.equal(await other.evaluate(() => navigator.clipboard.readText()), await address(other));
   // In a page that is there already, too.
   await other.locator("#picture").focus();
@@ -256,7 +256,7 @@ inBrowser("a link restores the view", { ...one, files: one.files() }, async ({ p
   await other.locator("#sh").fill("3");
   await other.waitForFunction((was) => location.hash !== was && /sh=3/.test(location.hash), hash);
   await other.evaluate((hash) => (location.hash = hash), hash);
-  await other.waitForFunction(() => document.getElementById("sh").value === "1");
+  await other.waitForFunction(() => byId("sh").value === "1");
   await other.evaluate(() => history.replaceState(null, "", location.pathname));
   await other.locator("#link").click();
   assert.equal(await hashOf(other), hash);
@@ -339,17 +339,17 @@ const drop = (page, name, bytes) =>
 
 inBrowser("what is in a file counts, not its name", { allowed: [k404] }, async ({ page }) => {
   await drop(page, "a.rgs", firstOf(join(scenes(), "scene.ply"), 1000));
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs");
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs");
   await drop(page, "b.ply", readFileSync(join(golden, "degree3.rgs")));
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs | b.ply");
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs | b.ply");
   await drop(page, "c.sog", readFileSync(join(scenes(), "cameras.json")));
-  await page.waitForFunction(() => document.querySelectorAll("#cameras button").length === 8);
+  await page.waitForFunction(() => byId("cameras").children.length === 8);
   assert.deepEqual(await errors(page), []);
   await drop(page, "d.rgs", "nothing of that");
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   assert.match((await errors(page))[0], /^d\.rgs is not a scene that this page can open\..*bad_magic at byte 0/);
   await drop(page, "e.sog", readFileSync(join(golden, "../fuzz/corpus/npz/float32_degree1.npz")));
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 1);
+  await page.waitForFunction(() => byId("errors").children.length > 1);
   assert.match((await errors(page))[1], /^e\.sog is not a scene that this page can open\..*bad_magic: it is an \.npz/);
 });
 
@@ -361,10 +361,10 @@ for (const [version, axes] of [[2, "ply"], [3, "ply"], [4, "ply"], [3, "opengl"]
     const same = join(folder, `v${version}${axes}.rgs`);
     execFileSync(program("rgs-convert"), ["--quiet", ply, same]);
     await drop(page, "a.spz", readFileSync(path));
-    await page.waitForFunction(() => document.getElementById("title").textContent === "a.spz");
+    await page.waitForFunction(() => byId("title").textContent === "a.spz");
     assert.match(await page.getAttribute("#picture", "aria-label"), /60k Gaussians/);
     await drop(page, "b.rgs", readFileSync(same));
-    await page.waitForFunction(() => document.getElementById("title").textContent === "a.spz | b.rgs");
+    await page.waitForFunction(() => byId("title").textContent === "a.spz | b.rgs");
     await page.getByRole("radio", { name: "Difference" }).click();
     await page.locator("#map").waitFor();
     const db = Number(/^([\d.]+) dB$/.exec(await text(page, "#psnr"))?.[1]);
@@ -431,7 +431,7 @@ const beside = {
 };
 
 inBrowser("a second scene is beside the first as soon as a part of it is there", beside, async ({ page }) => {
-  await page.waitForFunction(() => document.getElementById("title").textContent === "packed.rgs | second.rgs");
+  await page.waitForFunction(() => byId("title").textContent === "packed.rgs | second.rgs");
   await page.locator("#split").waitFor();
   assert.ok(await page.locator("#loading").isVisible());
   // What is compared is all of it.
@@ -477,11 +477,11 @@ const plyLater = {
 
 // rgs-view hangs up on who takes nothing for 30 s.
 inBrowser("a second scene that is a PLY is asked for when it is read", { ...plyLater, files: plyLater.files() }, async ({ page }) => {
-  await page.waitForFunction(() => document.getElementById("title").textContent === "packed.rgs");
+  await page.waitForFunction(() => byId("title").textContent === "packed.rgs");
   assert.ok(await page.locator("#loading").isVisible());
   isReleased = true;
   untouched.open();
-  await page.waitForSelector("html[data-ready]", { state: "attached" });
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
   assert.equal(await text(page, "#title"), "packed.rgs | scene.ply");
   assert.deepEqual(plyAsked, [{ bytes: 128, isReleased: false }, { bytes: statSync(join(scenes(), "scene.ply")).size, isReleased: true }]);
 });
@@ -495,7 +495,7 @@ inBrowser("what is dropped while the page begins comes after what it begins with
   while (!server.requests.includes("GET cameras.json")) await page.evaluate(() => new Promise(requestAnimationFrame));
   await drop(page, "b.rgs", readFileSync(join(golden, "degree3.rgs")));
   dropIsDone();
-  await page.waitForFunction(() => document.getElementById("title").textContent === "packed.rgs | b.rgs" && document.getElementById("loading").hidden);
+  await page.waitForFunction(() => byId("title").textContent === "packed.rgs | b.rgs" && byId("loading").hidden);
 });
 
 const withoutRanges = { view: { ...one.view, scenes: [scene("scene.ply")] }, ranges: false };
@@ -525,19 +525,19 @@ inBrowser("where the first scene fails the second one is on the left", { ...seco
   // The server knows it as the second still.
   await page.locator("#picture").focus();
   await page.keyboard.press("t");
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 1);
+  await page.waitForFunction(() => byId("errors").children.length > 1);
   assert.equal(asked, 1);
 });
 
 const whole = holdEnd("second.rgs", 0);
 const chosen = { view: { ...beside.view, frames: { url: "frame", backend: "cpu" } }, files: beside.files, hold: whole.hold, waits: false };
 inBrowser("a mode that is chosen while a scene is opened stays", { ...chosen, frame: refusesAndTells, allowed: [/500/] }, async ({ page }) => {
-  await page.waitForFunction(() => document.getElementById("title").textContent === "packed.rgs" && document.getElementById("progress-text").textContent === "Opening second.rgs");
+  await page.waitForFunction(() => byId("title").textContent === "packed.rgs" && byId("progress-text").textContent === "Opening second.rgs");
   await page.locator("#picture").focus();
   await page.keyboard.press("t");
   await page.keyboard.press("f");
   whole.open();
-  await page.waitForSelector("html[data-ready]", { state: "attached" });
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
   assert.ok(await page.getByRole("radio", { name: "Flicker" }).isChecked());
 });
 
@@ -555,17 +555,17 @@ inBrowser("what turns out damaged goes again, and what was there stays", { allow
   const sound = readFileSync(join(scenes(), "packed.rgs"));
   const { damaged, offset } = await damagedAtEnd(sound);
   await drop(page, "bad.rgs", damaged);
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   assert.match((await errors(page))[0], new RegExp(`^bad\\.rgs is damaged: .*checksum_mismatch at byte ${offset}\\)`));
   assert.equal(await text(page, "#title"), "RoofGS viewer");
   assert.ok(await page.locator("#welcome").isVisible());
   await drop(page, "a.rgs", sound);
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs");
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs");
   await drop(page, "b.rgs", sound);
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs | b.rgs" && document.getElementById("loading").hidden);
-  await page.evaluate(() => document.getElementById("errors").replaceChildren());
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs | b.rgs" && byId("loading").hidden);
+  await page.evaluate(() => byId("errors").replaceChildren());
   await drop(page, "bad.rgs", damaged);
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   assert.equal(await text(page, "#title"), "a.rgs | b.rgs");
   // It is drawn again: both sides are of one file.
   await page.getByRole("radio", { name: "Difference" }).click();
@@ -578,9 +578,9 @@ inBrowser("files that are dropped at once are opened one after the other", { all
   const damaged = Buffer.from(sound);
   damaged[sound.length >> 1] ^= 1;
   await Promise.all([drop(page, "a.rgs", sound), drop(page, "b.rgs", sound)]);
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs | b.rgs" && document.getElementById("loading").hidden);
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs | b.rgs" && byId("loading").hidden);
   await Promise.all([drop(page, "bad.rgs", damaged), drop(page, "c.rgs", sound)]);
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs | c.rgs" && document.getElementById("loading").hidden);
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs | c.rgs" && byId("loading").hidden);
   assert.match((await errors(page))[0], /^bad\.rgs is damaged/);
   await page.getByRole("radio", { name: "Difference" }).click();
   await page.locator("#map").waitFor();
@@ -595,10 +595,10 @@ inBrowser("a damaged scene leaves no view behind", { allowed: [k404] }, async ({
   await page.reload();
   await page.evaluate(() => history.replaceState(null, "", location.pathname));
   await page.reload();
-  await page.waitForSelector("html[data-ready]", { state: "attached" });
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
   const { damaged } = await damagedAtEnd(readFileSync(join(scenes(), "packed.rgs")));
   await drop(page, "bad.rgs", damaged);
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   await drop(page, "small.rgs", small);
   await page.waitForFunction((expected) => location.hash === expected, expected);
 });
@@ -628,10 +628,10 @@ inBrowser("a PLY that declares Mip-Splatting is drawn as the .rgs made of it", {
     writeFileSync(path, Buffer.from(readFileSync(join(scenes(), "scene.ply")).toString("latin1").replace("\nelement", `\n${comment}element`), "latin1"));
     execFileSync(program("rgs-convert"), ["--quiet", "--overwrite", path, rgs]);
     await page.reload();
-    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
     await drop(page, "a.ply", readFileSync(path));
     await drop(page, "b.rgs", readFileSync(rgs));
-    await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply | b.rgs" && document.getElementById("loading").hidden);
+    await page.waitForFunction(() => byId("title").textContent === "a.ply | b.rgs" && byId("loading").hidden);
     // From far away, where anti-aliasing shows and quantisation does not.
     await follow(page, { at: [-1, -2, -39], axes: [1, 0, 0, 0, 1, 0, 0, 0, 1], lens: [0.866, 1, 0, 0], pivot: [-1, -2, -1] });
     await page.getByRole("radio", { name: "Difference" }).click();
@@ -665,7 +665,7 @@ function zipOf(name, contents) {
 inBrowser("a zip that is no SOG, and an empty list of cameras, are said in sentences", { allowed: [k404, /scene\d+\.sog-gsplat/] }, async ({ page }) => {
   const refused = async (name, bytes) => {
     await drop(page, name, bytes);
-    await page.waitForFunction((name) => [...document.querySelectorAll("#errors p")].some((p) => p.textContent.startsWith(name)), name);
+    await page.waitForFunction((name) => [...byId("errors").children].some((p) => p.textContent.startsWith(name)), name);
     return (await errors(page)).at(-1);
   };
   assert.match(await refused("a.sog", zipOf("meta.json", "{}")), /^a\.sog is damaged: .*meta\.json lacks what SOG must have \(bad_header\)/);
@@ -678,7 +678,7 @@ inBrowser("images that a SOG lacks are named, and asked for nowhere", { allowed:
   const meta = { version: 2, count: 1, ...Object.fromEntries(Object.entries(images).map(([name, files]) => [name, { files }])) };
   const before = server.requests.length;
   await drop(page, "a.sog", zipOf("meta.json", JSON.stringify(meta)));
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   assert.match((await errors(page))[0], /^a\.sog is damaged: the zip archive lacks means_l\.webp, \.\.\/means_u\.webp, scales\.webp, quats\.webp, sh0\.webp, which its meta\.json names \(missing_section\)/);
   assert.deepEqual(server.requests.slice(before), []);
 });
@@ -696,9 +696,9 @@ inBrowser("a single Gaussian is seen, and a scene smaller than what is too near 
     await page.reload();
     await page.evaluate(() => history.replaceState(null, "", location.pathname));
     await page.reload();
-    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
     await drop(page, name, bytes);
-    await page.waitForFunction((name) => document.getElementById("title").textContent === name, name);
+    await page.waitForFunction((name) => byId("title").textContent === name, name);
     await untilDrawn(page, 30);
   };
   const asRgs = (ply) => {
@@ -729,13 +729,13 @@ inBrowser("without cameras a scene is seen from where rgs-render sees it", { all
   for (const version of ["3", "4"]) make(`v${version}.spz`, "--spz-version", version);
   make("up.rgs", "--axes", "right,forward,up");
   const names = Object.keys(kFirstViews);
-  const size = await page.evaluate(() => [document.getElementById("picture").width, document.getElementById("picture").height].map(String));
+  const size = await page.evaluate(() => [byId("picture").width, byId("picture").height].map(String));
   const lines = execFileSync(program("rgs_first_view"), [...size, ...names.map(path)], { encoding: "utf8" }).trim().split("\n");
   const away = {};
   for (const [i, name] of names.entries()) {
     await page.evaluate(() => history.replaceState(null, "", location.pathname));
     await page.reload();
-    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
     await drop(page, name, readFileSync(path(name)));
     await page.waitForFunction(() => location.hash !== "");
     await untilDrawn(page, 100);
@@ -756,13 +756,13 @@ inBrowser("without cameras a scene is seen from where rgs-render sees it", { all
 inBrowser("a PLY that ends too early is said to be damaged", { allowed: [k404, /scene1\.ply-gsplat/] }, async ({ page }) => {
   const whole = plyOf([[1, 2, 3], [4, 5, 6]], 1);
   await drop(page, "a.ply", whole.subarray(0, whole.length - 1));
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   assert.match((await errors(page))[0], /^a\.ply is damaged: the file ends before the last Gaussian that its header counts \(truncated\)/);
 });
 
 inBrowser("a PLY without Gaussians is no scene", { allowed: [k404] }, async ({ page }) => {
   await drop(page, "a.ply", plyOf([], 1));
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   assert.match((await errors(page))[0], /^a\.ply could not be opened: it holds no Gaussians\./);
   assert.ok(await page.locator("#welcome").isVisible());
 });
@@ -770,15 +770,15 @@ inBrowser("a PLY without Gaussians is no scene", { allowed: [k404] }, async ({ p
 inBrowser("two PLY are two", { allowed: [k404] }, async ({ page }) => {
   const path = join(scenes(), "scene.ply");
   await drop(page, "a.ply", firstOf(path, 2000));
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply");
+  await page.waitForFunction(() => byId("title").textContent === "a.ply");
   await drop(page, "b.ply", firstOf(path, 1000));
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply | b.ply");
+  await page.waitForFunction(() => byId("title").textContent === "a.ply | b.ply");
   await page.getByRole("radio", { name: "Difference" }).click();
   await page.locator("#map").waitFor();
   assert.match(await text(page, "#psnr"), /^[\d.]+ dB$/);
   // A third takes the place of the second, which goes.
   await drop(page, "c.ply", firstOf(path, 500));
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply | c.ply");
+  await page.waitForFunction(() => byId("title").textContent === "a.ply | c.ply");
 });
 
 inBrowser("flying ends where one camera is left", { ...one, files: one.files() }, async ({ page }) => {
@@ -787,7 +787,7 @@ inBrowser("flying ends where one camera is left", { ...one, files: one.files() }
   assert.equal(await page.getAttribute("#play", "aria-pressed"), "true");
   const [camera] = readCameras(join(scenes(), "cameras.json"));
   await drop(page, "cameras.json", JSON.stringify([camera]));
-  await page.waitForFunction(() => document.querySelectorAll("#cameras button").length === 1);
+  await page.waitForFunction(() => byId("cameras").children.length === 1);
   assert.equal(await page.getAttribute("#play", "aria-pressed"), "false");
 });
 
@@ -803,7 +803,7 @@ inBrowser("what is asked for while a picture is taken is shown after it", { ...o
   await Promise.all([
     page.waitForEvent("download"),
     page.evaluate(async () => {
-      document.getElementById("screenshot").click();
+      byId("screenshot").click();
       for (let i = 0; i < 5; ++i) await Promise.resolve();
       document.dispatchEvent(new KeyboardEvent("keydown", { code: "KeyN" }));
     }),
@@ -814,10 +814,10 @@ inBrowser("what is asked for while a picture is taken is shown after it", { ...o
 inBrowser("a scene is dropped, and a second one beside it", { allowed: [k404] }, async ({ page }) => {
   assert.ok(await page.locator("#welcome").isVisible());
   await drop(page, "<img src=x onerror=alert(1)>.rgs", readFileSync(join(golden, "degree3.rgs")));
-  await page.waitForFunction(() => /onerror/.test(document.getElementById("title").textContent));
+  await page.waitForFunction(() => /onerror/.test(byId("title").textContent));
   assert.equal(await page.locator("img").count(), 0, "names are text");
   await drop(page, "levels.rgs", readFileSync(join(golden, "levels_packed.rgs")));
-  await page.waitForFunction(() => / \| levels\.rgs/.test(document.getElementById("title").textContent));
+  await page.waitForFunction(() => / \| levels\.rgs/.test(byId("title").textContent));
   assert.ok(await page.locator("#split").isVisible());
 });
 
@@ -869,12 +869,12 @@ inBrowser("a phone has the picture above its settings", { ...one, files: one.fil
 
 inBrowser("everything has a name for screen readers, and dark is not light", { ...two, files: two.files() }, async ({ page }) => {
   const nameless = await page.evaluate(() =>
-    [...document.querySelectorAll("button, input:not([hidden]), select, canvas:not([aria-hidden])")]
+    [...document.querySelector("rgs-view").shadowRoot.querySelectorAll("button, input:not([hidden]), select, canvas:not([aria-hidden])")]
       .filter((e) => !e.closest("#cameras") && !(e.getAttribute("aria-label") || e.textContent.trim() || e.labels?.length))
       .map((e) => e.id),
   );
   assert.deepEqual(nameless, []);
-  const colour = () => page.evaluate(() => getComputedStyle(document.body).backgroundColor);
+  const colour = () => page.evaluate(() => getComputedStyle(document.querySelector("rgs-view")).backgroundColor);
   await page.locator("#theme").click();
   const dark = await colour();
   await page.locator("#theme").click();
@@ -916,7 +916,7 @@ const heldForEver = gate();
 
 inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly, hold: held.hold }, async ({ t, page, server }) => {
   await page.locator("#stats").check();
-  await page.waitForFunction(() => /, [1-9] pages, \d+ wanted/.test(document.getElementById("overlay").textContent));
+  await page.waitForFunction(() => /, [1-9] pages, \d+ wanted/.test(byId("overlay").textContent));
   await untilDrawn(page);
   const whole = readFileSync(levelsFile()).length;
   const first = server.bytes["scenes/0/levels.rgs"];
@@ -925,10 +925,10 @@ inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly
   held.open();
   await page.locator("#detail").fill("0");
   // Leaves alone: all Gaussians.
-  await page.waitForFunction(() => /^60k of 60k Gaussians/.test(document.getElementById("overlay").textContent));
+  await page.waitForFunction(() => /^60k of 60k Gaussians/.test(byId("overlay").textContent));
   // A budget holds.
   await page.locator("#budget").fill("4");
-  await page.waitForFunction(() => /^(\d{4}|10k) of 60k Gaussians/.test(document.getElementById("overlay").textContent));
+  await page.waitForFunction(() => /^(\d{4}|10k) of 60k Gaussians/.test(byId("overlay").textContent));
   const plain = await still(page, "#stage");
   await page.locator("#tint").selectOption("level");
   await page.locator("#boxes").check();
@@ -961,7 +961,7 @@ inBrowser("the first picture does not wait for the whole table of pages", { ...w
   for (let i = 0; i < 12; ++i) await page.keyboard.press("-");
   await tableIsRead;
   openTable();
-  await page.waitForFunction(() => /\d pages(?!, )/.test(document.getElementById("overlay").textContent));
+  await page.waitForFunction(() => /\d pages(?!, )/.test(byId("overlay").textContent));
 });
 
 /** docs/format/FORMAT.md, "Error and cut", of every page by itself. */
@@ -978,9 +978,9 @@ inBrowser("a view draws the pages that the format defines, inside a core too", {
   const bytes = readFileSync(join(golden, "levels_packed.rgs"));
   const file = await open(bytes);
   await drop(page, "a.rgs", bytes);
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs");
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs");
   await page.locator("#stats").check();
-  const width = await page.evaluate(() => document.getElementById("picture").width);
+  const width = await page.evaluate(() => byId("picture").width);
   const found = [];
   for (const [detailPx, z, focal, aspect] of [[0, 0, 0.5, 1], [1, 0, 0.5, 1], [2, 0, 0.5, 1], [2, 0, 0.5, 2], [4, 0, 0.5, 1], [4, 0, 0.5, 2], [0.25, -20, 20, 1], [1, -20, 20, 1], [2, -20, 20, 1]]) {
     await follow(page, { at: [0, 0, z], axes: [1, 0, 0, 0, 1, 0, 0, 0, 1], lens: [focal, aspect, 0, 0], pivot: [0, 0, z + 1], detail: detailPx });
@@ -1009,7 +1009,7 @@ inBrowser("bounds are drawn over the picture, and stay there", { allowed: [k404]
   };
   // Two small Gaussians in corners of their box.
   await drop(page, "a.ply", plyOf([[0, 0, 0], [1, 1, 1]], 0.01));
-  await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply");
+  await page.waitForFunction(() => byId("title").textContent === "a.ply");
   const without = await yellow();
   await page.locator("#boxes").check();
   assert.ok((await yellow()) > without + 300, `${await yellow()} of ${without}`);
@@ -1036,7 +1036,7 @@ inBrowser("colours by error are of the view that is shown", levelsOnly, async ({
 
 inBrowser("a server that goes away is said, and what is there stays", { ...levelsOnly, hold: heldForEver.hold, allowed: [/ERR_(CONNECTION|EMPTY)/] }, async ({ page, server }) => {
   await server.end();
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   const [said] = await errors(page);
   assert.match(said, /^levels\.rgs is incomplete: reading failed, and is tried again .*start it again/);
   await untilDrawn(page);
@@ -1048,11 +1048,11 @@ const refuses = async (url, begin) => isRefusing && url.endsWith("levels.rgs") &
 inBrowser("a server that comes back is read on", { ...levelsOnly, hold: refuses, allowed: [k404] }, async ({ page }) => {
   await page.locator("#stats").check();
   await page.locator("#detail").fill("0");
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   while (nRefused <= 4) await page.evaluate(() => new Promise(requestAnimationFrame));
   assert.match((await errors(page)).join(), /^levels\.rgs is incomplete: reading failed, .*\(read_failed: the server answers with HTTP 404\)/);
   isRefusing = false;
-  await page.waitForFunction(() => /^60k of 60k Gaussians/.test(document.getElementById("overlay").textContent));
+  await page.waitForFunction(() => /^60k of 60k Gaussians/.test(byId("overlay").textContent));
   assert.deepEqual(await errors(page), []);
 });
 
@@ -1067,8 +1067,8 @@ inBrowser("damaged files are said, with code and byte", { allowed: [k404] }, asy
       async ([name, base64]) => {
         const data = new DataTransfer();
         data.items.add(new File([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))], name));
-        const list = document.getElementById("errors");
-        const loading = document.getElementById("loading");
+        const list = byId("errors");
+        const loading = byId("loading");
         list.replaceChildren();
         document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
         await new Promise((resolve) => {
@@ -1117,11 +1117,11 @@ inBrowser("the reference picture beside the engine's", { ...one, view: framed, f
   await page.keyboard.press("n");
   await page.keyboard.press("t");
   await page.locator("#reference-picture").waitFor();
-  await page.waitForFunction(() => document.getElementById("reference-picture").width === document.getElementById("picture").width);
+  await page.waitForFunction(() => byId("reference-picture").width === byId("picture").width);
   assert.ok(server.requests.includes("POST frame"));
   // Of another size it is another picture.
   await page.setViewportSize({ width: 640, height: 360 });
-  await page.waitForFunction(() => document.getElementById("picture").width !== 800 && document.getElementById("reference-picture").width === document.getElementById("picture").width);
+  await page.waitForFunction(() => byId("picture").width !== 800 && byId("reference-picture").width === byId("picture").width);
   await page.keyboard.press("x");
   await page.locator("#map").waitFor();
   const db = Number(/^([\d.]+) dB$/.exec(await text(page, "#psnr"))?.[1]);
@@ -1133,7 +1133,7 @@ const refusing = async () => ({ status: 500, error: { code: "host_out_of_memory"
 inBrowser("a picture that the server refuses is said", { ...one, view: framed, files: one.files(), frame: refusing, allowed: [/500/] }, async ({ page }) => {
   await page.locator("#picture").focus();
   await page.keyboard.press("t");
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   assert.match((await errors(page))[0], /^The reference picture could not be made: host_out_of_memory: it is too large\./);
 });
 
@@ -1152,7 +1152,7 @@ inBrowser("a busy server is asked again, and a screenshot has the reference pict
   writeFileSync(red, Buffer.from(base64, "base64"));
   await page.locator("#picture").focus();
   await page.keyboard.press("t");
-  await page.waitForFunction(() => document.getElementById("reference-picture").width === 1000);
+  await page.waitForFunction(() => byId("reference-picture").width === 1000);
   assert.ok(nBusy > 2);
   assert.deepEqual(await errors(page), []);
   const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
@@ -1168,13 +1168,13 @@ inBrowser("a busy server is asked again, and a screenshot has the reference pict
 
 inBrowser("a lost device is said, and comes back", { ...one, files: one.files(), allowed: [/context/i] }, async ({ page }) => {
   await page.evaluate(() => {
-    window.lose = document.getElementById("picture").getContext("webgl2").getExtension("WEBGL_lose_context");
+    window.lose = byId("picture").getContext("webgl2").getExtension("WEBGL_lose_context");
     window.lose.loseContext();
   });
-  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  await page.waitForFunction(() => byId("errors").children.length > 0);
   assert.match((await errors(page))[0], /^The graphics device was lost/);
   await page.evaluate(() => window.lose.restoreContext());
-  await page.waitForFunction(() => document.getElementById("status").textContent === "The graphics device is back");
+  await page.waitForFunction(() => byId("status").textContent === "The graphics device is back");
   assert.deepEqual(await errors(page), []);
   await untilDrawn(page);
 });
@@ -1195,7 +1195,7 @@ inBrowser("a screenshot is named as the scene is, whatever that is", { allowed: 
   assert.match((await errors(page))[0], /^There is no picture to save yet\. Open a scene first\./);
   const name = "a scene #1, 100%41.rgs";
   await drop(page, name, readFileSync(join(golden, "degree3.rgs")));
-  await page.waitForFunction((name) => document.getElementById("title").textContent === name, name);
+  await page.waitForFunction((name) => byId("title").textContent === name, name);
   assert.equal(await page.title(), `${name} | RoofGS viewer`);
   const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
   assert.equal(download.suggestedFilename(), `${name}.png`);
@@ -1205,7 +1205,7 @@ inBrowser("a screenshot has the picture's size", { ...one, files: one.files() },
   const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
   assert.equal(download.suggestedFilename(), "packed.rgs.png");
   const png = readFileSync(await download.path());
-  const { width, height } = await page.evaluate(() => document.getElementById("picture"  ).getBoundingClientRect().toJSON());
+  const { width, height } = await page.evaluate(() => byId("picture"  ).getBoundingClientRect().toJSON());
   assert.deepEqual([png.readUInt32BE(16), png.readUInt32BE(20)], [Math.round(width), Math.round(height)]);
 });
 
@@ -1224,7 +1224,7 @@ test("what rgs-view exports opens from the disk, with scene and cameras inside",
   page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
   page.on("request", (request) => /^(file|data|blob):/.test(request.url()) || problems.push(request.url()));
   await page.goto(pathToFileURL(path).href);
-  await page.waitForSelector("html[data-ready]", { state: "attached" });
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
   assert.deepEqual(await errors(page), []);
   assert.equal(await text(page, "#title"), "packed.rgs");
   assert.equal(await page.locator("#cameras button").count(), 8);
@@ -1264,7 +1264,7 @@ for (const [name, share] of Object.entries(kMeasured)) {
     assert.ok(bytes < share * size + 3 * (1 << 22), `${bytes} of ${size} bytes`);
     if (name === "south.rgs") assert.ok(await page.locator("#loading").isVisible());
     goOn();
-    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
     const ms = await page.evaluate(() => performance.now());
     // The beginning is read first, and where all is read once more with the rest.
     if (name === "south.rgs") assert.ok(server.bytes[url] <= size + (1 << 17), `${server.bytes[url]} bytes`);

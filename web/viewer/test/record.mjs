@@ -8,7 +8,7 @@ import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { basename, join } from "node:path";
 import { launch } from "../../reader/test/chromium.mjs";
-import { startServer } from "./server.mjs";
+import { newPage, startServer } from "./server.mjs";
 
 const kSize = { width: 760, height: 428 };
 const kFrameMs = 190;
@@ -22,10 +22,9 @@ const files = { [view.scenes[0].url]: left, [view.scenes[1].url]: right, "camera
 const server = await startServer({ view, files });
 const browser = await launch("webgl2");
 try {
-  const page = await browser.newPage({ viewport: kSize, colorScheme: "dark" });
-  page.setDefaultTimeout(600_000);
+  const page = await newPage(browser, { viewport: kSize, colorScheme: "dark" });
   await page.goto(server.url);
-  await page.waitForSelector("html[data-ready]", { state: "attached" });
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
   const shots = [];
   /** The page when it no longer changes, for so many frames. */
   const shoot = async (frames = 1) => {

@@ -4,8 +4,16 @@ import { createReadStream, existsSync, statSync } from "node:fs";
 import { createServer } from "node:http";
 import { extname, join, normalize } from "node:path";
 import { fileURLToPath } from "node:url";
+import { newPage as newPlainPage } from "../../reader/test/chromium.mjs";
 
 export const dist = fileURLToPath(new URL("../dist/", import.meta.url));
+
+/** A page in which `byId(id)` finds an element of the viewer's shadow root. `from`: a browser or a context. */
+export async function newPage(from, options) {
+  const page = await newPlainPage(from, options);
+  await page.addInitScript(() => (window.byId = (id) => document.querySelector("rgs-view").shadowRoot.getElementById(id)));
+  return page;
+}
 
 const kTypes = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".wasm": "application/wasm", ".json": "application/json", ".png": "image/png" };
 

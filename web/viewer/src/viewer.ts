@@ -1,0 +1,149 @@
+// viewer.ts - one viewer: its state, what shows it, and what it begins with.
+// SPDX-License-Identifier: Apache-2.0
+import { restore, showLink } from "./address.js";
+import { jump, showCameras } from "./cameras-panel.js";
+import { Captures } from "./captures.js";
+import { showComparison } from "./compare.js";
+import { Controls } from "./controls.js";
+import { drawState, step } from "./drawing.js";
+import { drawReference } from "./frames.js";
+import { connectKeys } from "./keys.js";
+import { readLink } from "./link.js";
+import { nameOf, readManifest } from "./manifest.js";
+import { kLost, kNoGraphics, kNotAsDefined } from "./messages.js";
+import { showNames } from "./names.js";
+import { readFile } from "./open-scene.js";
+import { Opening } from "./opening.js";
+import { Page, progressOf, showLoading } from "./page.js";
+import { showPath } from "./path.js";
+import { watchRest } from "./rest.js";
+import { bindSettings } from "./settings.js";
+import { Stage } from "./stage.js";
+import { firstState } from "./state.js";
+import { statisticsOf } from "./statistics.js";
+import { Store } from "./store.js";
+
+/** What there is once the engine runs. */
+interface Parts {
+  opening: Opening;
+  captures: Captures;
+}
+
+export class Viewer {
+  private readonly stop = new AbortController();
+  private readonly page: Page;
+  /** Undefined if there is no graphics device, or the viewer has ended. */
+  private readonly parts: Promise<Parts | undefined>;
+
+  constructor(host: HTMLElement, root: ShadowRoot) {
+    this.page = new Page(new Store(firstState({ width: 300, height: 150 })), host, root, this.stop.signal);
+    this.parts = this.start().catch((error: unknown) => {
+      this.page.fail("The page", error);
+      return undefined;
+    });
+  }
+
+  end(): void {
+    const { store } = this.page;
+    const { scenes } = store.state;
+    store.end();
+    // The engine's parts go before the engine.
+    for (const scene of scenes) scene?.destroy();
+    this.stop.abort();
+  }
+
+  /** By the name of a camera, or the part of a link behind #. Resolves with whether there is one. */
+  async flyTo(camera: string): Promise<boolean> {
+    const parts = await this.parts;
+    await parts?.opening.allOpened();
+    const { store } = this.page;
+    const i = store.state.cameras.findIndex(({ img_name: name }) => name === camera);
+    const link = readLink(camera);
+    if (i >= 0) jump(this.page, i);
+    else if (link.view) restore(store, link);
+    return i >= 0 || link.view !== undefined;
+  }
+
+  async screenshot(): Promise<Blob> {
+    const parts = await this.parts;
+    if (!parts) throw new Error(kNoGraphics);
+    return parts.captures.shown();
+  }
+
+  async compare(scene?: string | File): Promise<void> {
+    const opening = (await this.parts)?.opening;
+    if (scene === undefined) await opening?.closeSecond();
+    else if (typeof scene === "string") await opening?.openUrl({ name: nameOf(scene), url: scene });
+    else await opening?.openFiles([scene]);
+  }
+
+  private async start(): Promise<Parts | undefined> {
+    const { page } = this;
+    const { store, signal, host } = page;
+    const canvas = page.element("picture", HTMLCanvasElement);
+    showLoading(page);
+    // Scenes are requested while the engine starts.
+    const manifest = readManifest(host, page.isWhole);
+    const reading = manifest.then(({ scenes }) => scenes.map((entry) => readFile({ entry, onProgress: progressOf(store) })));
+    void reading.then((all) => all.forEach((each) => each.catch(() => undefined))).catch(() => undefined);
+    let frame = (_seconds: number): boolean => false;
+    const device = new URLSearchParams(page.search).get("device");
+    // WebGPU only on request: not every browser that has it can draw with it.
+    const stage = await Stage.start(canvas, device === "webgpu" ? ["webgpu", "webgl2"] : ["webgl2"], {
+      frame: (seconds) => frame(seconds),
+      resized: (size) => store.set({ size }),
+      lost: () => page.showError(kLost),
+      restored: () => {
+        page.withdrawError(kLost);
+        page.say("The graphics device is back");
+      },
+    }).catch(() => page.showError(kNoGraphics));
+    if (!stage) return undefined;
+    signal.addEventListener("abort", () => stage.end());
+    if (signal.aborted) {
+      stage.end();
+      return undefined;
+    }
+    if (!stage.isAsDefined) page.showError(kNotAsDefined);
+    const found = await manifest;
+    const controls = new Controls(store, canvas);
+    // Before what is done only at rest.
+    watchRest(store, () => controls.active);
+    drawState(store, stage);
+    const opening = new Opening(page, stage, found);
+    const frames = found.frames ? drawReference(page, found.frames.url) : undefined;
+    const captures = new Captures(page, stage, frames, () => opening.allOpened());
+    showComparison(page, stage, captures);
+    bindSettings(page);
+    showNames(page);
+    showCameras(page, captures);
+    showPath(page);
+    showLink(page);
+    connectKeys(page);
+    page.onClick("screenshot", () => void captures.screenshot().catch((error: unknown) => page.fail("The screenshot", error)));
+    const showStatistics = statisticsOf(page);
+    frame = (seconds) => {
+      const isWaiting = step(store, stage, controls, seconds);
+      showStatistics(stage.frames);
+      return isWaiting;
+    };
+    const { background, sh_degree: shDegree } = found.settings ?? {};
+    const photos = new Map(found.photos.map(({ camera, url }) => [camera, url]));
+    store.set({ photos, ...(background ? { background } : {}), ...(shDegree !== undefined ? { shDegree } : {}) });
+    const link = page.isWhole ? readLink(location.hash) : {};
+    restore(store, link);
+    void this.begin(opening, await reading, link.mode);
+    return { opening, captures };
+  }
+
+  private async begin(opening: Opening, ...asked: [Parameters<Opening["begin"]>[0], Parameters<Opening["begin"]>[1]]): Promise<void> {
+    const { page } = this;
+    await opening.begin(...asked);
+    const camera = page.host.getAttribute("camera");
+    if (camera !== null) await this.flyTo(camera);
+    if (page.signal.aborted) return;
+    page.store.set({ isReady: true });
+    page.host.dataset["ready"] = "true";
+    page.tell("ready", null);
+  }
+}
