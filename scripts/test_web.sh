@@ -9,7 +9,7 @@ preset=web
 
 quiet packages sh scripts/install-deps.sh web
 quiet configure cmake --preset release
-quiet programs cmake --build build/release --parallel "$jobs" --target rgs_dump_file rgs_first_view rgs_mutate_files rgs-convert rgs-judge rgs-make-scene rgs-render rgs-view
+quiet programs cmake --build build/release --parallel "$jobs" --target rgs_dump_file rgs_dump_image_metrics rgs_first_view rgs_mutate_files rgs-convert rgs-judge rgs-make-scene rgs-render rgs-view
 # Files that take several requests and many frames.
 scene() (
   mkdir -p build/web/scenes && cd build/web/scenes || exit

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { viewFrom, viewOf } from "./cameras.js";
 import type { Captures } from "./captures.js";
+import { readInside } from "./manifest.js";
 import type { Page } from "./page.js";
 
 const kSize = { width: 96, height: 72 };
@@ -18,17 +19,23 @@ export function jump(page: Page, index: number): void {
 export function showCameras(page: Page, captures: Captures): void {
   // Drawn again when all of the scene is there.
   page.store.subscribe(({ cameras, isComplete }) => [cameras, isComplete], () => build(page, captures));
+  page.store.subscribe(({ cameras, isComplete, camera }) => [cameras, isComplete, camera], ([, , camera]) => {
+    const buttons = [...page.element("cameras", HTMLElement).children];
+    buttons.forEach((button, i) => button.setAttribute("aria-current", String(i === camera)));
+  });
 }
 
 function build(page: Page, captures: Captures): void {
   const { store } = page;
   const { cameras, photos } = store.state;
   const box = page.element("cameras", HTMLElement);
-  page.element("camera-set", HTMLFieldSetElement).hidden = cameras.length === 0;
+  page.element("play", HTMLButtonElement).hidden = cameras.length < 2;
   box.replaceChildren();
   const draw = async (canvas: HTMLCanvasElement): Promise<void> => {
     const camera = cameras[Number(canvas.dataset["camera"])];
     if (!camera || !store.state.scenes[0]) return;
+    // The picture itself is drawn between them.
+    for (let i = 0; i < 2; ++i) await new Promise(requestAnimationFrame);
     const pixels = await captures.capture(0, viewOf(camera, camera.position), kSize);
     canvas.getContext("2d")?.putImageData(new ImageData(pixels, kSize.width, kSize.height), 0, 0);
   };
@@ -49,7 +56,10 @@ function build(page: Page, captures: Captures): void {
     const photo = photos.get(camera.img_name);
     if (photo !== undefined) {
       const image = document.createElement("img");
-      Object.assign(image, { src: photo, alt: "", loading: "lazy" });
+      Object.assign(image, { alt: "", loading: "lazy" });
+      // In an exported page it is an element of the page.
+      if (photo.startsWith("#")) void readInside(photo).then((blob) => (image.src = URL.createObjectURL(blob)), () => undefined);
+      else image.src = photo;
       button.append(image);
     } else {
       const canvas = document.createElement("canvas");

@@ -86,6 +86,8 @@ export class Controls {
   constructor(
     private readonly store: PageStore,
     private readonly element: HTMLElement,
+    /** Whether gamepads and the wheel are meant for this viewer, not for another one or for the page around it. */
+    private readonly isAttended: () => boolean = () => true,
   ) {
     element.addEventListener("pointerdown", (event) => {
       element.setPointerCapture(event.pointerId);
@@ -106,6 +108,7 @@ export class Controls {
     element.addEventListener(
       "wheel",
       (event) => {
+        if (!this.isAttended() && !event.ctrlKey) return;
         event.preventDefault();
         this.change((view) => approached(view, Math.exp(Math.max(-1, Math.min(1, event.deltaY * 0.0015)))));
       },
@@ -135,7 +138,7 @@ export class Controls {
   step(seconds: number): void {
     for (const code of this.held) this.press(code, seconds);
     this.isPadHeld = false;
-    for (const pad of gamepads()) this.fly(pad, seconds);
+    if (this.isAttended()) for (const pad of gamepads()) this.fly(pad, seconds);
   }
 
   /** Left stick: sideways and forward. Right stick: look around. Triggers: down and up. */

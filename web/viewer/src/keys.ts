@@ -22,6 +22,7 @@ export function connectKeys(page: Page): void {
     KeyC: () => toggle("slider"),
     KeyT: () => showReference(store, !store.state.isReferenceShown),
     KeyI: () => store.set({ statistics: !store.state.statistics }),
+    Escape: () => store.set({ panel: undefined }),
     KeyO: () => page.input("file").click(),
   };
   page.listen("keydown", (event) => {

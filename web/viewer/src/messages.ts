@@ -11,6 +11,7 @@ interface CodedError {
 /** For codes that do not mean a damaged file. */
 const kAdvice: Record<string, string> = {
   open_failed: "could not be fetched. Check that the server is running and lets this page read from it, then reload the page",
+  foreign_host: "is on another host, which does not let this page read it, or which this page's content security policy does not allow. Put the file beside the page, or open it from your disk",
   read_failed: "stopped loading. Reload the page; if rgs-view has ended, start it again and open its new address",
   bad_magic: "is not a scene that this page can open. It opens .rgs, .ply, .spz and .sog; rgs-convert makes .rgs of other formats",
   unsupported_version: "was made by a newer program than this page. Use the page of that version",
@@ -19,6 +20,14 @@ const kAdvice: Record<string, string> = {
   unavailable: "could not be read: the reader's worker does not start. The server's content security policy or a browser extension may block it",
   host_out_of_memory: "does not fit into this browser's memory. Convert it with rgs-convert --lod, so that it is read page by page",
   pages_missing: "is incomplete: its end is missing. What is there is drawn; copy the file again for the rest",
+};
+
+/** By the status of the server's answer. */
+const kStatusAdvice: Record<string, string> = {
+  403: "was refused. The address of rgs-view has a new token at every start: open the one that it printed last",
+  404: "is not on the server. Check the file's name and folder in the address",
+  409: "was written to after rgs-view had started. Start rgs-view again",
+  410: "was removed after rgs-view had started. Start rgs-view again with the files that there are",
 };
 
 /** The server refused to draw a reference picture; its codes do not mean a damaged file. */
@@ -37,7 +46,8 @@ export function sentence(name: string, error: unknown): string {
   const { code, text, message, offset } = (error ?? {}) as CodedError;
   const where = offset === undefined || offset === null ? "" : ` at byte ${offset}`;
   if (code === undefined) return `${name} could not be opened: ${message ?? String(error)}.`;
-  const advice = kAdvice[code];
+  const status = /HTTP (\d+)/.exec(text ?? message ?? "")?.[1] ?? "";
+  const advice = (code === "open_failed" && kStatusAdvice[status]) || kAdvice[code];
   if (advice) return `${name} ${advice}. (${code}${where}: ${text ?? message ?? ""})`;
   return `${name} is damaged: ${text ?? message ?? ""} (${code}${where}). Copy the file again, or convert the scene again.`;
 }

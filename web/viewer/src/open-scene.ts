@@ -27,8 +27,27 @@ async function beginningOf(answer: Response): Promise<Uint8Array> {
   return value?.subarray(0, kBeginningBytes) ?? new Uint8Array(0);
 }
 
-/** A file from the page's server, from the page itself, or a dropped one. Rejects if this page cannot open it. */
-export async function readFile({ entry, file, onProgress }: { entry: SceneEntry; file?: File | undefined; onProgress: OnProgress }): Promise<Read> {
+interface Asked {
+  entry: SceneEntry;
+  file?: File | undefined;
+  onProgress: OnProgress;
+}
+
+/** A file from a server, from the page itself, or a dropped one. Rejects if this page cannot open it. */
+export async function readFile(asked: Asked): Promise<Read> {
+  try {
+    return await recognise(asked);
+  } catch (error) {
+    // Browsers do not say why a request was not answered; a TypeError is one.
+    const { code, text = String(error) } = error as { code?: string; text?: string };
+    const isUnanswered = error instanceof TypeError || (code === "open_failed" && !/HTTP/.test(text));
+    if (!isUnanswered || asked.file || asked.entry.url.startsWith("#")) throw error;
+    const { host } = new URL(asked.entry.url, document.baseURI);
+    throw Object.assign(new Error(), host === location.host ? { code: "open_failed", text } : { code: "foreign_host", text: `${host}: ${text}` });
+  }
+}
+
+async function recognise({ entry, file, onProgress }: Asked): Promise<Read> {
   const blob = file ?? (entry.url.startsWith("#") ? await readInside(entry.url) : undefined);
   const ofOthers = async (): Promise<Read | null> => {
     const range = { range: `bytes=0-${kBeginningBytes - 1}` };

@@ -15,6 +15,8 @@ export class Opening {
   /** Resolves when all that was requested so far is open; never rejects. */
   private last: Promise<void> = Promise.resolve();
   private readonly store: PageStore;
+  /** Stops opening the scene that is being opened. */
+  private cancel = (): void => undefined;
 
   constructor(
     private readonly page: Page,
@@ -23,14 +25,23 @@ export class Opening {
   ) {
     this.store = page.store;
     const input = page.input("file");
-    page.onClick("open", () => input.click());
+    for (const id of ["open", "open-first"]) page.onClick(id, () => input.click());
+    page.onClick("cancel", () => this.cancel());
+    page.signal.addEventListener("abort", () => this.cancel());
     input.addEventListener("change", () => {
       void this.openFiles([...(input.files ?? [])]);
       input.value = "";
     });
-    page.listen("dragover", (event) => event.preventDefault());
+    if (page.host.getAttribute("chrome") !== "full") return;
+    const { dataset } = page.host;
+    page.listen("dragover", (event) => {
+      event.preventDefault();
+      dataset["dragged"] = "";
+    });
+    page.listen("dragleave", () => delete dataset["dragged"]);
     page.listen("drop", (event) => {
       event.preventDefault();
+      delete dataset["dragged"];
       void this.openFiles([...(event.dataTransfer?.files ?? [])]);
     });
   }
@@ -97,17 +108,25 @@ export class Opening {
     const before = scenesBefore[side];
     let scene: Scene | undefined;
     beginLoading(store, name);
+    const cancelled = new Promise<never>((_, reject) => (this.cancel = () => reject(new DOMException("cancelled", "AbortError"))));
+    cancelled.catch(() => undefined);
     try {
-      const read = await reading;
-      scene = await openScene(stage, { name, read, spzAxes: spzAxesOf(this.page.search, this.manifest), side, onProgress: progressOf(store), on: this.troubleOf(name) });
+      const read = await Promise.race([reading, cancelled]);
+      const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(this.page.search, this.manifest), side, onProgress: progressOf(store), on: this.troubleOf(name) });
+      scene = await Promise.race([opened, cancelled]).catch((error: unknown) => {
+        // One that comes too late goes again.
+        void opened.then((late) => late.destroy(), () => undefined);
+        throw error;
+      });
       if (before) before.hidden = true;
       this.show(scene, side === 0 ? { scenes: [scene, undefined], referenceScene } : { scenes: [scenesBefore[0], scene], mode: store.state.mode === "single" ? mode : store.state.mode });
       this.markPicture(name);
-      await scene.complete();
+      await Promise.race([scene.complete(), cancelled]);
       before?.destroy();
       if (side === 0) store.set({ isComplete: true });
     } catch (error) {
       scene?.destroy();
+      if (!scene) void reading.then((read) => read.kind === "rgs" && read.opened.file.close(), () => undefined);
       if (before) before.hidden = false;
       // Without a scene, the next one starts from its own first view.
       store.set({ scenes: scenesBefore, ...(scenesBefore[0] ? {} : { view: viewBefore }) });
@@ -126,7 +145,10 @@ export class Opening {
   /** Adds a measure to the browser's timeline: from the mark `open NAME`, or the page's start, to the first picture. */
   private markPicture(name: string): void {
     const begin = performance.getEntriesByName(`open ${name}`, "mark").at(-1)?.startTime ?? 0;
-    void this.stage.drawn().then(() => performance.measure(`first picture of ${name}`, { start: begin }));
+    void this.stage.drawn().then(() => {
+      performance.measure(`first picture of ${name}`, { start: begin });
+      this.store.set({ hasPicture: true });
+    });
   }
 
   private async openCameras(name: string, read: () => Promise<Response>): Promise<void> {

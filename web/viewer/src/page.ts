@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { bytesText, sentence } from "./messages.js";
 import type { PageStore } from "./state.js";
+import { kCloseIcon } from "./template.js";
 
 /** Events of the element, by name, with their details. */
 export interface Events {
@@ -55,16 +56,18 @@ export class Page {
   }
 
   tell<Name extends keyof Events>(name: Name, detail: Events[Name]): void {
-    this.host.dispatchEvent(new CustomEvent(name, { detail }));
+    // The next viewer has the same host.
+    if (!this.signal.aborted) this.host.dispatchEvent(new CustomEvent(name, { detail }));
   }
 
   /** Shows an error until somebody closes it. The same error is not shown twice. */
   showError(message: string): void {
+    if (this.signal.aborted) return;
     const list = this.element("errors", HTMLElement);
     if ([...list.children].some(({ firstChild }) => firstChild?.textContent === message)) return;
     const line = document.createElement("p");
     const close = document.createElement("button");
-    Object.assign(close, { type: "button", textContent: "×" });
+    Object.assign(close, { type: "button", innerHTML: kCloseIcon });
     close.setAttribute("aria-label", "Close");
     close.addEventListener("click", () => line.remove());
     line.append(message, close);
@@ -112,4 +115,14 @@ export function showLoading(page: Page): void {
     if (loading.share === undefined) bar.removeAttribute("value");
     else bar.value = loading.share;
   });
+}
+
+/** The picture of the attribute `poster`, until there is one of a scene. */
+export function showPoster(page: Page): void {
+  const src = page.host.getAttribute("poster");
+  if (src === null) return;
+  const image = document.createElement("img");
+  Object.assign(image, { id: "poster", src, alt: "" });
+  page.element("stage", HTMLElement).append(image);
+  page.store.subscribe(({ hasPicture }) => [hasPicture], ([hasPicture]) => hasPicture && image.remove());
 }

@@ -52,6 +52,7 @@ export class RgsScene extends Scene {
   override readonly up: readonly number[] | null;
   override readonly origin: readonly number[];
   override readonly hasPages: boolean;
+  override readonly shDegree: number;
   private readonly file: RgsFile;
   private parts: StoredGaussians[] = [];
   private drawn: readonly number[] = [];
@@ -86,6 +87,7 @@ export class RgsScene extends Scene {
     this.origin = origin;
     this.up = upOf(file);
     this.hasPages = file.levels !== null;
+    this.shDegree = file.header.shDegree;
     const { levels } = file;
     if (levels && scheduler) {
       this.read = levels.page(0).storedBytes;

@@ -4,7 +4,7 @@ import { showReference } from "./frames.js";
 import { countText } from "./messages.js";
 import type { Page } from "./page.js";
 import type { Tint } from "./scene.js";
-import type { State } from "./state.js";
+import { kPanels, type State } from "./state.js";
 
 // A browser may have kept what the controls held before a reload, so each is read at first.
 
@@ -31,17 +31,66 @@ function bindCheck(page: Page, id: string, get: (state: State) => boolean, choos
   store.subscribe((state) => [get(state)], ([isOn]) => (control.checked = isOn));
 }
 
+/** What is chosen once holds for the next visit, where the browser allows it. */
+function remember(page: Page, name: string): { read(): string | null; write(value: string): void } {
+  const key = `rgs-view ${name}`;
+  const guarded = <T>(what: () => T): T | null => {
+    try {
+      return page.isWhole ? what() : null;
+    } catch {
+      return null;
+    }
+  };
+  return { read: () => guarded(() => localStorage.getItem(key)), write: (value) => void guarded(() => localStorage.setItem(key, value)) };
+}
+
 function bindTheme(page: Page): void {
   const { store } = page;
+  const memory = remember(page, "theme");
+  const before = memory.read();
+  if (before === "dark" || before === "light") store.set({ theme: before });
   // The system's choice holds until the button is pressed.
   const system = matchMedia("(prefers-color-scheme: dark)");
   const isDark = (): boolean => (store.state.theme ?? (system.matches ? "dark" : "light")) === "dark";
   const show = (): void => page.element("theme", HTMLButtonElement).setAttribute("aria-pressed", String(isDark()));
-  page.onClick("theme", () => store.set({ theme: isDark() ? "light" : "dark" }));
+  page.onClick("theme", () => {
+    const theme = isDark() ? "light" : "dark";
+    memory.write(theme);
+    store.set({ theme });
+  });
   system.addEventListener("change", show, { signal: page.signal });
   store.subscribe(({ theme }) => [theme], ([theme]) => {
     if (theme) page.host.dataset["theme"] = theme;
     show();
+  });
+}
+
+function bindPanel(page: Page): void {
+  const { store } = page;
+  const memory = remember(page, "panel");
+  const before = kPanels.find((name) => name === memory.read());
+  if (before) store.set({ panel: before });
+  for (const name of kPanels) {
+    page.onClick(name, () => {
+      const panel = store.state.panel === name ? undefined : name;
+      memory.write(panel ?? "");
+      store.set({ panel });
+    });
+  }
+  store.subscribe(({ panel, cameras }) => [panel, cameras.length > 0], ([panel, hasCameras]) => {
+    const element = page.element("panel", HTMLElement);
+    element.hidden = panel === undefined || (panel === "views" && !hasCameras);
+    element.dataset["shows"] = panel ?? "";
+    page.element("views", HTMLButtonElement).hidden = !hasCameras;
+    for (const name of kPanels) page.element(name, HTMLButtonElement).setAttribute("aria-expanded", String(panel === name));
+  });
+}
+
+/** What no scene has is not shown. */
+function showWhatApplies(page: Page): void {
+  page.store.subscribe(({ scenes }) => [scenes], ([scenes]) => {
+    (page.input("sh").parentElement as HTMLElement).hidden = !scenes.some((scene) => scene && scene.shDegree > 0);
+    page.element("levels", HTMLElement).hidden = !scenes.some((scene) => scene?.hasPages);
   });
 }
 
@@ -61,10 +110,9 @@ export function bindSettings(page: Page): void {
   const readTint = (): void => store.set({ tint: tint.value as Tint });
   tint.addEventListener("change", readTint);
   readTint();
-  store.subscribe(({ scenes }) => [scenes], ([scenes]) => (tint.disabled = !scenes.some((scene) => scene?.hasPages)));
-  page.onClick("menu", () => store.set({ isPanelShown: !store.state.isPanelShown }));
-  store.subscribe(({ isPanelShown }) => [isPanelShown], ([isShown]) => {
-    page.element("panel", HTMLElement).classList.toggle("shown", isShown);
-    page.element("menu", HTMLButtonElement).setAttribute("aria-expanded", String(isShown));
-  });
+  bindPanel(page);
+  showWhatApplies(page);
+  const full = page.element("full", HTMLButtonElement);
+  full.hidden = !document.fullscreenEnabled;
+  full.addEventListener("click", () => void (document.fullscreenElement ? document.exitFullscreen() : page.host.requestFullscreen()).catch(() => undefined));
 }

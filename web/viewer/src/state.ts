@@ -8,6 +8,10 @@ import type { Size } from "./picture-size.js";
 import type { Scene, Tint } from "./scene.js";
 import type { Store } from "./store.js";
 
+/** What is shown beside the picture, by the ids of their buttons. */
+export const kPanels = ["views", "help", "menu"] as const;
+export type Panel = (typeof kPanels)[number];
+
 export interface State extends Omit<LinkState, "view"> {
   /** Undefined until there is a scene, or a link that has one. */
   view: ViewState | undefined;
@@ -23,6 +27,8 @@ export interface State extends Omit<LinkState, "view"> {
   nChanges: number;
   /** Shown while a file is read; `share` of it, 0 to 1, where that is known. */
   loading: { text: string; share: number | undefined } | undefined;
+  /** A scene has been drawn. */
+  hasPicture: boolean;
   /** What the page begins with is open, or has failed. */
   isReady: boolean;
   cameras: readonly CameraEntry[];
@@ -40,7 +46,7 @@ export interface State extends Omit<LinkState, "view"> {
   isReferenceShown: boolean;
   referenceScene: number;
   frame: Frame | undefined;
-  isPanelShown: boolean;
+  panel: Panel | undefined;
   /** Undefined: the system's. */
   theme: "dark" | "light" | undefined;
 }
@@ -50,9 +56,9 @@ export type PageStore = Store<State>;
 export function firstState(size: Size): State {
   return {
     view: undefined, size, isAtRest: false, mode: "single", split: 0.5, background: [0, 0, 0], shDegree: 3, detailPx: 1, budget: 1e6,
-    scenes: [undefined, undefined], isComplete: false, nChanges: 0, loading: undefined, isReady: false,
+    scenes: [undefined, undefined], isComplete: false, nChanges: 0, loading: undefined, hasPicture: false, isReady: false,
     cameras: [], photos: new Map(), camera: -1, playing: undefined, tint: "none", statistics: false, bounds: false,
-    hasReference: false, isReferenceShown: false, referenceScene: 0, frame: undefined, isPanelShown: false, theme: undefined,
+    hasReference: false, isReferenceShown: false, referenceScene: 0, frame: undefined, panel: undefined, theme: undefined,
   };
 }
 

@@ -5,10 +5,15 @@ import type { Page } from "./page.js";
 
 /** Returns what is called before each frame, with the number of frames drawn. */
 export function statisticsOf(page: Page): (nFrames: number) => void {
+  const stream = page.element("stream", HTMLElement);
   const overlay = page.element("overlay", HTMLOutputElement);
   let speed = { at: 0, nFrames: 0, rate: 0 };
   return (nFrames) => {
     const { scenes, view, statistics, frame, isReferenceShown } = page.store.state;
+    const pages = scenes.map((scene) => scene?.pages ?? { drawn: 0, wanted: 0 });
+    const [drawn, wanted] = [pages.reduce((sum, each) => sum + each.drawn, 0), pages.reduce((sum, each) => sum + each.wanted, 0)];
+    stream.hidden = wanted === 0;
+    if (wanted > 0) stream.style.width = `${(100 * drawn) / (drawn + wanted)}%`;
     overlay.hidden = !statistics || !view;
     const now = performance.now();
     if (now - speed.at > 500) speed = { at: now, nFrames, rate: (1000 * (nFrames - speed.nFrames)) / (now - speed.at) };

@@ -14,7 +14,7 @@ import { kLost, kNoGraphics, kNotAsDefined } from "./messages.js";
 import { showNames } from "./names.js";
 import { readFile } from "./open-scene.js";
 import { Opening } from "./opening.js";
-import { Page, progressOf, showLoading } from "./page.js";
+import { Page, progressOf, showLoading, showPoster } from "./page.js";
 import { showPath } from "./path.js";
 import { watchRest } from "./rest.js";
 import { bindSettings } from "./settings.js";
@@ -82,6 +82,7 @@ export class Viewer {
     const { store, signal, host } = page;
     const canvas = page.element("picture", HTMLCanvasElement);
     showLoading(page);
+    showPoster(page);
     // Scenes are requested while the engine starts.
     const manifest = readManifest(host, page.isWhole);
     const reading = manifest.then(({ scenes }) => scenes.map((entry) => readFile({ entry, onProgress: progressOf(store) })));
@@ -106,7 +107,7 @@ export class Viewer {
     }
     if (!stage.isAsDefined) page.showError(kNotAsDefined);
     const found = await manifest;
-    const controls = new Controls(store, canvas);
+    const controls = new Controls(store, canvas, () => page.isWhole || host.matches(":focus-within"));
     // Before what is done only at rest.
     watchRest(store, () => controls.active);
     drawState(store, stage);

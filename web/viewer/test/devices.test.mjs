@@ -46,6 +46,7 @@ async function look(device) {
     const problems = [];
     page.on("console", (message) => ["error", "warning"].includes(message.type()) && problems.push(message.text()));
     page.on("pageerror", (error) => problems.push(String(error)));
+    await page.addInitScript(() => localStorage.setItem("rgs-view panel", "menu"));
     await page.goto(`${server.url}?device=${device}`);
     await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
     const drawnBy = await page.evaluate(() => (byId("picture").getContext("webgl2") ? "webgl2" : "webgpu"));

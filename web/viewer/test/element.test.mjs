@@ -114,9 +114,30 @@ inPage("several elements are several viewers", { html: several }, async ({ page 
   await settled(left);
 });
 
+const posted = `<!doctype html><title>posted</title><script type="module" src="rgs-view.js"></script>
+<rgs-view src="town.rgs" cameras="cameras.json" camera="view2" poster="data:image/gif;base64,R0lGODlhAQABAAAAACwAAAAAAQABAAA="></rgs-view><div style="height: 2000px"></div>`;
+inPage("an element begins with its poster and its camera, and leaves the wheel to the page until it is used", { html: posted }, async ({ page }) => {
+  const element = page.locator("rgs-view");
+  await element.locator("#poster").waitFor({ state: "detached" });
+  const camera = readCameras(join(scenes(), "cameras.json"))[2];
+  await page.waitForFunction((name) => window.told.some(([event, detail]) => event === "camera" && detail.name === name), camera.img_name);
+  await page.addStyleTag({ content: "rgs-view { height: 300px }" });
+  await settled(element);
+  const box = await element.boundingBox();
+  await page.mouse.move(box.x + 100, box.y + 100);
+  await page.mouse.wheel(0, 100);
+  await page.waitForFunction(() => scrollY > 0);
+  await page.evaluate(() => scrollTo(0, 0));
+  await element.locator("#picture").focus();
+  const n = await page.evaluate(() => window.told.length);
+  await page.mouse.wheel(0, 100);
+  await page.waitForFunction((n) => window.told.slice(n).some(([name]) => name === "camera"), n);
+  assert.equal(await page.evaluate(() => scrollY), 0);
+});
+
 inPage("another file is another scene, and one that is missing is told", { allowed: [/404/] }, async ({ page }) => {
   const element = page.locator("rgs-view");
-  await element.evaluate((view) => view.setAttribute("src", "other.rgs"));
+  await element.evaluate((view) => ["town.rgs?again", "other.rgs"].forEach((src) => view.setAttribute("src", src)));
   await page.waitForFunction(() => /^other\.rgs/.test(byId("picture").getAttribute("aria-label")));
   await element.evaluate((view) => view.setAttribute("src", "missing.rgs"));
   await page.waitForFunction(() => window.told.some(([name]) => name === "error"));

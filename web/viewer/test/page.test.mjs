@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
-import { existsSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
+import { existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import test, { after, before } from "node:test";
@@ -30,13 +30,14 @@ after(async () => {
 
 const scene = (name) => ({ name, url: `scenes/0/${name}`, bytes: 1 });
 
-/** One test with a page of its own; `problems` are what the console complains of. */
-function inBrowser(name, { view = null, files = {}, frame = null, hold, ranges = true, size = kSize, hasTouch = false, address = "", allowed = [], waits = true }, body) {
+/** One test with a page of its own; `problems` are what the console complains of. `panel`: open since the last visit. */
+function inBrowser(name, { view = null, files = {}, frame = null, hold, ranges = true, size = kSize, hasTouch = false, address = "", allowed = [], waits = true, panel = "menu" }, body) {
   test(name, async (t) => {
     if (!browser) return skip(t, "chromium is not installed");
     if (!existsSync(dist)) throw new Error("web/viewer is not built: sh scripts/test_web.sh");
     const server = await startServer({ view, files, frame, hold, ranges });
     const context = await browser.newContext({ viewport: size, hasTouch, acceptDownloads: true });
+    await context.addInitScript((panel) => localStorage.getItem("rgs-view panel") ?? localStorage.setItem("rgs-view panel", panel), panel);
     const page = await newPage(context);
     const problems = [];
     page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
@@ -105,6 +106,7 @@ inBrowser("a scene with its cameras", { ...one, files: one.files(), size: { widt
   assert.deepEqual(beyond, []);
   assert.ok(server.bytes["scenes/0/packed.rgs"] < 1.1 * readFileSync(join(scenes(), "packed.rgs")).length, "read once");
   assert.equal(await page.locator("#cameras button").count(), 8);
+  await page.locator("#views").click();
   await page.waitForFunction(() => {
     const canvas = byId("cameras").querySelector("canvas");
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -113,20 +115,39 @@ inBrowser("a scene with its cameras", { ...one, files: one.files(), size: { widt
   t.diagnostic(await text(page, "#overlay"));
 });
 
-inBrowser("the slider moves by keys and pointer", { ...two, files: two.files() }, async ({ page }) => {
+/** Drags the handle on the border to a share of the picture's width. */
+async function slide(page, share) {
+  const [handle, stage] = [await page.locator("#split").boundingBox(), await page.locator("#stage").boundingBox()];
+  const [middle, y] = [handle.x + handle.width / 2, handle.y + handle.height / 2];
+  // At both ends half of the handle is outside the picture.
+  const x = Math.min(stage.x + stage.width - 2, Math.max(stage.x + 2, middle));
+  await page.mouse.move(x, y);
+  await page.mouse.down();
+  await page.mouse.move(x + stage.x + share * stage.width - middle, y);
+  await page.mouse.up();
+}
+
+inBrowser("the slider moves by keys and pointer", { ...two, files: two.files(), panel: "" }, async ({ page }) => {
   assert.equal(await text(page, "#title"), "packed.rgs | low.rgs");
-  const split = page.locator("#split");
+  const split = page.getByRole("slider", { name: "Divider between the two pictures" });
   await split.waitFor();
-  assert.equal(await split.inputValue(), "500");
+  const value = async () => Number(await split.getAttribute("aria-valuenow"));
+  assert.equal(await value(), 500);
   await split.focus();
+  for (const key of ["ArrowRight", "ArrowRight", "Shift+ArrowLeft"]) await page.keyboard.press(key);
+  assert.equal(await value(), 420);
   await page.keyboard.press("End");
-  assert.equal(await split.inputValue(), "1000");
+  assert.equal(await value(), 1000);
   assert.ok(await page.locator("#right").isHidden());
   await page.keyboard.press("Home");
   assert.ok(await page.locator("#left").isHidden());
-  const box = await split.boundingBox();
-  await page.mouse.click(box.x + box.width / 4, box.y + box.height / 2);
-  assert.ok(Math.abs(Number(await split.inputValue()) - 250) < 30, await split.inputValue());
+  await page.keyboard.press("Shift+ArrowRight");
+  const box = await page.locator("#stage").boundingBox();
+  await slide(page, 0.25);
+  assert.ok(Math.abs((await value()) - 250) < 3, `${await value()}`);
+  // The handle is where the border is, in the picture's middle.
+  const handle = await split.boundingBox();
+  assert.ok(Math.abs(handle.x + handle.width / 2 - box.x - box.width / 4) < 2, `${handle.x}`);
   await page.waitForFunction(() => /mode=slider&split=0\.2/.test(location.hash));
 });
 
@@ -135,18 +156,18 @@ inBrowser("the slider has one scene on its left and the other on its right", { .
   // The right one alone has pages, and so colours of them.
   await page.locator("#tint").selectOption("level");
   const at = async (split) => {
-    await page.locator("#split").fill(String(split));
+    await slide(page, split);
     return still(page);
   };
-  const [left, right, both] = [await at(1000), await at(0), await at(400)];
-  // Apart from the tags and the slider, which lie over the picture.
+  const [left, right, both] = [await at(1), await at(0), await at(0.4)];
+  // Apart from the handle and what else lies over the picture.
   const differing = await page.evaluate(async (all) => {
     const [left, right, both] = await Promise.all(
       all.map(async (base64) => {
         const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
         const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
         context.drawImage(bitmap, 0, 0);
-        const [y, rows] = [Math.round(bitmap.height / 4), Math.round(bitmap.height / 2)];
+        const [y, rows] = [Math.round(0.2 * bitmap.height), Math.round(0.2 * bitmap.height)];
         return { width: bitmap.width, rows, pixels: new Uint32Array(context.getImageData(0, y, bitmap.width, rows).data.buffer) };
       }),
     );
@@ -156,9 +177,11 @@ inBrowser("the slider has one scene on its left and the other on its right", { .
     for (let x = 0; x < width; ++x) {
       for (let y = 0; y < rows; ++y) {
         const i = y * width + x;
+        // The line itself, and those at both ends.
+        if (Math.abs(x - border) < 4 || x < 4 || x > width - 4) continue;
         n.scenes += left.pixels[i] !== right.pixels[i];
-        if (x < border - 1) n.left += both.pixels[i] !== left.pixels[i];
-        if (x > border + 1) n.right += both.pixels[i] !== right.pixels[i];
+        if (x < border) n.left += both.pixels[i] !== left.pixels[i];
+        if (x > border) n.right += both.pixels[i] !== right.pixels[i];
       }
     }
     return { left: n.left, right: n.right, share: n.scenes / (width * rows) };
@@ -200,6 +223,61 @@ inBrowser("the difference is of what the settings say, and is what a screenshot 
     return pixels[0].every((value, i) => value === pixels[1][i]);
   }, png);
   assert.ok(same);
+});
+
+inBrowser("the difference has both names, a legend and FLIP", { ...two, files: two.files(), panel: "" }, async ({ page }) => {
+  await page.getByRole("radio", { name: "Difference" }).click();
+  await page.waitForFunction(() => /^FLIP 0\.\d{3}$/.test(byId("flip").textContent));
+  assert.match(await text(page, "#top"), /^(1|2|5|10|20|50|100|200|255) of 255 levels$/);
+  assert.deepEqual([await page.locator("#left").isVisible(), await page.locator("#right").isVisible()], [true, true]);
+  assert.ok(await page.locator("#working").isHidden());
+  await page.getByRole("radio", { name: "One" }).click();
+  assert.ok(await page.locator("#legend").isHidden());
+});
+
+inBrowser("what no scene has is not shown", { allowed: [k404] }, async ({ page }) => {
+  const shown = async () => {
+    const all = {};
+    for (const id of ["levels", "sh", "compare", "views"]) all[id] = await page.locator(`#${id}`).isVisible();
+    return all;
+  };
+  const flat = join(folder, "degree0.rgs");
+  execFileSync(program("rgs-convert"), ["--quiet", "--overwrite", "--sh-degree", "0", join(scenes(), "scene.ply"), flat]);
+  await drop(page, "a.rgs", readFileSync(flat));
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs" && byId("loading").hidden);
+  assert.deepEqual(await shown(), { levels: false, sh: false, compare: false, views: false });
+  await drop(page, "b.rgs", readFileSync(join(golden, "levels_packed.rgs")));
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs | b.rgs" && byId("loading").hidden);
+  await drop(page, "cameras.json", readFileSync(join(scenes(), "cameras.json")));
+  await page.locator("#views").waitFor();
+  assert.deepEqual(await shown(), { levels: true, sh: true, compare: true, views: true });
+});
+
+inBrowser("a panel is open as it was at the last visit", { ...one, files: one.files(), panel: "" }, async ({ page }) => {
+  assert.ok(await page.locator("#panel").isHidden());
+  await page.getByRole("button", { name: "Keys and gestures" }).click();
+  assert.ok(await page.locator("#keys").isVisible());
+  await page.reload();
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+  assert.ok(await page.locator("#keys").isVisible());
+  await page.locator("#picture").focus();
+  await page.keyboard.press("Escape");
+  assert.ok(await page.locator("#panel").isHidden());
+});
+
+inBrowser("a scene of another host is said to be that", { address: "?scene=http://127.0.0.1:9/a.rgs", allowed: [/Content Security Policy|Failed to load|ERR_/] }, async ({ page }) => {
+  assert.match((await errors(page)).join(), /^a\.rgs is on another host, .*\(foreign_host: 127\.0\.0\.1:9: /);
+});
+
+inBrowser("without a scene there is a place to drop one, and a button", { allowed: [k404], panel: "", hasTouch: true }, async ({ page }) => {
+  const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Open a scene…" }).click()]);
+  assert.ok(chooser.isMultiple());
+  for (const id of ["open", "menu", "theme"]) assert.ok((await page.locator(`#${id}`).boundingBox()).width >= 44, id);
+});
+
+inBrowser("the page's address chooses how much is around the picture", { ...one, files: one.files(), address: "?chrome=none", panel: "" }, async ({ page }) => {
+  assert.ok(await page.locator("header").isHidden());
+  assert.ok(await page.locator("#picture").isVisible());
 });
 
 inBrowser("a comparison is chosen by arrow keys, and letters in a list are the list's", { ...two, files: { ...two.files(), "scenes/1/low.rgs": join(scenes(), "levels.rgs") } }, async ({ page }) => {
@@ -462,6 +540,36 @@ inBrowser("a second scene is beside the first as soon as a part of it is there",
   assert.ok(readFileSync(await early.saved).equals(readFileSync(await late.saved)));
 });
 
+const later = holdEnd("second.rgs", 0.6);
+inBrowser("a difference that is waited for can be cancelled", { ...beside, hold: later.hold, panel: "" }, async ({ page }) => {
+  await page.waitForFunction(() => byId("title").textContent === "packed.rgs | second.rgs");
+  await page.getByRole("radio", { name: "Difference" }).click();
+  await page.locator("#working").waitFor();
+  assert.match(await text(page, "#working-text"), /^Comparing/);
+  await page.locator("#cancel-map").click();
+  assert.ok(await page.getByRole("radio", { name: "Slider" }).isChecked());
+  assert.ok(await page.locator("#working").isHidden());
+  later.open();
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+  assert.ok(await page.locator("#map").isHidden());
+});
+
+for (const share of [0, 0.6]) {
+  const never = holdEnd("second.rgs", share);
+  inBrowser(`opening is cancelled, with ${share} of the file there`, { ...beside, hold: never.hold }, async ({ page }) => {
+    await page.waitForFunction((title) => byId("title").textContent === title && /second|MB/.test(byId("progress-text").textContent), share ? "packed.rgs | second.rgs" : "packed.rgs");
+    if (!share) await page.waitForFunction(() => byId("progress-text").textContent === "Opening second.rgs");
+    await page.locator("#cancel").click();
+    await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+    assert.equal(await text(page, "#title"), "packed.rgs");
+    assert.ok(await page.locator("#loading").isHidden());
+    assert.deepEqual(await errors(page), []);
+    await drop(page, "b.rgs", readFileSync(join(golden, "degree3.rgs")));
+    await page.waitForFunction(() => byId("title").textContent === "packed.rgs | b.rgs");
+    never.open();
+  });
+}
+
 const untouched = holdEnd("packed.rgs", 0.6);
 let isReleased = false;
 const plyAsked = [];
@@ -518,7 +626,7 @@ const refusesAndTells = async ({ scene }) => {
   return { status: 500, error: { code: "internal", message: "no" } };
 };
 inBrowser("where the first scene fails the second one is on the left", { ...secondOfTwo, files: { ...one.files(), "scenes/1/packed.rgs": join(scenes(), "packed.rgs") }, frame: refusesAndTells, allowed: [k404, /500/] }, async ({ page }) => {
-  assert.match((await errors(page))[0], /^missing\.rgs could not be fetched/);
+  assert.match((await errors(page))[0], /^missing\.rgs is not on the server/);
   assert.equal(await text(page, "#title"), "packed.rgs");
   assert.ok(await page.locator("#welcome").isHidden());
   assert.match(await page.getAttribute("#picture", "aria-label"), /packed\.rgs, 60k Gaussians/);
@@ -821,7 +929,7 @@ inBrowser("a scene is dropped, and a second one beside it", { allowed: [k404] },
   assert.ok(await page.locator("#split").isVisible());
 });
 
-inBrowser("fingers move the view, and two taps focus", { ...one, files: one.files(), size: { width: 360, height: 640 }, hasTouch: true }, async ({ page }) => {
+inBrowser("fingers move the view, and two taps focus", { ...one, files: one.files(), size: { width: 360, height: 640 }, hasTouch: true, panel: "" }, async ({ page }) => {
   const link = async () => {
     await page.evaluate(() => history.replaceState(null, "", location.pathname));
     await page.locator("#link").evaluate((button) => button.click());
@@ -857,7 +965,7 @@ inBrowser("fingers move the view, and two taps focus", { ...one, files: one.file
   assert.notEqual((await link()).get("pivot"), near.get("pivot"));
 });
 
-inBrowser("a phone has the picture above its settings", { ...one, files: one.files(), size: { width: 360, height: 640 } }, async ({ page }) => {
+inBrowser("a phone has the picture above its settings", { ...one, files: one.files(), size: { width: 360, height: 640 }, panel: "" }, async ({ page }) => {
   const box = await page.locator("#stage").boundingBox();
   assert.equal(box.width, 360);
   assert.ok(await page.locator("#panel").isHidden());
@@ -879,7 +987,13 @@ inBrowser("everything has a name for screen readers, and dark is not light", { .
   const dark = await colour();
   await page.locator("#theme").click();
   assert.notEqual(await colour(), dark);
+  // What is chosen holds for the next visit.
+  await page.locator("#theme").click();
+  await page.reload();
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+  assert.equal(await colour(), dark);
   // Where the system is dark, the first press makes it light.
+  await page.evaluate(() => localStorage.clear());
   await page.emulateMedia({ colorScheme: "dark" });
   await page.reload();
   assert.equal(await colour(), dark);
@@ -1230,6 +1344,22 @@ test("what rgs-view exports opens from the disk, with scene and cameras inside",
   assert.equal(await page.locator("#cameras button").count(), 8);
   await untilDrawn(page);
   assert.deepEqual(problems, []);
+});
+
+test("what rgs-view exports has the photographs of its cameras", async (t) => {
+  if (!browser) return skip(t, "chromium is not installed");
+  const [path, photos] = [join(folder, "photos.html"), join(folder, "photos")];
+  const [camera] = readCameras(join(scenes(), "cameras.json"));
+  mkdirSync(photos);
+  writeFileSync(join(folder, "camera.json"), JSON.stringify([camera]));
+  execFileSync(program("rgs-render"), [join(scenes(), "packed.rgs"), "--cameras", join(folder, "camera.json"), "--backend", "cpu", "--quiet", "--size", "64x48", "--out", join(photos, `${camera.img_name}.png`)]);
+  execFileSync(program("rgs-view"), [join(scenes(), "packed.rgs"), "--cameras", join(folder, "camera.json"), "--photos", photos, "--export", path]);
+  const page = await newPage(browser, { viewport: kSize });
+  t.after(() => page.close());
+  await page.goto(pathToFileURL(path).href);
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+  await page.locator("#views").click();
+  await page.waitForFunction(() => byId("cameras").querySelector("img")?.naturalWidth === 64);
 });
 
 const kMeasured = { "south.rgs": 0.25, "south-levels.rgs": 0.1 };

@@ -39,10 +39,11 @@ try {
     shots.push("-d", String(frames * kFrameMs), path);
   };
   const slide = async (split) => {
-    await page.locator("#split").evaluate((input, value) => {
-      input.value = value;
-      input.dispatchEvent(new Event("input"));
-    }, String(split));
+    const [handle, stage] = [await page.locator("#split").boundingBox(), await page.locator("#stage").boundingBox()];
+    await page.mouse.move(handle.x + handle.width / 2, handle.y + handle.height / 2);
+    await page.mouse.down();
+    await page.mouse.move(stage.x + (split / 1000) * stage.width, handle.y + handle.height / 2);
+    await page.mouse.up();
   };
   // From above the roofs.
   await page.locator("#picture").focus();

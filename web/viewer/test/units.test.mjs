@@ -18,7 +18,7 @@ let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "controls", "declared", "difference", "first-picture", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "rgs-scene", "spz", "store"];
+  const names = ["cameras", "controls", "declared", "difference", "first-picture", "flip", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "rgs-scene", "spz", "store"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -165,8 +165,14 @@ test("the difference of two pictures", () => {
   const b = new Uint8ClampedArray([10, 20, 30, 255, 16, 0, 0, 255]);
   assert.equal(difference(a, a).psnrDb, Infinity);
   assert.ok(Math.abs(difference(a, b).psnrDb - 10 * Math.log10((255 ** 2 * 6) / 256)) < 1e-9);
-  assert.deepEqual([...difference(a, b).map.subarray(0, 4)], [0, 0, 0, 255]);
-  assert.ok(difference(a, b).map[4] > 200);
+  // One of two pixels exceeds all but the next round number.
+  assert.equal(difference(a, b).top, 20);
+  assert.deepEqual([...difference(a, b).map], [0, 0, 5, 255, 250, 191, 36, 255]);
+  const many = new Uint8ClampedArray(8000).fill(7);
+  const [one, two] = [1, 2].map((n) => many.map((value, i) => (i % 4 === 0 && i < 4 * n * 2 ? 40 + i : value)));
+  assert.equal(difference(many, one).top, 1, "one in a thousand may be white");
+  assert.deepEqual([...difference(many, one).map.subarray(0, 4)], [255, 255, 255, 255]);
+  assert.equal(difference(many, two).top, 50);
   assert.throws(() => difference(a, b.subarray(4)), RangeError);
 });
 
@@ -398,9 +404,32 @@ test("sentences say what to do", () => {
   const damaged = sentence("a.rgs", { code: "checksum_mismatch", text: "the section's bytes have changed", offset: 512 });
   assert.equal(damaged, "a.rgs is damaged: the section's bytes have changed (checksum_mismatch at byte 512). Copy the file again, or convert the scene again.");
   assert.match(sentence("a.rgs", { code: "read_failed", text: "x" }), /start it again and open its new address/);
+  assert.match(sentence("a.rgs", { code: "open_failed", text: "the server answers with HTTP 404" }), /^a\.rgs is not on the server\. Check .*HTTP 404\)$/);
+  assert.match(sentence("a.rgs", { code: "open_failed", text: "the server answers with HTTP 409" }), /Start rgs-view again/);
+  assert.match(sentence("a.rgs", { code: "open_failed", text: "the request failed" }), /^a\.rgs could not be fetched/);
+  assert.match(sentence("a.rgs", { code: "foreign_host", text: "x" }), /another host.*beside the page/);
   assert.match(sentence("a.rgs", { code: "bad_magic", text: "x", offset: 0 }), /is not a scene that this page can open.*at byte 0/);
   assert.equal(sentence("The reference picture", new ServerError("internal", "x")), "The reference picture could not be made: internal: x.");
   assert.equal(sentence("a.ply", new Error("no")), "a.ply could not be opened: no.");
+});
+
+test("FLIP is what rgs::flip() computes", () => {
+  const [width, height] = [40, 24];
+  const seeded = (seed) => () => (seed = (Math.imul(seed, 1664525) + 1013904223) >>> 0) / 2 ** 32;
+  const picture = (random) => Uint8ClampedArray.from({ length: 4 * width * height }, (_, i) => (i % 4 === 3 ? 255 : 128 + 100 * Math.sin(i / 37) + 40 * random()));
+  const pictures = [picture(seeded(1)), picture(seeded(2))];
+  const paths = pictures.map((pixels, k) => {
+    const path = join(folder, `${k}.raw`);
+    writeFileSync(path, Buffer.from(Float32Array.from(pixels.filter((_, i) => i % 4 < 3), (level) => level / 255).buffer));
+    return path;
+  });
+  const { stdout } = spawnSync(program("rgs_dump_image_metrics"), [width, height, 3, ...paths].map(String), { encoding: "utf8" });
+  const expected = Number(stdout.trim().split(/\s+/)[5]);
+  assert.ok(expected > 0.01 && expected < 1, stdout);
+  const steps = modules.flip.flip(...pictures, width, height);
+  let step = steps.next();
+  for (; !step.done; step = steps.next()) assert.ok(step.value >= 0 && step.value < 1);
+  assert.ok(Math.abs(step.value - expected) < 1e-6, `${step.value}, not ${expected}`);
 });
 
 test("what PLY and SOG declare of anti-aliasing is what rgs-convert reads", () => {
