@@ -49,7 +49,8 @@ try {
   await page.locator("#picture").focus();
   await page.keyboard.press("b");
   const box = await page.locator("#picture").boundingBox();
-  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  // Beside the handle.
+  const [x, y] = [box.x + 0.44 * box.width, box.y + box.height / 2];
   await page.mouse.dblclick(x, y);
   for (let i = 0; i < 4; ++i) await page.keyboard.press("+");
   await page.mouse.move(x, y);
