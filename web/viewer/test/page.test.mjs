@@ -1148,7 +1148,7 @@ inBrowser("colours by error are of the view that is shown", levelsOnly, async ({
   assert.notEqual(far, near);
 });
 
-inBrowser("a server that goes away is said, and what is there stays", { ...levelsOnly, hold: heldForEver.hold, allowed: [/ERR_(CONNECTION|EMPTY)/] }, async ({ page, server }) => {
+inBrowser("a server that goes away is said, and what is there stays", { ...levelsOnly, hold: heldForEver.hold, allowed: [/ERR_(CONNECTION|EMPTY|SOCKET)/] }, async ({ page, server }) => {
   await server.end();
   await page.waitForFunction(() => byId("errors").children.length > 0);
   const [said] = await errors(page);
