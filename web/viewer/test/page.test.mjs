@@ -1034,6 +1034,7 @@ inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly
   await untilDrawn(page);
   const whole = readFileSync(levelsFile()).length;
   const first = server.bytes["scenes/0/levels.rgs"];
+  assert.ok(await page.locator("#stream").isVisible());
   t.diagnostic(`first picture from ${first} of ${whole} bytes`);
   assert.ok(first < whole / 4, `${first} of ${whole} bytes`);
   held.open();
@@ -1044,6 +1045,7 @@ inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly
   await page.locator("#budget").fill("4");
   await page.waitForFunction(() => /^(\d{4}|10k) of 60k Gaussians/.test(byId("overlay").textContent));
   const plain = await still(page, "#stage");
+  assert.ok(await page.locator("#stream").isHidden());
   await page.locator("#tint").selectOption("level");
   await page.locator("#boxes").check();
   assert.notEqual(await still(page, "#stage"), plain);
