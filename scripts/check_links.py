@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""check_links.py - checks that every relative link and anchor of a folder of pages resolves, and that no page loads from another host.
+"""check_links.py - checks that every relative link and anchor of a folder of pages resolves, and that no element of a page loads from
+another host. Style sheets are not read.
 
 SPDX-License-Identifier: Apache-2.0
 """

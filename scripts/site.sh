@@ -4,7 +4,10 @@
 # index, the settings and the style. Every link within it is checked.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
-[ $# = 0 ] || { mkdir -p "$1" && folder=$(realpath "$1"); }
+if [ $# != 0 ]; then
+  mkdir -p "$1"
+  folder=$(realpath "$1")
+fi
 cd "$(dirname "$0")/.."
 preset=site
 . scripts/quiet.sh

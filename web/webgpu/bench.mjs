@@ -55,8 +55,7 @@ const read = async (offset, bytes) => (await handle.read(Buffer.alloc(bytes), 0,
 const file = await open({ size, read });
 const { origin } = file.declarations;
 const parts = [];
-if (file.levels) for (const { index } of file.levels.ofLevel(0)) parts.push(renderer.add(await file.readPageStored(index)));
-else for await (const part of file.storedParts()) parts.push(renderer.add(part));
+for await (const part of file.storedParts()) parts.push(renderer.add(part));
 renderer.setParts(parts);
 file.close();
 

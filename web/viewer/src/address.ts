@@ -34,8 +34,8 @@ export function showLink(page: Page): void {
     const text = link();
     if (!isAtRest || text === undefined) return;
     write();
-    const { cameras, camera } = store.state;
-    page.tell("camera", { name: cameras[camera]?.img_name ?? null, link: text });
+    const { cameras, camera, cameraView, view } = store.state;
+    page.tell("camera", { name: (view === cameraView && cameras[camera]?.img_name) || null, link: text });
   });
   page.onClick("link", () => void copy());
   if (!page.isWhole) return;

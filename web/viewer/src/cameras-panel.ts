@@ -12,14 +12,15 @@ export function jump(page: Page, index: number): void {
   const { cameras, scenes } = store.state;
   const camera = cameras[index];
   if (!camera || !scenes[0]) return;
-  store.set({ camera: index, view: viewFrom(camera, scenes[0].box) });
+  const view = viewFrom(camera, scenes[0].box);
+  store.set({ camera: index, cameraView: view, view });
   page.say(`Camera ${camera.img_name}`);
 }
 
 export function showCameras(page: Page, captures: Captures): void {
   // Drawn again when all of the scene is there.
   page.store.subscribe(({ cameras, isComplete }) => [cameras, isComplete], () => build(page, captures));
-  page.store.subscribe(({ cameras, isComplete, camera }) => [cameras, isComplete, camera], ([, , camera]) => {
+  page.store.subscribe(({ cameras, isComplete, camera, cameraView, view }) => [cameras, isComplete, view === cameraView ? camera : -1], ([, , camera]) => {
     const buttons = [...page.element("cameras", HTMLElement).children];
     buttons.forEach((button, i) => button.setAttribute("aria-current", String(i === camera)));
   });

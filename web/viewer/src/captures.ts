@@ -13,6 +13,8 @@ type Pixels = Uint8ClampedArray<ArrayBuffer>;
 export class Captures {
   /** One comes after the other. */
   private last: Promise<unknown> = Promise.resolve();
+  /** Rejects when the viewer ends: its engine draws no more. */
+  private readonly gone: Promise<never>;
 
   constructor(
     private readonly page: Page,
@@ -20,11 +22,14 @@ export class Captures {
     private readonly frames: Frames | undefined,
     /** Resolves when no scene is being opened. */
     private readonly allOpened: () => Promise<void>,
-  ) {}
+  ) {
+    this.gone = new Promise((_, reject) => page.signal.addEventListener("abort", () => reject(page.signal.reason)));
+    this.gone.catch(() => undefined);
+  }
 
   /** RGBA of what the engine draws. */
   capture(side: Side, view: ViewState, { width, height }: Size): Promise<Pixels> {
-    const result = this.last.then(() => this.stage.capture(side, view, width, height));
+    const result = this.last.then(() => Promise.race([this.gone, this.stage.capture(side, view, width, height)]));
     this.last = result.catch(() => undefined);
     return result;
   }

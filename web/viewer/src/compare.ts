@@ -106,7 +106,10 @@ export function showComparison(page: Page, stage: Stage, captures: Captures): vo
   });
   store.subscribe(({ view, size, background, nChanges }) => [view, size, background, nChanges], hideMap);
   store.subscribe(({ isAtRest }) => [isAtRest], ([isAtRest]) => isAtRest && map.hidden && tryMap());
-  page.signal.addEventListener("abort", () => clearInterval(timer));
+  page.signal.addEventListener("abort", () => {
+    clearInterval(timer);
+    hideMap();
+  });
 }
 
 /** The handle on the border of the two pictures moves by pointer, by arrow keys, ten times as far with Shift, and to both ends. */
@@ -123,9 +126,12 @@ function connectHandle({ store }: Page, handle: HTMLElement): void {
   handle.addEventListener("pointermove", (event) => {
     if (handle.hasPointerCapture(event.pointerId)) set((event.clientX - grabbed - left()) / width());
   });
-  handle.addEventListener("keydown", ({ key, shiftKey }) => {
+  handle.addEventListener("keydown", (event) => {
+    const { key, shiftKey } = event;
     const by = { ArrowLeft: -0.01, ArrowDown: -0.01, ArrowRight: 0.01, ArrowUp: 0.01 }[key];
     if (by !== undefined) set(store.state.split + by * (shiftKey ? 10 : 1));
     else if (key === "Home" || key === "End") set(key === "Home" ? 0 : 1);
+    else return;
+    event.preventDefault();
   });
 }

@@ -51,6 +51,7 @@ export class RgsView extends HTMLElement {
 
   private start(): void {
     this.viewer?.end();
+    delete this.dataset["ready"];
     const root = this.shadowRoot as ShadowRoot;
     root.innerHTML = kTemplate;
     this.viewer = new Viewer(this, root);

@@ -13,7 +13,7 @@ export function connectKeys(page: Page): void {
     const { camera, cameras } = store.state;
     jump(page, (camera + by + cameras.length) % cameras.length);
   };
-  const actions: Record<string, () => void> = {
+  const actions: Record<string, () => unknown> = {
     KeyN: () => go(1),
     KeyB: () => go(-1),
     KeyP: () => play(store),
@@ -23,7 +23,7 @@ export function connectKeys(page: Page): void {
     KeyT: () => showReference(store, !store.state.isReferenceShown),
     KeyI: () => store.set({ statistics: !store.state.statistics }),
     Escape: () => store.set({ panel: undefined }),
-    KeyO: () => page.input("file").click(),
+    KeyO: () => page.isFull && page.input("file").click(),
   };
   page.listen("keydown", (event) => {
     // The event's target is the element that the shadow root belongs to.

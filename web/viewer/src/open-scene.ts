@@ -47,6 +47,11 @@ export async function readFile(asked: Asked): Promise<Read> {
   }
 }
 
+/** For who does not open it any more. */
+export function closeRead(reading: Promise<Read>): void {
+  void reading.then((read) => read.kind === "rgs" && read.opened.file.close(), () => undefined);
+}
+
 async function recognise({ entry, file, onProgress }: Asked): Promise<Read> {
   const blob = file ?? (entry.url.startsWith("#") ? await readInside(entry.url) : undefined);
   const ofOthers = async (): Promise<Read | null> => {

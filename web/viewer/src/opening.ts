@@ -4,7 +4,7 @@ import { defaultView, parseCameras, viewFrom } from "./cameras.js";
 import type { Mode } from "./link.js";
 import { type Manifest, readInside, type SceneEntry, spzAxesOf } from "./manifest.js";
 import { waitingSentence } from "./messages.js";
-import { openScene, type Read, readFile } from "./open-scene.js";
+import { closeRead, openScene, type Read, readFile } from "./open-scene.js";
 import { beginLoading, type Page, progressOf } from "./page.js";
 import type { Trouble } from "./page-driver.js";
 import type { Scene } from "./scene.js";
@@ -32,7 +32,7 @@ export class Opening {
       void this.openFiles([...(input.files ?? [])]);
       input.value = "";
     });
-    if (page.host.getAttribute("chrome") !== "full") return;
+    if (!page.isFull) return;
     const { dataset } = page.host;
     page.listen("dragover", (event) => {
       event.preventDefault();
@@ -102,7 +102,7 @@ export class Opening {
    * user has chosen one. `referenceScene`: the scene's number on the server that draws reference pictures.
    */
   private async open(name: string, reading: Promise<Read>, mode: Mode = "slider", referenceScene = 0): Promise<void> {
-    const { store, stage } = this;
+    const { store, stage, page } = this;
     const { scenes: scenesBefore, view: viewBefore } = store.state;
     const side: Side = scenesBefore[0] ? 1 : 0;
     const before = scenesBefore[side];
@@ -111,8 +111,9 @@ export class Opening {
     const cancelled = new Promise<never>((_, reject) => (this.cancel = () => reject(new DOMException("cancelled", "AbortError"))));
     cancelled.catch(() => undefined);
     try {
+      page.signal.throwIfAborted();
       const read = await Promise.race([reading, cancelled]);
-      const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(this.page.search, this.manifest), side, onProgress: progressOf(store), on: this.troubleOf(name) });
+      const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(page.search, this.manifest), side, onProgress: progressOf(store), on: this.troubleOf(name) });
       scene = await Promise.race([opened, cancelled]).catch((error: unknown) => {
         // One that comes too late goes again.
         void opened.then((late) => late.destroy(), () => undefined);
@@ -126,11 +127,12 @@ export class Opening {
       if (side === 0) store.set({ isComplete: true });
     } catch (error) {
       scene?.destroy();
-      if (!scene) void reading.then((read) => read.kind === "rgs" && read.opened.file.close(), () => undefined);
-      if (before) before.hidden = false;
+      if (!scene) closeRead(reading);
+      if (before && page.signal.aborted) before.destroy();
+      else if (before) before.hidden = false;
       // Without a scene, the next one starts from its own first view.
       store.set({ scenes: scenesBefore, ...(scenesBefore[0] ? {} : { view: viewBefore }) });
-      this.page.fail(name, error);
+      page.fail(name, error);
     } finally {
       store.set({ loading: undefined });
     }

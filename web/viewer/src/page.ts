@@ -26,6 +26,11 @@ export class Page {
     this.isWhole = host.hasAttribute("whole");
   }
 
+  /** Whether this viewer has all controls. */
+  get isFull(): boolean {
+    return this.host.getAttribute("chrome") === "full";
+  }
+
   /** The query of the address, where that is this viewer's. */
   get search(): string {
     return this.isWhole ? location.search : "";
@@ -84,12 +89,13 @@ export class Page {
 
   /** Removes an error that no longer holds. */
   withdrawError(message: string): void {
+    if (this.signal.aborted) return;
     for (const line of [...this.element("errors", HTMLElement).children]) if (line.firstChild?.textContent === message) line.remove();
   }
 
   /** Announces a text to screen readers. */
   say(text: string): void {
-    this.element("status", HTMLElement).textContent = text;
+    if (!this.signal.aborted) this.element("status", HTMLElement).textContent = text;
   }
 }
 
@@ -123,6 +129,6 @@ export function showPoster(page: Page): void {
   if (src === null) return;
   const image = document.createElement("img");
   Object.assign(image, { id: "poster", src, alt: "" });
-  page.element("stage", HTMLElement).append(image);
+  page.element("welcome", HTMLElement).after(image);
   page.store.subscribe(({ hasPicture }) => [hasPicture], ([hasPicture]) => hasPicture && image.remove());
 }

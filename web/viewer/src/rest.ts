@@ -1,15 +1,16 @@
 // rest.ts - tells when the picture has come to rest, for what is done only then.
 // SPDX-License-Identifier: Apache-2.0
-import type { PageStore } from "./state.js";
+import type { Page } from "./page.js";
 
 /** The view is at rest after so many milliseconds without a change. */
 const kRestMs = 200;
 
 /** `isActive`: whether the user is moving the view. */
-export function watchRest(store: PageStore, isActive: () => boolean): void {
+export function watchRest({ store, signal }: Page, isActive: () => boolean): void {
   let timer = 0;
   const wait = (): void => {
     clearTimeout(timer);
+    if (signal.aborted) return;
     timer = window.setTimeout(() => {
       const { playing, isReady, scenes } = store.state;
       // The link that the page begins with stays in the address until there is a scene.
@@ -24,4 +25,5 @@ export function watchRest(store: PageStore, isActive: () => boolean): void {
       wait();
     },
   );
+  signal.addEventListener("abort", wait);
 }

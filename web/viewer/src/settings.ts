@@ -69,14 +69,11 @@ function bindPanel(page: Page): void {
   const { store } = page;
   const memory = remember(page, "panel");
   const before = kPanels.find((name) => name === memory.read());
-  if (before) store.set({ panel: before });
+  if (before && page.isFull) store.set({ panel: before });
   for (const name of kPanels) {
-    page.onClick(name, () => {
-      const panel = store.state.panel === name ? undefined : name;
-      memory.write(panel ?? "");
-      store.set({ panel });
-    });
+    page.onClick(name, () => store.set({ panel: store.state.panel === name ? undefined : name }));
   }
+  store.subscribe(({ panel }) => [panel], ([panel], isChanged) => isChanged && memory.write(panel ?? ""));
   store.subscribe(({ panel, cameras }) => [panel, cameras.length > 0], ([panel, hasCameras]) => {
     const element = page.element("panel", HTMLElement);
     element.hidden = panel === undefined || (panel === "views" && !hasCameras);

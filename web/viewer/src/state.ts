@@ -36,6 +36,8 @@ export interface State extends Omit<LinkState, "view"> {
   photos: ReadonlyMap<string, string>;
   /** The camera that was jumped to last, or -1. */
   camera: number;
+  /** The view that it was jumped to; `view` while nobody has moved. */
+  cameraView: ViewState | undefined;
   /** Where the view is on the path through the cameras, 0 to 1; undefined if the path is not played. */
   playing: number | undefined;
   tint: Tint;
@@ -57,7 +59,7 @@ export function firstState(size: Size): State {
   return {
     view: undefined, size, isAtRest: false, mode: "single", split: 0.5, background: [0, 0, 0], shDegree: 3, detailPx: 1, budget: 1e6,
     scenes: [undefined, undefined], isComplete: false, nChanges: 0, loading: undefined, hasPicture: false, isReady: false,
-    cameras: [], photos: new Map(), camera: -1, playing: undefined, tint: "none", statistics: false, bounds: false,
+    cameras: [], photos: new Map(), camera: -1, cameraView: undefined, playing: undefined, tint: "none", statistics: false, bounds: false,
     hasReference: false, isReferenceShown: false, referenceScene: 0, frame: undefined, panel: undefined, theme: undefined,
   };
 }

@@ -3,11 +3,13 @@
 
 export class Store<State extends object> {
   private readonly views: (() => void)[] = [];
+  private hasEnded = false;
 
   constructor(private current: Readonly<State>) {}
 
   /** No view is called any more. */
   end(): void {
+    this.hasEnded = true;
     this.views.length = 0;
   }
 
@@ -30,6 +32,7 @@ export class Store<State extends object> {
       last = values;
       view(values, before);
     };
+    if (this.hasEnded) return;
     this.views.push(update);
     update();
   }

@@ -12,7 +12,7 @@ import { readLink } from "./link.js";
 import { nameOf, readManifest } from "./manifest.js";
 import { kLost, kNoGraphics, kNotAsDefined } from "./messages.js";
 import { showNames } from "./names.js";
-import { readFile } from "./open-scene.js";
+import { closeRead, readFile } from "./open-scene.js";
 import { Opening } from "./opening.js";
 import { Page, progressOf, showLoading, showPoster } from "./page.js";
 import { showPath } from "./path.js";
@@ -87,6 +87,7 @@ export class Viewer {
     const manifest = readManifest(host, page.isWhole);
     const reading = manifest.then(({ scenes }) => scenes.map((entry) => readFile({ entry, onProgress: progressOf(store) })));
     void reading.then((all) => all.forEach((each) => each.catch(() => undefined))).catch(() => undefined);
+    const leave = (): undefined => void reading.then((all) => all.forEach(closeRead)).catch(() => undefined);
     let frame = (_seconds: number): boolean => false;
     const device = new URLSearchParams(page.search).get("device");
     // WebGPU only on request: not every browser that has it can draw with it.
@@ -99,17 +100,15 @@ export class Viewer {
         page.say("The graphics device is back");
       },
     }).catch(() => page.showError(kNoGraphics));
-    if (!stage) return undefined;
-    signal.addEventListener("abort", () => stage.end());
-    if (signal.aborted) {
-      stage.end();
-      return undefined;
-    }
+    if (!stage) return leave();
+    if (signal.aborted) stage.end();
+    else signal.addEventListener("abort", () => stage.end());
     if (!stage.isAsDefined) page.showError(kNotAsDefined);
     const found = await manifest;
+    if (signal.aborted) return leave();
     const controls = new Controls(store, canvas, () => page.isWhole || host.matches(":focus-within"));
     // Before what is done only at rest.
-    watchRest(store, () => controls.active);
+    watchRest(page, () => controls.active);
     drawState(store, stage);
     const opening = new Opening(page, stage, found);
     const frames = found.frames ? drawReference(page, found.frames.url) : undefined;

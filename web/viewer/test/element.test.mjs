@@ -133,6 +133,7 @@ inPage("an element begins with its poster and its camera, and leaves the wheel t
   await page.mouse.wheel(0, 100);
   await page.waitForFunction((n) => window.told.slice(n).some(([name]) => name === "camera"), n);
   assert.equal(await page.evaluate(() => scrollY), 0);
+  assert.equal((await lastCamera(page)).name, null, "nobody else's view has a camera's name");
 });
 
 inPage("another file is another scene, and one that is missing is told", { allowed: [/404/] }, async ({ page }) => {
@@ -143,4 +144,22 @@ inPage("another file is another scene, and one that is missing is told", { allow
   await page.waitForFunction(() => window.told.some(([name]) => name === "error"));
   const [, { message }] = await page.evaluate(() => window.told.find(([name]) => name === "error"));
   assert.match(message, /^missing\.rgs /);
+});
+
+const missing = `<!doctype html><title>missing</title><script type="module" src="rgs-view.js"></script>
+<rgs-view src="missing.rgs" poster="data:image/gif;base64,R0lGODlhAQABAAAAACwAAAAAAQABAAA="></rgs-view>`;
+inPage("a poster hides no error, and what is asked of an element that goes ends", { html: missing, allowed: [/404/] }, async ({ page }) => {
+  const element = page.locator("rgs-view");
+  await page.addStyleTag({ content: "rgs-view { height: 300px }" });
+  await element.locator("#errors button").click();
+  assert.equal(await element.locator("#errors p").count(), 0);
+  await element.evaluate((view) => {
+    const shot = () => view.screenshot().then(() => "a picture", ({ name }) => name);
+    view.addEventListener("ready", () => {
+      window.shot = shot();
+      view.remove();
+    });
+    view.setAttribute("src", "town.rgs");
+  });
+  assert.equal(await page.waitForFunction(() => window.shot).then((shot) => shot.jsonValue()), "AbortError");
 });

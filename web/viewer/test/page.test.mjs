@@ -275,8 +275,9 @@ inBrowser("without a scene there is a place to drop one, and a button", { allowe
   for (const id of ["open", "menu", "theme"]) assert.ok((await page.locator(`#${id}`).boundingBox()).width >= 44, id);
 });
 
-inBrowser("the page's address chooses how much is around the picture", { ...one, files: one.files(), address: "?chrome=none", panel: "" }, async ({ page }) => {
+inBrowser("the page's address chooses how much is around the picture", { ...one, files: one.files(), address: "?chrome=none" }, async ({ page }) => {
   assert.ok(await page.locator("header").isHidden());
+  assert.ok(await page.locator("#panel").isHidden());
   assert.ok(await page.locator("#picture").isVisible());
 });
 

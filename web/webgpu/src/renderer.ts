@@ -83,7 +83,7 @@ export class SplatRenderer {
   /** What the next frames draw. Gaussians of equal depth are drawn in this order. */
   setParts(parts: readonly Part[]): void {
     if (parts.length === this.parts.length && parts.every((part, i) => part === this.parts[i])) return;
-    this.parts = parts;
+    this.parts = [...parts];
     const pieces = parts.flatMap((part) => part.pieces);
     this.nGroups = pieces.reduce((sum, { groups }) => sum + groups.length / kGroupWords, 0);
     const groups = new Uint32Array(kGroupWords * this.nGroups);

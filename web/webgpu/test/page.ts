@@ -37,9 +37,10 @@ async function load(url: string, room?: [number, number], shift?: number): Promi
   file = await open(url);
   ({ declarations } = file);
   parts = [];
-  if (!file.levels) for await (const part of file.storedParts()) parts.push(renderer.add(shift === undefined ? part : shifted(part, shift)));
-  else for (const { index } of file.levels.ofLevel(0)) parts.push(renderer.add(await file.readPageStored(index)));
-  renderer.setParts(parts);
+  for await (const part of file.storedParts()) {
+    parts.push(renderer.add(shift === undefined ? part : shifted(part, shift)));
+    renderer.setParts(parts);
+  }
   return file.header.nGaussians;
 }
 
