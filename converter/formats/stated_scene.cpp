@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "decimal.hpp"
 #include "json_member.hpp"
 
 namespace rgs {
@@ -32,7 +33,7 @@ std::optional<Axes> axes_of_text(std::string_view text) {
   for (std::size_t i = 0; i < 3; ++i) {
     const std::size_t comma = i < 2 ? text.find(',') : text.size();
     const std::string_view name = text.substr(0, comma);
-    const auto* const found = std::ranges::find(kDirections, name, [](const auto& d) { return d.first; });
+    const auto found = std::ranges::find(kDirections, name, [](const auto& d) { return d.first; });
     if (comma == text.npos || found == kDirections.end()) return std::nullopt;
     axes[i] = found->second;
     spanned |= 1U << ((static_cast<unsigned>(axes[i]) - 1) / 2);
@@ -44,7 +45,7 @@ std::optional<Axes> axes_of_text(std::string_view text) {
 std::string axes_text(const Axes& axes) {
   std::string text;
   for (const Axis axis : axes) {
-    const auto* const found = std::ranges::find(kDirections, axis, [](const auto& d) { return d.second; });
+    const auto found = std::ranges::find(kDirections, axis, [](const auto& d) { return d.second; });
     if (found == kDirections.end()) return "undeclared";
     text += (text.empty() ? "" : ",") + std::string(found->first);
   }
@@ -72,7 +73,7 @@ std::string lower(std::string_view text) {
 
 std::optional<float> number(std::string_view text) {
   float value = 0;
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  const auto [end, error] = from_decimal(text, value);
   if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value) || value < 0) return {};
   return value;
 }
@@ -87,7 +88,7 @@ std::string text_of(float value) {
 double decimal_of(float value) {
   const std::string text = text_of(value);
   double decimal = 0;
-  std::from_chars(text.data(), text.data() + text.size(), decimal);
+  from_decimal(text, decimal);
   return decimal;
 }
 

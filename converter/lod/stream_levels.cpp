@@ -6,6 +6,7 @@
 #include <tbb/blocked_range.h>
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
+#include <tbb/spin_mutex.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
@@ -14,7 +15,6 @@
 #include <bit>
 #include <cassert>
 #include <cstring>
-#include <mutex>
 #include <utility>
 
 #include "core_box.hpp"
@@ -51,7 +51,7 @@ class FirstFailure {
  public:
   void note(const Status& status) {
     if (status) return;
-    const std::lock_guard lock(mutex_);
+    const tbb::spin_mutex::scoped_lock lock(mutex_);
     if (status_) status_ = status;
     failed_ = true;
   }
@@ -59,7 +59,7 @@ class FirstFailure {
   Status status() const { return status_; }
 
  private:
-  std::mutex mutex_;
+  tbb::spin_mutex mutex_;
   std::atomic<bool> failed_{false};
   Status status_;
 };

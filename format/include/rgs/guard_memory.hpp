@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstdlib>
 #include <new>
 #include <stdexcept>
 
@@ -11,6 +12,16 @@ namespace rgs::detail {
 
 inline tl::unexpected<Error> out_of_memory() {
   return make_error(Errc::host_out_of_memory, Error::kNone, "memory has run out");
+}
+
+/// Ends as a failed allocation does.
+[[noreturn]] inline void fail_allocation() {
+#if defined(__cpp_exceptions)
+  throw std::bad_alloc();
+#else
+  if (const std::new_handler handler = std::get_new_handler(); handler != nullptr) handler();
+  std::abort();
+#endif
 }
 
 /// f(), a Result or Status, or host_out_of_memory if an allocation fails: wraps the body of every public function that

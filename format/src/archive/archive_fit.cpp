@@ -138,7 +138,7 @@ ArchiveTables::Smoothing fit_smoothing(const SplatView& splats, std::size_t firs
       const double gain = static_cast<double>(g) / kGains;
       double bits = 0;
       for (const Sums& s : std::span(sums).subspan(j * n, n)) {
-        const double floor = static_cast<double>(std::min(kRun * kRuns, splats.n)) * step * step / 12;
+        const double floor = static_cast<double>(std::min<std::uint64_t>(kRun * kRuns, splats.n)) * step * step / 12;
         bits += std::log2(s.yy - gain * (2 * s.ym - gain * s.mm) + floor);
       }
       if (bits >= least) continue;

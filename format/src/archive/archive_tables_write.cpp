@@ -3,10 +3,10 @@
 #include <zstd.h>
 
 #include <bit>
-#include <new>
 
 #include "archive/archive_tables.hpp"
 #include "file/byte_writer.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -60,7 +60,7 @@ std::vector<std::byte> write_archive_tables(const ArchiveTables& t) {
   const std::size_t size =
       ZSTD_compress(bytes.data() + fixed, bytes.size() - fixed, content.data(), content.size(), kLevel);
   // the only possible failure: the output has room for the worst case
-  if (ZSTD_isError(size) != 0) throw std::bad_alloc();
+  if (ZSTD_isError(size) != 0) fail_allocation();
   bytes.resize(fixed + size);
   return bytes;
 }

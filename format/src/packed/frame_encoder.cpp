@@ -10,9 +10,9 @@
 #include <array>
 #include <cassert>
 #include <cstring>
-#include <new>
 
 #include "packed/frame_codec.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/planes.hpp"
 
 namespace rgs::detail {
@@ -28,7 +28,7 @@ void FrameEncoder::Free::operator()(ZSTD_CCtx_s* context) const {
 
 FrameEncoder::FrameEncoder(int level)
     : context_(ZSTD_createCCtx()), lanes_(std::make_unique<ShLanes>()), level_(level) {
-  if (!context_) throw std::bad_alloc();
+  if (!context_) fail_allocation();
 }
 
 // Each plane ends a block, so that entropy tables do not mix planes, unless a table would cost more than it saves.
@@ -52,7 +52,7 @@ std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_
     ZSTD_inBuffer plane{content_.data() + begin, end - begin, 0};
     const ZSTD_EndDirective directive = last ? ZSTD_e_end : ZSTD_e_flush;
     const std::size_t left = ZSTD_compressStream2(context, &target, &plane, directive);
-    if (ZSTD_isError(left) != 0) throw std::bad_alloc();  // only its workspace can fail
+    if (ZSTD_isError(left) != 0) fail_allocation();  // only its workspace can fail
     assert(left == 0 && plane.pos == plane.size);         // the output has room for the worst case
     begin = end;
   }

@@ -27,7 +27,10 @@ export type RgsErrorCode =
   | "size_mismatch"
   | "limit_exceeded"
   | "bad_value"
+  | "bad_syntax"
+  | "not_gaussian_splats"
   | "unsupported_feature"
+  | "too_many_bad"
   | "corrupt_data"
   | "pages_missing";
 

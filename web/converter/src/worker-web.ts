@@ -1,0 +1,18 @@
+// worker-web.ts - the worker in browsers.
+// SPDX-License-Identifier: Apache-2.0
+import { answer, type Job } from "./conversion.js";
+
+interface Scope {
+  onmessage: ((event: { data: Job }) => void) | null;
+  postMessage(message: unknown): void;
+}
+const scope = self as unknown as Scope;
+
+async function load(): Promise<WebAssembly.Module> {
+  const found = await fetch(new URL("./rgs.wasm", import.meta.url));
+  if (!found.ok) throw new Error(`rgs.wasm: HTTP ${found.status}`);
+  // Not compileStreaming(): many servers send the wrong type.
+  return WebAssembly.compile(await found.arrayBuffer());
+}
+
+scope.onmessage = ({ data }) => void answer(data, load, (message) => scope.postMessage(message));
