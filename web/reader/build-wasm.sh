@@ -1,16 +1,14 @@
 #!/bin/sh
-# build-wasm.sh - builds C++ of this repository for WebAssembly: sh build-wasm.sh [reader|converter] [OUT], by default dist/rgs.wasm of
-# that package.
-# reader: Debian's clang-19 compiles RGS_FORMAT_PORTABLE of format/CMakeLists.txt, the scheduler of pages in runtime/pages, the framing of .spz,
-# the .cpp files in wasm/ and the decoder of Zstandard. Its sources are not in Debian's packages; they come with the npm package zstd-napi.
-# converter: all of the format library, the reader of PLY, levels of detail and the conversion of rgs-convert. converter/wasm replaces what
-# they take from the host: files by memory, oneTBB by loops.
+# build-wasm.sh - builds dist/rgs.wasm of a package by Debian's clang-19: sh build-wasm.sh [reader|converter].
+# reader: RGS_FORMAT_PORTABLE of format/CMakeLists.txt, the scheduler of pages in runtime/pages, the framing of .spz, the .cpp files in
+# wasm/ and the decoder of Zstandard. Its sources are not in Debian's packages; they come with the npm package zstd-napi.
+# converter: all of the format library, the reader of PLY, levels of detail and the conversion of rgs-convert. converter/wasm replaces
+# what these take from the host: files by memory, oneTBB by loops.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
-module=${1:-reader}
-out=${2:-$root/web/$module/dist/rgs.wasm}
+out=$root/web/${1:-reader}/dist/rgs.wasm
 build=$root/build/web
 zstd=$root/web/node_modules/zstd-napi/deps/zstd/lib
 llvm=/usr/lib/llvm-19
