@@ -60,8 +60,8 @@ PRIVATE = {
 SHARED = ["converter/convert", "converter/inspect", "converter/audit", "converter/judge", "converter/prune",
           "converter/lod", "converter/tool"]
 OUTSIDERS = ["samples/minimal", "samples/consumer"]
-# A program outside the rooms that feeds a room's library.
-FEEDS = {"samples/make_scene": "convert"}
+# Programs outside the rooms that feed a room's library.
+FEEDS = {"samples/make_scene": "convert", "web/converter/wasm": "convert"}
 
 CUDA = r"cuda|cub/|thrust/|cooperative_groups|curand|mma\.h|nv/|device_|vector_types|.*\.cuh?$"
 # What a scheduler without input, output, threads and locks does not need.

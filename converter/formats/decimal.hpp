@@ -22,7 +22,8 @@ std::from_chars_result from_decimal(std::string_view text, Number& value) {
   const std::size_t digits = text.starts_with('-') ? 1 : 0;
   const char next = digits < text.size() ? text[digits] : ' ';
   // What strtod() takes besides.
-  if (next == '+' || (digits == 1 && next == '-') || std::string_view(" \t\n\v\f\r").find(next) != std::string_view::npos)
+  if (next == '+' || (digits == 1 && next == '-') ||
+      std::string_view(" \t\n\v\f\r").find(next) != std::string_view::npos)
     return {text.data(), std::errc::invalid_argument};
   if (next == '0' && (number[digits + 1] | 32) == 'x') number.resize(digits + 1);
   char* end = nullptr;

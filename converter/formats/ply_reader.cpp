@@ -167,7 +167,8 @@ std::span<const std::byte> next_line(Cursor& cursor) {
   if (cursor.remaining() == 0) return {};
   const auto* const start = bytes.data() + cursor.at;
   const auto* const end = bytes.data() + bytes.size();
-  const auto* const found = static_cast<const std::byte*>(std::memchr(start, '\n', static_cast<std::size_t>(end - start)));
+  const auto* const found =
+      static_cast<const std::byte*>(std::memchr(start, '\n', static_cast<std::size_t>(end - start)));
   const auto length = static_cast<std::size_t>(found != nullptr ? found - start : end - start);
   cursor.at += length;
   return {start, length};

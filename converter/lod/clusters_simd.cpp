@@ -251,8 +251,11 @@ namespace {
 constexpr std::size_t kLeaf = 8;
 
 void build(PointTree& tree, std::size_t begin, std::size_t end) {
-  if (end - begin <= kLeaf) return;
   const auto at = [&tree](std::size_t i) { return tree.points.begin() + static_cast<std::ptrdiff_t>(i); };
+  if (end - begin <= kLeaf) {
+    // Of neighbours at one distance the first is taken, and libraries leave them in different orders.
+    return std::sort(at(begin), at(end), [](const auto& a, const auto& b) { return a.index < b.index; });
+  }
   float low[3], high[3];
   for (int k = 0; k < 3; ++k) low[k] = std::numeric_limits<float>::max(), high[k] = -low[k];
   for (std::size_t i = begin; i < end; ++i) {

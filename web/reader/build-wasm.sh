@@ -27,6 +27,7 @@ mkdir -p "$build/include/tbb"
 for header in blocked_range enumerable_thread_specific parallel_for parallel_pipeline partitioner spin_mutex task_arena task_group; do
   ln -sfn "$root/web/converter/wasm/tbb.hpp" "$build/include/tbb/$header.h"
 done
+ln -sfn "$root/web/converter/wasm/no_terminal.hpp" "$build/include/console.hpp"
 
 # The same sources as in CMake.
 portable=$(sed -nE '/^set\(RGS_FORMAT_PORTABLE/,/^\)/s/^ +(src.*\.cpp)$/\1/p' "$root/format/CMakeLists.txt")
@@ -58,7 +59,7 @@ compressor="compress/fse_compress compress/hist compress/huf_compress compress/z
     -isystem /usr/include/wasm32-wasi -isystem $build/include -DXXH_INLINE_ALL -I$root/format/include -I$root/format/src $
     -I$root/kernels/math/include -I$root/runtime -I$root/converter/formats -I$root/converter/formats/include $
     -isystem $zstd"
-  echo "converter_flags = -I$root/web/converter/wasm -I$root/converter/convert -I$root/converter/lod -I$root/runtime/include $
+  echo "converter_flags = -I$root/converter/convert -I$root/converter/lod -I$root/runtime/include $
     -I$root/runtime/src -DFMT_HEADER_ONLY"
   echo "c_flags = -std=c11 -isystem /usr/include/wasm32-wasi -I$zstd -DZSTD_DISABLE_ASM -DZSTD_LEGACY_SUPPORT=0 $
     -DZSTD_STRIP_ERROR_STRINGS -DXXH_NAMESPACE=ZSTD_ -DDEBUGLEVEL=0 -Wno-unused-parameter -Wno-unused-function"

@@ -53,7 +53,7 @@ std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_
     const ZSTD_EndDirective directive = last ? ZSTD_e_end : ZSTD_e_flush;
     const std::size_t left = ZSTD_compressStream2(context, &target, &plane, directive);
     if (ZSTD_isError(left) != 0) fail_allocation();  // only its workspace can fail
-    assert(left == 0 && plane.pos == plane.size);         // the output has room for the worst case
+    assert(left == 0 && plane.pos == plane.size);    // the output has room for the worst case
     begin = end;
   }
   out.resize(target.pos);

@@ -137,7 +137,8 @@ extern "C" ssize_t pwrite(int fd, const void* from, size_t size, off_t offset) {
   return static_cast<ssize_t>(size);
 }
 extern "C" ssize_t pread(int fd, void* to, size_t size, off_t offset) {
-  return static_cast<ssize_t>(rgs::of(fd).read(static_cast<std::uint64_t>(offset), {static_cast<std::byte*>(to), size}));
+  return static_cast<ssize_t>(
+      rgs::of(fd).read(static_cast<std::uint64_t>(offset), {static_cast<std::byte*>(to), size}));
 }
 extern "C" int close(int fd) {
   rgs::files[static_cast<std::size_t>(fd - rgs::kFirst)] = {};

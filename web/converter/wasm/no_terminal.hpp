@@ -1,4 +1,4 @@
-// console.hpp - stands in for converter/tool/console.hpp, whose programs have a terminal.
+// no_terminal.hpp - stands in for converter/tool/console.hpp, whose programs have a terminal.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
