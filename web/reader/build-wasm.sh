@@ -84,12 +84,14 @@ rule link
     case $small in *" $source "*) echo "  size = -Oz" ;; esac
     shared="$shared $build/$source.o"
   done
+  inflater=
   for source in $decoder; do
     echo "build $build/zstd/$source.o: c $zstd/$source.c"
-    shared="$shared $build/zstd/$source.o"
+    inflater="$inflater $build/zstd/$source.o"
   done
   echo "build $build/no_console.o: cxx $here/wasm/no_console.cpp"
-  objects="$build/no_console.o"
+  echo "  size = -Oz"
+  objects=
   for source in "$root"/runtime/pages/*.cpp "$root/converter/formats/spz_header.cpp"; do
     echo "build $build/others/$(basename "$source").o: cxx $source"
     echo "  size = -Oz"
@@ -100,8 +102,8 @@ rule link
     echo "  size = -Oz"
     objects="$objects $build/$source.o"
   done
-  echo "build $root/web/reader/dist/rgs.wasm: link $shared $objects"
-  objects="$build/no_console.o"
+  echo "build $root/web/reader/dist/rgs.wasm: link $shared $objects $build/no_console.o $inflater"
+  objects="$build/no_console.o $inflater"
   for source in $compressor; do
     echo "build $build/zstd/$source.o: c $zstd/$source.c"
     echo "  size = -O2"

@@ -42,11 +42,13 @@ async function same(bytes, name, options, ...flags) {
   return report;
 }
 
+const kMade = [...kProfiles.map((profile) => [profile, false]), ...["packed", "direct", "archive:small"].map((profile) => [profile, true])];
 for (const path of [house, plain, far]) {
-  for (const profile of kProfiles) {
-    test(`${basename(path)} as ${profile} is rgs-convert's file`, async () => {
-      const expected = byProgram(path, "--profile", profile);
-      const { blob, report } = await convert(fileOf(path), { profile });
+  for (const [profile, levels] of kMade) {
+    test(`${basename(path)} as ${profile}${levels ? " with levels" : ""} is rgs-convert's file`, async () => {
+      const expected = byProgram(path, "--profile", profile, ...(levels ? ["--lod"] : []));
+      const { blob, report } = await convert(fileOf(path), { profile, levels });
+      assert.equal(report.nLevels > 0, levels);
       assert.ok((await bytesOf(blob)).equals(expected.bytes));
       assert.equal(report.bytes, expected.bytes.length);
       assert.equal(report.nWritten, report.nSource);
