@@ -1,10 +1,21 @@
 // node.ts - the entry for Node.
 // SPDX-License-Identifier: Apache-2.0
 import { Worker } from "node:worker_threads";
-import type { Answer } from "./conversion.js";
+import type { Answer, Job } from "./conversion.js";
 import { type Converted, convertWith, type ConvertOptions, type Port, type Source } from "./convert.js";
 export { RgsError, type RgsErrorCode } from "./convert.js";
 export type { Converted, ConvertOptions, Profile, Progress, Report, Source } from "./convert.js";
+
+async function post(worker: Worker, job: Job): Promise<void> {
+  try {
+    worker.postMessage(job);
+  } catch (error) {
+    if (!(job.source instanceof Blob)) throw error;
+    // Node does not send a Blob of a file to another thread.
+    const bytes = await job.source.arrayBuffer();
+    worker.postMessage({ ...job, source: new Uint8Array(bytes) }, [bytes]);
+  }
+}
 
 function start(): Port {
   const worker = new Worker(new URL("./worker-node.js", import.meta.url));
@@ -14,7 +25,7 @@ function start(): Port {
       worker.on("error", (error) => on.fail(error));
       worker.on("messageerror", (error) => on.fail(error));
     },
-    send: (job) => worker.postMessage(job),
+    send: (job) => void post(worker, job).catch((error: unknown) => worker.emit("error", error)),
     end: () => void worker.terminate(),
   };
 }

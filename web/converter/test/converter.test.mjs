@@ -1,7 +1,7 @@
 // converter.test.mjs - files are those of rgs-convert bit for bit, and errors too.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { openAsBlob, readFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { basename } from "node:path";
 import test from "node:test";
@@ -128,6 +128,7 @@ test("sources, and what the provenance says of them", async (t) => {
   const url = `http://127.0.0.1:${server.address().port}`;
   const sources = [
     [new Blob([bytes]), ""],
+    [await openAsBlob(plain), ""],
     [new File([bytes], "ä.ply"), "ä.ply"],
     [lent.buffer.slice(5, 5 + bytes.length), ""],
     [lent.subarray(5, 5 + bytes.length), ""],
