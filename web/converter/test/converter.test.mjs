@@ -118,6 +118,11 @@ test("what is no PLY", async () => {
   await assert.rejects(convert(readFileSync(house), { profile: "small" }), { name: "RgsError", code: "bad_argument" });
 });
 
+test("a file larger than the memory is refused before it is read", async () => {
+  const part = new Blob([new Uint8Array(2 ** 24)]);
+  await assert.rejects(convert(new Blob(Array(129).fill(part))), { name: "RgsError", code: "host_out_of_memory" });
+});
+
 test("sources, and what the provenance says of them", async (t) => {
   const bytes = readFileSync(plain);
   const lent = new Uint8Array(bytes.length + 10);
