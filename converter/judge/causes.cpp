@@ -64,6 +64,7 @@ constexpr std::array kCauses = {
     // The order.
     Cause{"by-distance", "sorts by distance instead of depth", [](R& r) { r.order = R::Order::distance; }},
     Cause{"unsorted", "draws in the file's order", [](R& r) { r.order = R::Order::file; }},
+    Cause{"stale-order", "draws in the order of the camera before", [](R& r) { r.is_stale = true; }},
     Cause{"ties-reversed", "draws Gaussians of equal depth in the reverse of the file's order",
           [](R& r) { r.reverses_ties = true; }},
     Cause{"ties-morton", "draws Gaussians of equal depth in Morton order, not in the file's",

@@ -34,7 +34,8 @@ class Court {
   std::vector<Image> drawn(const Rules& rules) const {
     std::vector<Image> images;
     for (std::size_t i = 0; i < shown_.size(); ++i) {
-      images.push_back(draw(rules.ignores_axes ? scenes_.stored : scenes_.defined, shown_[i].camera, rules));
+      images.push_back(draw(rules.ignores_axes ? scenes_.stored : scenes_.defined, shown_[i].camera, rules,
+                            shown_[i == 0 ? 0 : i - 1].camera));
       for (float& v : images.back().pixels) v = compared(v, i);
     }
     return images;

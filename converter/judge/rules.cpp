@@ -250,6 +250,13 @@ Vec3 colour_of(const SceneView& scene, std::uint64_t i, const math::View<float>&
   return {shown(c.x), shown(c.y), shown(c.z)};
 }
 
+float key_of(const Vec3& p, std::uint64_t i, const Rules& rules) {
+  using Order = Rules::Order;
+  return rules.order == Order::depth      ? p.z
+         : rules.order == Order::distance ? std::sqrt(math::dot(p, p))
+                                          : static_cast<float>(i);
+}
+
 // False: it is not drawn.
 bool see(const SceneView& scene, std::uint64_t i, std::uint64_t lost, const math::View<float>& view,
          const Camera& camera, const Rules& rules, Seen& seen) {
@@ -297,10 +304,7 @@ bool see(const SceneView& scene, std::uint64_t i, std::uint64_t lost, const math
     seen.side_x = -axes.y / shorter - axes.x / longer, seen.side_y = axes.x / shorter - axes.y / longer;
   }
   seen.colour = colour_of(scene, i, view, mean, rules);
-  using Order = Rules::Order;
-  seen.key = rules.order == Order::depth      ? p.z
-             : rules.order == Order::distance ? std::sqrt(math::dot(p, p))
-                                              : static_cast<float>(i);
+  seen.key = key_of(p, i, rules);
   return true;
 }
 
@@ -426,8 +430,8 @@ class Sum {
 
 }  // namespace
 
-Image draw(const SceneView& scene, const Camera& camera, const Rules& rules) {
-  const math::View<float> view = view_of(scene, camera, rules);
+Image draw(const SceneView& scene, const Camera& camera, const Rules& rules, const Camera& before) {
+  const math::View<float> view = view_of(scene, camera, rules), view_before = view_of(scene, before, rules);
   constexpr std::uint64_t kBlock = 4096;
   const std::uint64_t n_blocks = (scene.n + kBlock - 1) / kBlock;
   const std::vector<std::uint64_t> rows = rules.is_morton ? morton_order(scene) : std::vector<std::uint64_t>();
@@ -435,8 +439,12 @@ Image draw(const SceneView& scene, const Camera& camera, const Rules& rules) {
   std::vector<std::vector<Seen>> blocks(n_blocks);
   tbb::parallel_for(std::uint64_t{0}, n_blocks, [&](std::uint64_t b) {
     Seen one;
-    for (std::uint64_t i = b * kBlock; i < std::min(scene.n, (b + 1) * kBlock); ++i)
-      if (see(scene, rows.empty() ? i : rows[i], lost, view, camera, rules, one)) blocks[b].push_back(one);
+    for (std::uint64_t k = b * kBlock; k < std::min(scene.n, (b + 1) * kBlock); ++k) {
+      const std::uint64_t i = rows.empty() ? k : rows[k];
+      if (!see(scene, i, lost, view, camera, rules, one)) continue;
+      if (rules.is_stale) one.key = key_of(seen_from(scene, view_before, before, &scene.mean[3 * i], rules), i, rules);
+      blocks[b].push_back(one);
+    }
   });
   std::vector<Seen> seen;
   for (const auto& block : blocks) seen.insert(seen.end(), block.begin(), block.end());

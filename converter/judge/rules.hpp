@@ -61,6 +61,7 @@ struct Rules {
   bool is_morton = false;  ///< the file's order is the Morton order of the means, of 10 bits an axis
   int sort_bits = 0;       ///< of the key over the range of what is seen; 0: exact
   bool reverses_ties = false;
+  bool is_stale = false;  ///< the order of the camera before
 
   // Of a pixel.
   float cutoff = 0;              ///< sigmas beyond which nothing is drawn; 0: as far as alpha_min
@@ -83,7 +84,10 @@ struct Rules {
 };
 
 /// RGB [height, width, 3] of a scene in memory, on all threads; the same bits for any number of them. Rules by default
-/// give the bits of the CPU renderer's scalar definition.
-Image draw(const SceneView& scene, const Camera& camera, const Rules& rules);
+/// give the bits of the CPU renderer's scalar definition. `before` is the camera drawn last, for an order that is stale.
+Image draw(const SceneView& scene, const Camera& camera, const Rules& rules, const Camera& before);
+inline Image draw(const SceneView& scene, const Camera& camera, const Rules& rules) {
+  return draw(scene, camera, rules, camera);
+}
 
 }  // namespace rgs::judge

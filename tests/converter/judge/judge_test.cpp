@@ -80,6 +80,22 @@ TEST_CASE("a single cause is found in the scene that is about it") {
   }
 }
 
+TEST_CASE("an order of the camera before is found where a list of cameras turns round") {
+  Micro micro = micro_fixture("18");
+  Camera behind = micro.scene.cameras.at(0);
+  behind.name = "behind";
+  // Half a turn about the y axis through (0, 0, 4).
+  const glm::dmat4 turn{{-1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, -1, 0}, {0, 0, 8, 1}};
+  behind.world_to_camera *= turn;
+  micro.scene.cameras.push_back(behind);
+  const judge::Judgement judgement = found(micro, {"stale-order"}, "spark");
+  REQUIRE(judgement.steps.size() == 1);
+  CHECK(std::string(judgement.steps[0].cause->key) == "stale-order");
+  CHECK(judgement.steps[0].share == 1);
+  CHECK(std::isinf(judgement.views.at(0).psnr));
+  CHECK(judgement.views.at(1).psnr < 40);
+}
+
 TEST_CASE("shares of several causes add up to what is explained") {
   const judge::Judgement judgement = found(micro_fixture("13"), {"sh-0", "cut-2", "low-pass-none"});
   REQUIRE(judgement.steps.size() >= 2);

@@ -33,7 +33,8 @@ struct Micro {
   std::vector<judge::Shown> shown(const judge::Rules& rules) const {
     std::vector<judge::Shown> pictures;
     for (const Camera& camera : scene.cameras) {
-      Image image = judge::draw((rules.ignores_axes ? stored : defined).view().value(), camera, rules);
+      Image image = judge::draw((rules.ignores_axes ? stored : defined).view().value(), camera, rules,
+                                pictures.empty() ? camera : pictures.back().camera);
       for (float& v : image.pixels) v = static_cast<float>(to_8bit(v)) / 255;
       pictures.push_back({camera, std::move(image)});
     }
