@@ -93,6 +93,10 @@ whose values were rounded once.
 | scene | rule |
 |---|---|
 {2}
+Of what is discussed for glTF's KHR_gaussian_splatting (KhronosGroup/glTF, 2490 and 2562), turned Gaussians are scenes 03, 04 and 24,
+harmonics term by term 13 to 15, axes 19, sorting 17 and 18, colour space 21. Nodes of a glTF are none of these rules: they move and
+turn Gaussians, harmonics too, before there is a picture. No scene has a mesh among its Gaussians.
+
 ## Licence
 
 CC0 1.0: see `LICENSE`.
