@@ -1,6 +1,6 @@
 // as-defined.ts - makes the engine draw the image that docs/format/RENDERING.md defines.
 // SPDX-License-Identifier: Apache-2.0
-import type { Declarations } from "@roofgs/reader";
+import { type AntiAliasing, antiAliasingOf } from "@roofgs/reader";
 import {
   type AppBase,
   type CameraComponent,
@@ -14,29 +14,8 @@ import {
   TONEMAP_NONE,
 } from "playcanvas";
 
-/** How a picture is anti-aliased: docs/format/RENDERING.md, "Low-pass". */
-export interface AntiAliasing {
-  /** Added to the diagonal of the screen-space covariance, square pixels. */
-  readonly lowPassPx2: number;
-  /** Whether opacity is lowered in return, as in Mip-Splatting. */
-  readonly compensated: boolean;
-}
-
-const kClassic: AntiAliasing = { lowPassPx2: 0.3, compensated: false };
-const kMipSplatting: AntiAliasing = { lowPassPx2: 0.1, compensated: true };
-
-/** Anti-aliasing as files declare it; the default low-pass is that of the mode. */
-export interface DeclaredAntiAliasing {
-  readonly aaMode: Declarations["aaMode"];
-  readonly lowPassPx2?: number | undefined;
-}
-
-/** The anti-aliasing that a file declares. A low-pass applies only in its own mode. `coarser`: pages above level 0 are drawn. */
-export function antiAliasingOf(declared: DeclaredAntiAliasing, coarser = false): AntiAliasing {
-  const { aaMode, lowPassPx2 } = declared;
-  const usual = coarser || aaMode === "mip_splatting" ? kMipSplatting : kClassic;
-  return coarser || aaMode === "undeclared" || lowPassPx2 === undefined ? usual : { ...usual, lowPassPx2 };
-}
+/** Of a scene that declares nothing. */
+const kOriginal = antiAliasingOf({ aaMode: "undeclared" });
 
 /** Replaces a text in a chunk of the engine's shaders. */
 type Change = readonly [chunk: string, from: string, to: string];
@@ -121,7 +100,7 @@ function watch({ scene, graphicsDevice }: AppBase): void {
   watched.add(scene);
   const uniform = graphicsDevice.scope.resolve(kUniform);
   scene.on("prerender:layer", (camera: CameraComponent | null) => {
-    const { lowPassPx2, compensated } = (camera && antiAliasings.get(camera)) ?? kClassic;
+    const { lowPassPx2, compensated } = (camera && antiAliasings.get(camera)) ?? kOriginal;
     uniform.setValue(new Float32Array([4 * lowPassPx2, compensated ? 1 : 0]));
   });
 }
@@ -132,7 +111,7 @@ function watch({ scene, graphicsDevice }: AppBase): void {
  * another one need a camera and a layer of their own. Call it again to change it. Returns false if this package does not know the
  * engine's shaders; the engine then draws its own falloff.
  */
-export function drawAsDefined(app: AppBase, camera: CameraComponent, antiAliasing: AntiAliasing = kClassic): boolean {
+export function drawAsDefined(app: AppBase, camera: CameraComponent, antiAliasing: AntiAliasing = kOriginal): boolean {
   const { gsplat } = app.scene;
   antiAliasings.set(camera, antiAliasing);
   watch(app);

@@ -4,9 +4,9 @@
  * Draws .rgs files with the PlayCanvas engine.
  * @module @roofgs/playcanvas
  */
-export { RgsError, type RgsErrorCode } from "@roofgs/reader";
-export { type AntiAliasing, antiAliasingOf, type DeclaredAntiAliasing, drawAsDefined } from "./as-defined.js";
-export { type Pinhole, resizePinhole, setPinhole } from "./pinhole.js";
+export { type AntiAliasing, antiAliasingOf, type DeclaredAntiAliasing, type Pinhole, RgsError, type RgsErrorCode } from "@roofgs/reader";
+export { drawAsDefined } from "./as-defined.js";
+export { resizePinhole, setPinhole } from "./pinhole.js";
 export { RgsParser, type RgsParserOptions } from "./parser.js";
 export { RgsResource, type RgsResourceOptions } from "./resource.js";
 export { type Colour, readStoredParts } from "./stored.js";

@@ -1,8 +1,7 @@
 // parser.ts - loads .rgs files as gsplat assets of the engine.
 // SPDX-License-Identifier: Apache-2.0
-import { open, type OpenOptions, RgsError, type Source } from "@roofgs/reader";
+import { antiAliasingOf, open, type OpenOptions, RgsError, type Source } from "@roofgs/reader";
 import type { AppBase, Asset } from "playcanvas";
-import { antiAliasingOf } from "./as-defined.js";
 import { RgsResource } from "./resource.js";
 import { readStoredParts } from "./stored.js";
 

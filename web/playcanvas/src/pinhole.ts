@@ -1,22 +1,7 @@
 // pinhole.ts - sets the engine's camera from a camera of docs/user/CAMERAS.md.
 // SPDX-License-Identifier: Apache-2.0
+import type { Pinhole } from "@roofgs/reader";
 import { ASPECT_MANUAL, type Entity, Mat4, Quat, Vec2 } from "playcanvas";
-
-/** A pinhole camera, as in cameras.json (docs/user/CAMERAS.md); axes x right, y down, z forward. */
-export interface Pinhole {
-  /** Pixels, like all lengths of the image. */
-  readonly width: number;
-  readonly height: number;
-  readonly fx: number;
-  readonly fy: number;
-  /** Principal point from the upper left corner; the image's centre if absent. */
-  readonly cx?: number | undefined;
-  readonly cy?: number | undefined;
-  /** Centre of the camera, world. */
-  readonly position: readonly number[];
-  /** [3][3] camera to world, row by row: columns are the camera's axes. */
-  readonly rotation: readonly (readonly number[])[];
-}
 
 /** The same camera for a picture of another size; keeps the horizontal field of view, as rgs-render does. */
 export function resizePinhole(pinhole: Pinhole, width: number, height: number): Pinhole {

@@ -1,6 +1,6 @@
 // resource.ts - keeps Gaussians on the GPU as the file stores them; the shader decodes them.
 // SPDX-License-Identifier: Apache-2.0
-import type { StoredGaussians } from "@roofgs/reader";
+import type { AntiAliasing, StoredGaussians } from "@roofgs/reader";
 import {
   BoundingBox,
   GSplatFormat,
@@ -12,7 +12,6 @@ import {
   Texture,
   Vec3,
 } from "playcanvas";
-import type { AntiAliasing } from "./as-defined.js";
 import { kReadGlsl } from "./shader-glsl.js";
 import { kReadWgsl } from "./shader-wgsl.js";
 import { type Colour, kRowTexels, kShTextures, kTableColumns, pack, type Packed, shTextureWords } from "./stored.js";

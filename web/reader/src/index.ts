@@ -1,5 +1,6 @@
 // index.ts - exports that the entries for browsers and Node share.
 // SPDX-License-Identifier: Apache-2.0
+export { type AntiAliasing, antiAliasingOf, type DeclaredAntiAliasing, type Pinhole } from "./camera.js";
 export type { OpenOptions, Progress, ReadOptions, RgsFile, Source } from "./reader.js";
 export type { Gaussians, Limits, StoredGaussians } from "./decoder.js";
 export { RgsError, type RgsErrorCode, type RgsErrorFields } from "./errors.js";

@@ -1,12 +1,12 @@
 // renderer.ts - draws parts of files by compute kernels: project, sort by depth, list by tile, blend. docs/develop/WEBGPU.md.
 // SPDX-License-Identifier: Apache-2.0
-import type { StoredGaussians } from "@roofgs/reader";
+import type { Pinhole, StoredGaussians } from "@roofgs/reader";
 import { type Block, kGroupWords, Memory, type Part } from "./memory.js";
 import { kShow } from "./shaders/blend.js";
 import { projectOf } from "./shaders/project.js";
 import { kCounter, kCounters, kDispatch, kSortItems } from "./shaders/scan.js";
 import { bind, kDispatchBytes, Kernels, pipelineOf, run, type Step, Steps } from "./steps.js";
-import { kViewBytes, type Pinhole, type RenderOptions, tileGrid, viewBytes } from "./view.js";
+import { kViewBytes, type RenderOptions, tileGrid, viewBytes } from "./view.js";
 
 /** What a frame needed. */
 export interface Frame {

@@ -1,36 +1,6 @@
 // view.ts - a camera as the kernels need it: make_view() of rgs/math/camera.hpp and cull_planes() of common/cull_chunk.cuh.
 // SPDX-License-Identifier: Apache-2.0
-import type { Declarations } from "@roofgs/reader";
-
-/** A pinhole camera; axes x right, y down, z forward. Lengths of the image are pixels. */
-export interface Pinhole {
-  readonly width: number;
-  readonly height: number;
-  readonly fx: number;
-  readonly fy: number;
-  /** Principal point from the upper left corner; the image's centre if absent. */
-  readonly cx?: number | undefined;
-  readonly cy?: number | undefined;
-  /** Centre of the camera, world. */
-  readonly position: readonly number[];
-  /** [3][3] camera to world, row by row: columns are the camera's axes. */
-  readonly rotation: readonly (readonly number[])[];
-}
-
-/** docs/format/RENDERING.md, "Low-pass". */
-export interface AntiAliasing {
-  /** Added to the diagonal of the screen-space covariance, square pixels. */
-  readonly lowPassPx2: number;
-  /** Whether opacity is lowered in return, as in Mip-Splatting. */
-  readonly compensated: boolean;
-}
-
-/** As a file declares it; a declared low-pass applies only in its own mode. `coarser`: pages above level 0 are drawn. */
-export function antiAliasingOf({ aaMode, lowPassPx2 }: Pick<Declarations, "aaMode" | "lowPassPx2">, coarser = false): AntiAliasing {
-  const compensated = coarser || aaMode === "mip_splatting";
-  const isDeclared = !coarser && aaMode !== "undeclared";
-  return { compensated, lowPassPx2: isDeclared ? lowPassPx2 : compensated ? 0.1 : 0.3 };
-}
+import type { AntiAliasing, Pinhole } from "@roofgs/reader";
 
 export interface RenderOptions {
   /** The original's by default: 0.3, opacity as it is. */

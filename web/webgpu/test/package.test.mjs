@@ -48,7 +48,7 @@ test("the package of the renderer", async (t) => {
     npm("install", "--offline", "--no-audit", "--no-fund", workspace("node_modules/@webgpu/types"), ...archives);
     writeFileSync(join(folder, "use.js"), kUse);
     const said = execFileSync(process.execPath, ["use.js"], { cwd: folder, encoding: "utf8" });
-    assert.equal(said, "false,0.3 false,0.5 true,0.5 true,0.1 requestDevice SplatRenderer\n");
+    assert.equal(said, "0.3,false 0.5,false 0.5,true 0.1,true requestDevice SplatRenderer\n");
   });
 
   await t.test("has types", () => {
