@@ -1,7 +1,7 @@
 // draw.mjs - pictures of scenes by a web client of 3D Gaussian splats: node draw.mjs CLIENT JOBS.json [--api webgpu] [--seconds 20] [--replace FROM=TO]...
 // JOBS.json: [{"scene": PLY, "cameras": FILE, "out": FOLDER, "near": 0.2}, ...]; writes OUT/NAME.png of each camera, RGB over black, and
 // OUT/client.json, which has "error" if there are no pictures. Clients: those of kClients. Each draws by its own defaults, in software;
-// cameras, near and far planes, a black background and waiting for orders are ours. --replace changes @roofgs/playcanvas, to break it.
+// cameras, near and far planes, a black background and waiting for orders are ours. --replace changes @roofgs/playcanvas and the reader, to break them.
 // SPDX-License-Identifier: Apache-2.0
 import { execFileSync } from "node:child_process";
 import { mkdirSync, mkdtempSync, readFileSync, realpathSync, rmSync, symlinkSync, writeFileSync } from "node:fs";
@@ -31,11 +31,11 @@ export const kClients = {
 /** Page and script of a client, in a folder. `replace`: pairs of texts. */
 export async function buildPage(key, folder, replace = []) {
   const left = new Set(replace.map(([from]) => from));
-  const ours = realpathSync(join(kWeb, "playcanvas/dist"));
+  const ours = ["playcanvas/dist", "reader/dist"].map((path) => realpathSync(join(kWeb, path)));
   const breaks = {
     name: "replace",
     transform(code, id) {
-      if (!id.startsWith(ours)) return undefined;
+      if (!ours.some((path) => id.startsWith(path))) return undefined;
       for (const [from, to] of replace) {
         if (code.includes(from)) left.delete(from);
         code = code.replaceAll(from, () => to);
@@ -47,7 +47,7 @@ export async function buildPage(key, folder, replace = []) {
   const rollupOptions = { input, output: { entryFileNames: "[name].js" } };
   const options = { outDir: folder, emptyOutDir: false, target: "es2022", minify: false, modulePreload: false, rollupOptions };
   await build({ configFile: false, root: kWeb, base: "./", publicDir: false, logLevel: "error", plugins: [breaks], worker: { format: "es" }, build: options });
-  if (left.size > 0) throw new Error(`@roofgs/playcanvas has no ${[...left].join(", ")} to replace`);
+  if (left.size > 0) throw new Error(`neither @roofgs/playcanvas nor the reader has ${[...left].join(", ")} to replace`);
   // What CesiumJS looks for beside its module.
   const engine = dirname(fileURLToPath(import.meta.resolve("@cesium/engine")));
   if (key === "cesium") for (const part of ["Build/Workers", "Source/Assets", "Source/ThirdParty"]) symlinkSync(join(engine, part), join(folder, basename(part)));
