@@ -4,7 +4,7 @@ import { fileURLToPath } from "node:url";
 import ts from "typescript";
 
 /** The entry that applications import. */
-const kEntries = { reader: "reader/src/web.ts", playcanvas: "playcanvas/src/index.ts" };
+const kEntries = { reader: "reader/src/web.ts", playcanvas: "playcanvas/src/index.ts", spark: "spark/src/index.ts" };
 
 const web = fileURLToPath(new URL(".", import.meta.url));
 

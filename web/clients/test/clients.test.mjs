@@ -1,9 +1,9 @@
-// clients.test.mjs - CesiumJS and Babylon.js draw glTF and 3D Tiles of rgs-convert as rgs-render draws the scene; CesiumJS takes coarse
-// tiles from afar.
+// clients.test.mjs - CesiumJS and Babylon.js draw glTF and 3D Tiles of rgs-convert as rgs-render draws the scene, Spark .rgs files;
+// CesiumJS takes coarse tiles from afar.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
-import { writeFileSync } from "node:fs";
+import { copyFileSync, writeFileSync } from "node:fs";
 import { basename, join } from "node:path";
 import test from "node:test";
 import { resizePinhole } from "@roofgs/playcanvas";
@@ -59,6 +59,10 @@ test("pictures by other programs", async (t) => {
       assert.deepEqual(problems, []);
       await page.close();
     });
+
+  // 36.5 to 37.4 dB are seen, 28.8 to 33.9 without harmonics, 35.7 to 36.8 with those of Spark's own encoder.
+  copyFileSync(scene, file("house.rgs"));
+  await client("spark-rgs", 0.3, 36.2, [0, 2, 5].map((view) => ["/house.rgs", view]), () => {});
 
   // A tileset of one tile.
   const content = { extensionsUsed: kSplats, extensionsRequired: kSplats };

@@ -6,7 +6,7 @@ import test from "node:test";
 import ts from "typescript";
 import { exportsOf, programOf, tableOf } from "../../table.mjs";
 
-for (const name of ["reader", "playcanvas"]) {
+for (const name of ["reader", "playcanvas", "spark"]) {
   const readme = readFileSync(new URL(`../../${name}/README.md`, import.meta.url), "utf8");
 
   test(`the README of ${name}`, async (t) => {
@@ -29,7 +29,7 @@ for (const name of ["reader", "playcanvas"]) {
 
   test(`all that ${name} exports has TSDoc, and so have all members of its classes`, () => {
     const all = exportsOf(name).flatMap((one) => [one, ...(one.kind === "ClassDeclaration" ? one.members : [])]);
-    assert.ok(all.length > 10);
+    assert.ok(all.length > 2);
     assert.deepEqual(all.filter(({ text }) => !text).map((one) => one.name), []);
   });
 }
