@@ -4,7 +4,7 @@
 set -eu
 cd "$(dirname "$0")"
 {
-  cat ../reader/NOTICE
+  cat ../converter/NOTICE
   echo
   echo "The PlayCanvas engine, https://playcanvas.com"
   echo

@@ -65,7 +65,7 @@ export default defineConfig(({ mode }) => ({
   worker: { format: mode === "single" ? "iife" : "es" },
   resolve:
     mode === "single"
-      ? { alias: { "./reader-worker.js": fileURLToPath(new URL("src/reader-worker-inline.ts", import.meta.url)) } }
+      ? { alias: { "./reader-worker.js": fileURLToPath(new URL("src/reader-worker-inline.ts", import.meta.url)), "./converter.js": fileURLToPath(new URL("src/no-converter.ts", import.meta.url)) } }
       : {},
   build: {
     target: "es2022",

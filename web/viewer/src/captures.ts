@@ -3,7 +3,7 @@
 import type { ViewState } from "./cameras.js";
 import { difference } from "./difference.js";
 import { frameRequest, type Frames } from "./frames.js";
-import type { Page } from "./page.js";
+import { offer, type Page } from "./page.js";
 import type { Size } from "./picture-size.js";
 import { rightOf } from "./state.js";
 import type { Side, Stage } from "./stage.js";
@@ -54,11 +54,7 @@ export class Captures {
     await this.allOpened();
     const { scenes: [left] } = this.page.store.state;
     if (!left) return this.page.showError("There is no picture to save yet. Open a scene first.");
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(await this.shown());
-    link.download = `${left.name}.png`;
-    link.click();
-    URL.revokeObjectURL(link.href);
+    offer(await this.shown(), `${left.name}.png`);
   }
 
   /** A PNG of what is shown. */

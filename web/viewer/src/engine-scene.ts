@@ -15,6 +15,7 @@ export type EngineKind = "ply" | "sog" | "spz";
 export interface OpenEngineScene extends Omit<OpenScene, "read" | "on"> {
   kind: EngineKind;
   answer: Response;
+  source: Blob | string | undefined;
 }
 
 /** A resource of the engine, and how to release it. */
@@ -130,7 +131,9 @@ export class EngineScene extends Scene {
     const means = (made.isYUp ? centers?.map((value, i) => (i % 3 === 0 ? value : -value)) : centers) ?? new Float32Array();
     try {
       const box = await subjectBox(means, opacities, worker ? { worker } : {});
-      return new EngineScene(options.name, bytes, made, means, box, stage, options.side);
+      // The converter takes no compressed PLY.
+      const source = options.kind === "ply" && !(made.resource.gsplatData as GSplatData).isCompressed ? options.source : undefined;
+      return new EngineScene(options.name, bytes, source, made, means, box, stage, options.side);
     } catch (error) {
       made.end();
       throw error;
@@ -140,6 +143,7 @@ export class EngineScene extends Scene {
   private constructor(
     name: string,
     bytes: number,
+    override readonly source: Blob | string | undefined,
     private readonly made: Omit<Made, "opacities">,
     /** [n, 3], turned. */
     private readonly means: Float32Array,

@@ -17,7 +17,7 @@ const kAdvice: Record<string, string> = {
   unsupported_version: "was made by a newer program than this page. Use the page of that version",
   unsupported_feature: "has something that this page cannot draw",
   limit_exceeded: "exceeds the limits of this page",
-  unavailable: "could not be read: the reader's worker does not start. The server's content security policy or a browser extension may block it",
+  unavailable: "could not be read: the worker for it does not start. The server's content security policy or a browser extension may block it",
   host_out_of_memory: "does not fit into this browser's memory. Convert it with rgs-convert --lod, so that it is read page by page",
   pages_missing: "is incomplete: its end is missing. What is there is drawn; copy the file again for the rest",
 };

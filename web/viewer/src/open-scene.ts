@@ -18,7 +18,7 @@ export type OnProgress = (done: number, total: number) => void;
  * A file whose kind is known. The beginning of an .rgs is already in flight; other files are requested when they are read, because a
  * server need not keep a connection open that nobody reads from.
  */
-export type Read = { kind: "rgs"; opened: OpenedFile } | { kind: EngineKind | "cameras"; answer(): Promise<Response> };
+export type Read = { kind: "rgs"; opened: OpenedFile } | { kind: EngineKind | "cameras"; answer(): Promise<Response>; source: Blob | string | undefined };
 
 async function beginningOf(answer: Response): Promise<Uint8Array> {
   const reader = answer.body?.getReader();
@@ -67,7 +67,9 @@ async function recognise({ entry, file, onProgress }: Asked): Promise<Read> {
       if (!found.ok) throw Object.assign(new Error(`HTTP ${found.status}`), { code: "open_failed" });
       return found;
     };
-    return { kind, answer };
+    // A file inside the page is not kept.
+    const source = file ?? (entry.url.startsWith("#") ? undefined : new URL(entry.url, document.baseURI).href);
+    return { kind, answer, source };
   };
   // The name only decides what is tried first, which saves a request.
   const isNamedRgs = /\.rgs$/i.test(entry.name);
@@ -102,7 +104,7 @@ export interface OpenScene {
 /** Resolves with the first part of the scene; complete() reads the rest. */
 export async function openScene(stage: Stage, { name, read, spzAxes, side, onProgress, on }: OpenScene): Promise<Scene> {
   if (read.kind === "cameras") throw new Error("it is a camera file, not a scene");
-  if (read.kind !== "rgs") return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), spzAxes, side, onProgress });
+  if (read.kind !== "rgs") return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), source: read.source, spzAxes, side, onProgress });
   const { opened } = read;
   try {
     const first = await opened.first;

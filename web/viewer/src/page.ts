@@ -99,6 +99,15 @@ export class Page {
   }
 }
 
+/** Offers a download. */
+export function offer(blob: Blob, name: string): void {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
+
 export function beginLoading(store: PageStore, name: string): void {
   store.set({ loading: { text: `Opening ${name}`, share: undefined } });
 }

@@ -20,6 +20,8 @@ export abstract class Scene {
   readonly up: readonly number[] | null = null;
   readonly origin: readonly number[] = [0, 0, 0];
   readonly hasPages: boolean = false;
+  /** What @roofgs/converter can convert: a file, or an address. */
+  readonly source: Blob | string | undefined = undefined;
   /** 0 where setShDegree() changes nothing. */
   readonly shDegree: number = 0;
   /** Counts changes of what is drawn. */

@@ -4,7 +4,8 @@ import { showReference } from "./frames.js";
 import { countText } from "./messages.js";
 import type { Page } from "./page.js";
 import type { Tint } from "./scene.js";
-import { kPanels, type State } from "./state.js";
+import { savable } from "./save.js";
+import { kPanels, type Panel, type State } from "./state.js";
 
 // A browser may have kept what the controls held before a reload, so each is read at first.
 
@@ -74,12 +75,18 @@ function bindPanel(page: Page): void {
     page.onClick(name, () => store.set({ panel: store.state.panel === name ? undefined : name }));
   }
   store.subscribe(({ panel }) => [panel], ([panel], isChanged) => isChanged && memory.write(panel ?? ""));
-  store.subscribe(({ panel, cameras }) => [panel, cameras.length > 0], ([panel, hasCameras]) => {
+  const isThere = ({ cameras, saving, scenes }: State, name: Panel): boolean =>
+    name === "views" ? cameras.length > 0 : name !== "save" || saving !== undefined || savable(scenes).length > 0;
+  store.subscribe((state) => [state.panel, ...kPanels.map((name) => isThere(state, name))] as const, ([panel, ...areThere]) => {
     const element = page.element("panel", HTMLElement);
-    element.hidden = panel === undefined || (panel === "views" && !hasCameras);
+    element.hidden = true;
     element.dataset["shows"] = panel ?? "";
-    page.element("views", HTMLButtonElement).hidden = !hasCameras;
-    for (const name of kPanels) page.element(name, HTMLButtonElement).setAttribute("aria-expanded", String(panel === name));
+    kPanels.forEach((name, i) => {
+      const opener = page.element(name, HTMLButtonElement);
+      opener.hidden = !areThere[i];
+      opener.setAttribute("aria-expanded", String(panel === name));
+      if (panel === name) element.hidden = opener.hidden;
+    });
   });
 }
 

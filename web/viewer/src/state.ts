@@ -9,7 +9,7 @@ import type { Scene, Tint } from "./scene.js";
 import type { Store } from "./store.js";
 
 /** What is shown beside the picture, by the ids of their buttons. */
-export const kPanels = ["views", "help", "menu"] as const;
+export const kPanels = ["views", "save", "help", "menu"] as const;
 export type Panel = (typeof kPanels)[number];
 
 export interface State extends Omit<LinkState, "view"> {
@@ -27,6 +27,9 @@ export interface State extends Omit<LinkState, "view"> {
   nChanges: number;
   /** Shown while a file is read; `share` of it, 0 to 1, where that is known. */
   loading: { text: string; share: number | undefined } | undefined;
+  /** What the conversion for "Save as .rgs" does now, and what the last one made. */
+  saving: { text: string; share: number | undefined } | undefined;
+  saved: string;
   /** A scene has been drawn. */
   hasPicture: boolean;
   /** What the page begins with is open, or has failed. */
@@ -58,7 +61,7 @@ export type PageStore = Store<State>;
 export function firstState(size: Size): State {
   return {
     view: undefined, size, isAtRest: false, mode: "single", split: 0.5, background: [0, 0, 0], shDegree: 3, detailPx: 1, budget: 1e6,
-    scenes: [undefined, undefined], isComplete: false, nChanges: 0, loading: undefined, hasPicture: false, isReady: false,
+    scenes: [undefined, undefined], isComplete: false, nChanges: 0, loading: undefined, saving: undefined, saved: "", hasPicture: false, isReady: false,
     cameras: [], photos: new Map(), camera: -1, cameraView: undefined, playing: undefined, tint: "none", statistics: false, bounds: false,
     hasReference: false, isReferenceShown: false, referenceScene: 0, frame: undefined, panel: undefined, theme: undefined,
   };

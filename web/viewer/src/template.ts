@@ -6,6 +6,7 @@ const kIcons = {
   open: "M3 6v12a1 1 0 0 0 1 1h16a1 1 0 0 0 1-1V9a1 1 0 0 0-1-1h-8L9.5 5H4a1 1 0 0 0-1 1z",
   views: "M4 4h7v7H4zM13 4h7v7h-7zM4 13h7v7H4zM13 13h7v7h-7z",
   screenshot: "M3 8h4l2-3h6l2 3h4v11H3zM12 16.5a3.5 3.5 0 1 0 0-7 3.5 3.5 0 0 0 0 7z",
+  save: "M5 4h11l3 3v13H5zM8 4v5h7V4M8 20v-6h8v6",
   link: "M10 14a4 4 0 0 0 6 0l3-3a4.2 4.2 0 0 0-6-6l-1 1M14 10a4 4 0 0 0-6 0l-3 3a4.2 4.2 0 0 0 6 6l1-1",
   theme: "M12 3a9 9 0 1 0 0 18 9 9 0 0 0 0-18zM12 3v18M12 8h7M12 12h9M12 16h7",
   menu: "M3 7h10M17 7h4M3 17h4M11 17h10M15 9a2 2 0 1 0 0-4 2 2 0 0 0 0 4zM9 19a2 2 0 1 0 0-4 2 2 0 0 0 0 4z",
@@ -31,6 +32,7 @@ export const kTemplate = `
   <div class="pill" role="group" aria-label="Viewer">
     ${button("open", "Open a scene (O)")}
     ${opener("views", "Cameras")}
+    ${opener("save", "Save as .rgs")}
     ${button("screenshot", "Save a screenshot")}
     ${button("link", "Copy a link to this view")}
     ${button("theme", "Dark", `aria-pressed="false"`)}
@@ -86,6 +88,17 @@ export const kTemplate = `
     <h2>Cameras</h2>
     <button id="play" type="button" aria-pressed="false" title="Flies from camera to camera (P)">Play path</button>
     <div id="cameras"></div>
+  </section>
+  <section class="save">
+    <h2>Save as .rgs</h2>
+    <label class="row" title="Sizes are those of SH degree 3. packed and direct look as the PLY does, archives round more">Profile <select id="profile">
+      <option value="packed">packed (1/5 of the PLY)</option><option value="direct">direct (1/3)</option>
+      <option value="archive:high">archive:high (1/20)</option><option value="archive:small">archive:small (1/30)</option><option value="archive:tiny">archive:tiny (1/50)</option>
+    </select></label>
+    <label class="row" title="A large scene then opens at once, and a view reads only the pages that it needs"><input id="save-levels" type="checkbox"> Levels of detail</label>
+    <div id="save-scenes"></div>
+    <div id="saving" hidden><progress id="save-progress" max="1" aria-label="Converting"></progress><span id="saving-text"></span> <button id="cancel-save" type="button">Cancel</button></div>
+    <output id="saved"></output>
   </section>
   <section class="menu">
     <h2>Picture</h2>

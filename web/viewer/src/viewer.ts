@@ -17,6 +17,7 @@ import { Opening } from "./opening.js";
 import { Page, progressOf, showLoading, showPoster } from "./page.js";
 import { showPath } from "./path.js";
 import { watchRest } from "./rest.js";
+import { bindSaving } from "./save.js";
 import { bindSettings } from "./settings.js";
 import { Stage } from "./stage.js";
 import { firstState } from "./state.js";
@@ -115,6 +116,7 @@ export class Viewer {
     const captures = new Captures(page, stage, frames, () => opening.allOpened());
     showComparison(page, stage, captures);
     bindSettings(page);
+    bindSaving(page);
     showNames(page);
     showCameras(page, captures);
     showPath(page);

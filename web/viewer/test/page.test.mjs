@@ -1,13 +1,14 @@
 // page.test.mjs - the page in a real browser, by what a person sees and does.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { execFileSync } from "node:child_process";
+import { execFileSync, spawn } from "node:child_process";
 import { existsSync, mkdirSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { dirname, join } from "node:path";
+import { basename, dirname, join } from "node:path";
 import test, { after, before } from "node:test";
 import { fileURLToPath, pathToFileURL } from "node:url";
 import { open } from "@roofgs/reader";
+import { byProgramOf } from "../../converter/test/same.mjs";
 import { program, readCameras } from "../../playcanvas/test/pictures.mjs";
 import { hasChromium, launch } from "../../reader/test/chromium.mjs";
 import { golden, scenes } from "../../reader/test/dump.mjs";
@@ -238,19 +239,28 @@ inBrowser("the difference has both names, a legend and FLIP", { ...two, files: t
 inBrowser("what no scene has is not shown", { allowed: [k404] }, async ({ page }) => {
   const shown = async () => {
     const all = {};
-    for (const id of ["levels", "sh", "compare", "views"]) all[id] = await page.locator(`#${id}`).isVisible();
+    for (const id of ["levels", "sh", "compare", "views", "save"]) all[id] = await page.locator(`#${id}`).isVisible();
     return all;
   };
   const flat = join(folder, "degree0.rgs");
   execFileSync(program("rgs-convert"), ["--quiet", "--overwrite", "--sh-degree", "0", join(scenes(), "scene.ply"), flat]);
   await drop(page, "a.rgs", readFileSync(flat));
   await page.waitForFunction(() => byId("title").textContent === "a.rgs" && byId("loading").hidden);
-  assert.deepEqual(await shown(), { levels: false, sh: false, compare: false, views: false });
+  assert.deepEqual(await shown(), { levels: false, sh: false, compare: false, views: false, save: false });
   await drop(page, "b.rgs", readFileSync(join(golden, "levels_packed.rgs")));
   await page.waitForFunction(() => byId("title").textContent === "a.rgs | b.rgs" && byId("loading").hidden);
   await drop(page, "cameras.json", readFileSync(join(scenes(), "cameras.json")));
   await page.locator("#views").waitFor();
-  assert.deepEqual(await shown(), { levels: true, sh: true, compare: true, views: true });
+  assert.deepEqual(await shown(), { levels: true, sh: true, compare: true, views: true, save: false });
+  // A compressed PLY is none that the converter takes.
+  const ply = join(scenes(), "scene.ply");
+  const compressed = join(folder, "c.compressed.ply");
+  execFileSync(program("rgs-convert"), ["--quiet", ply, compressed]);
+  for (const [path, isShown] of [[ply, true], [compressed, false]]) {
+    await drop(page, basename(path), readFileSync(path));
+    await page.waitForFunction((title) => byId("title").textContent === title && byId("loading").hidden, `a.rgs | ${basename(path)}`);
+    assert.equal((await shown()).save, isShown);
+  }
 });
 
 inBrowser("a panel is open as it was at the last visit", { ...one, files: one.files(), panel: "" }, async ({ page }) => {
@@ -976,6 +986,13 @@ inBrowser("a phone has the picture above its settings", { ...one, files: one.fil
   assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), 360, "nothing sticks out");
 });
 
+const everyButton = { view: { ...one.view, scenes: [scene("scene.ply")] }, size: { width: 320, height: 640 }, hasTouch: true, panel: "" };
+inBrowser("a small phone has room for every button", { ...everyButton, files: { ...one.files(), "scenes/0/scene.ply": join(scenes(), "scene.ply") } }, async ({ page }) => {
+  const all = await page.locator("header button:visible").all();
+  assert.equal(all.length, 7);
+  for (const { x, width } of await Promise.all(all.map((button) => button.boundingBox()))) assert.ok(x >= 8 && x + width <= 312 && width >= 40, `${x}, ${width}`);
+});
+
 inBrowser("everything has a name for screen readers, and dark is not light", { ...two, files: two.files() }, async ({ page }) => {
   const nameless = await page.evaluate(() =>
     [...document.querySelector("rgs-view").shadowRoot.querySelectorAll("button, input:not([hidden]), select, canvas:not([aria-hidden])")]
@@ -1331,6 +1348,102 @@ inBrowser("a PLY comes through the engine", { view: { ...one.view, scenes: [scen
   await untilDrawn(page);
 });
 
+/** Presses a button that saves; the download's name and bytes. */
+async function saved(page, name) {
+  const [download] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name }).click()]);
+  return { name: download.suggestedFilename(), bytes: readFileSync(await download.path()) };
+}
+
+inBrowser("a dropped PLY is saved as the .rgs that rgs-convert makes of it", { allowed: [k404], panel: "" }, async ({ page, server }) => {
+  const ply = firstOf(join(scenes(), "scene.ply"), 20000);
+  // The opacity of a few Gaussians.
+  const begin = ply.indexOf("end_header\n") + "end_header\n".length;
+  const names = [...ply.toString("latin1", 0, begin).matchAll(/^property float (\w+)/gm)].map(([, name]) => name);
+  for (let i = 0; i < 3; ++i) ply.writeFloatLE(NaN, begin + 4 * (names.length * 1000 * i + names.indexOf("opacity")));
+  await drop(page, "scene.ply", ply);
+  await page.getByRole("button", { name: "Save as .rgs" }).click();
+  const wasm = () => server.requests.filter((line) => /wasm$/.test(line)).length;
+  assert.equal(wasm(), 1, "the reader's alone");
+  for (const [profile, levels] of [["packed", false], ["archive:small", false], ["direct", true]]) {
+    await page.locator("#profile").selectOption(profile);
+    await page.locator("#save-levels").setChecked(levels);
+    const { name, bytes } = await saved(page, "Save scene.rgs");
+    assert.equal(name, "scene.rgs");
+    assert.ok(bytes.equals(byProgramOf(ply, "--profile", profile, ...(levels ? ["--lod"] : [])).bytes), profile);
+    await page.locator("#save-scenes").waitFor();
+    assert.match(await text(page, "#saved"), /^scene\.rgs: [\d.]+ [kM]B instead of 5\.0 MB; 3 of 20k Gaussians were damaged and are left out$/);
+  }
+  assert.ok(wasm() > 1);
+  assert.ok(await page.locator("#saving").isHidden());
+  assert.deepEqual(server.requests.filter((line) => !line.startsWith("GET ")), []);
+  assert.deepEqual(await errors(page), []);
+});
+
+const plyOnly = { ...one.view, scenes: [scene("scene.ply")] };
+let isSaving = false;
+let goOn = () => undefined;
+const heldAgain = async (url) => {
+  if (!isSaving || url !== "scenes/0/scene.ply") return;
+  await new Promise((resolve) => (goOn = resolve));
+};
+inBrowser("saving is cancelled, and begun again", { view: plyOnly, files: { ...one.files(), "scenes/0/scene.ply": join(scenes(), "scene.ply") }, hold: heldAgain, panel: "save" }, async ({ page }) => {
+  const button = page.getByRole("button", { name: "Save scene.rgs" });
+  page.on("download", () => assert.ok(!isSaving, "it was cancelled"));
+  isSaving = true;
+  await button.click();
+  await page.locator("#saving").waitFor();
+  assert.ok(await button.isHidden());
+  await page.locator("#cancel-save").click();
+  await button.waitFor();
+  isSaving = false;
+  goOn();
+  assert.equal(await text(page, "#saved"), "");
+  const { bytes } = await saved(page, "Save scene.rgs");
+  assert.ok(bytes.equals(byProgramOf(readFileSync(join(scenes(), "scene.ply"))).bytes));
+  assert.deepEqual(await errors(page), []);
+});
+
+inBrowser("what cannot be saved is said", { allowed: [k404, /ERR_CONNECTION/], panel: "save" }, async ({ page, server }) => {
+  // A memory that this file does not fit into.
+  await page.route(/worker-web-[\w-]+\.js$/, async (route) => {
+    const answer = await route.fetch();
+    await route.fulfill({ response: answer, body: (await answer.text()).replace(/2\s*\*\*\s*31|2147483647/, "1000") });
+  });
+  await drop(page, "house.ply", firstOf(join(scenes(), "scene.ply"), 1000));
+  const button = page.getByRole("button", { name: "Save house.rgs" });
+  await button.click();
+  await page.waitForFunction(() => byId("errors").children.length > 0);
+  assert.match((await errors(page))[0], /^house\.ply does not fit into this browser's memory\. Convert it with rgs-convert --lod.*host_out_of_memory/);
+  await button.waitFor();
+  // The server has gone.
+  await page.unroute(/worker-web-[\w-]+\.js$/);
+  await server.end();
+  await button.click();
+  await page.waitForFunction(() => byId("errors").children.length > 1);
+  assert.match((await errors(page))[1], /^house\.ply could not be read: the worker for it does not start\..*unavailable/);
+});
+
+test("a PLY that rgs-view shows is saved, within the server's policy", async (t) => {
+  if (!browser) return skip(t, "chromium is not installed");
+  const path = join(folder, "scene.ply");
+  writeFileSync(path, firstOf(join(scenes(), "scene.ply"), 1000));
+  const server = spawn(program("rgs-view"), ["--no-browser", path], { env: { ...process.env, RGS_VIEWER_DIR: dist } });
+  let said = "";
+  for await (const part of server.stdout) if (/http:\S+\s/.test((said += part))) break;
+  const page = await newPage(browser, { viewport: kSize });
+  t.after(async () => {
+    await page.close();
+    server.kill("SIGINT");
+  });
+  const problems = [];
+  page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
+  await page.goto(/http:\S+/.exec(said)[0]);
+  await page.getByRole("button", { name: "Save as .rgs" }).click();
+  const { bytes } = await saved(page, "Save scene.rgs");
+  assert.ok(bytes.equals(byProgramOf(readFileSync(path)).bytes));
+  assert.deepEqual(problems, []);
+});
+
 test("what rgs-view exports opens from the disk, with scene and cameras inside", async (t) => {
   if (!browser) return skip(t, "chromium is not installed");
   const path = join(folder, "look.html");
@@ -1347,6 +1460,21 @@ test("what rgs-view exports opens from the disk, with scene and cameras inside",
   assert.equal(await page.locator("#cameras button").count(), 8);
   await untilDrawn(page);
   assert.deepEqual(problems, []);
+});
+
+test("what rgs-view exports saves no .rgs", async (t) => {
+  if (!browser) return skip(t, "chromium is not installed");
+  const [ply, path] = [join(folder, "exported.ply"), join(folder, "ply.html")];
+  writeFileSync(ply, firstOf(join(scenes(), "scene.ply"), 1000));
+  execFileSync(program("rgs-view"), [ply, "--export", path]);
+  const page = await newPage(browser, { viewport: kSize });
+  t.after(() => page.close());
+  await page.goto(pathToFileURL(path).href);
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+  await drop(page, "b.ply", readFileSync(ply));
+  await page.waitForFunction(() => byId("title").textContent === "exported.ply | b.ply" && byId("loading").hidden);
+  assert.ok(await page.locator("#screenshot").isVisible());
+  assert.ok(await page.locator("#save").isHidden());
 });
 
 test("what rgs-view exports has the photographs of its cameras", async (t) => {
