@@ -1,5 +1,9 @@
 // web.ts - the entry for browsers.
 // SPDX-License-Identifier: Apache-2.0
+/**
+ * Converts PLY files to .rgs, in browsers and in Node.
+ * @module @roofgs/converter
+ */
 import type { Answer } from "./conversion.js";
 import { type Converted, convertWith, type ConvertOptions, type Port, type Source } from "./convert.js";
 export { RgsError, type RgsErrorCode } from "./convert.js";
