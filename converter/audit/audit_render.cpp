@@ -101,7 +101,13 @@ class PictureAudit {
     report_.backend = renderer_->backend_name();
     report_.automatic_views = options_.cameras.empty();
     if (auto ok = load_source(); !ok) return tl::unexpected(ok.error());
-    auto views = choose_views(options_, bounds_, up());
+    FirstView first;
+    if (report_.automatic_views) {
+      const auto view = first_view(scene_, up());
+      if (!view) return make_error(options_.source, view.error());
+      first = *view;
+    }
+    auto views = choose_views(options_, first, scene_.origin());
     if (!views) return tl::unexpected(views.error());
     if (report_.automatic_views && options_.worst > 0) {
       auto found = search();

@@ -79,10 +79,10 @@ ViewFormat view_format(const Options& options) {
   return format;
 }
 
-Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const glm::dvec3& up) {
+Outcome<std::vector<View>> choose_views(const Options& options, const FirstView& first, const Origin& origin) {
   std::vector<Camera> cameras;
   if (options.cameras.empty()) {
-    cameras = orbit(bounds, options.views, view_format(options), up);
+    cameras = orbit(first, origin, options.views, view_format(options));
     for (std::size_t i = 0; i < cameras.size(); ++i)
       cameras[i].name = fmt::format("orbit {:.0f} degrees", 360.0 * static_cast<double>(i) / options.views);
   } else {

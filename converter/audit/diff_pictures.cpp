@@ -36,14 +36,14 @@ std::vector<std::string> paths_of(const std::string& folder, const std::vector<V
 }  // namespace
 
 Outcome<std::vector<std::string>> difference_paths(const std::string& folder, const Options& options) {
-  const auto views = choose_views(options, {}, kWorldUp);
+  const auto views = choose_views(options, {}, kNoOrigin);
   if (!views) return tl::unexpected(views.error());
   return paths_of(folder, *views);
 }
 
 Outcome<std::vector<DiffView>> draw_differences(const std::string& folder, const Sides& sides, const Options& options,
                                                 bool overwrite) {
-  const auto views = choose_views(options, {}, kWorldUp);
+  const auto views = choose_views(options, {}, kNoOrigin);
   if (!views) return tl::unexpected(views.error());
   if (const Status ok = load_image_formats(); !ok) return make_error(folder, ok.error());
   std::error_code failed;

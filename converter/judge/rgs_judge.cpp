@@ -153,7 +153,7 @@ int check_outputs(const Arguments& a, const std::vector<std::string>& pictures, 
 audit::Outcome<std::vector<audit::View>> views_of(const Arguments& a, const std::string& folder) {
   audit::Options options = a.views;
   options.photos = folder;
-  return audit::choose_views(options, {}, rgs::kWorldUp);
+  return audit::choose_views(options, {}, rgs::kNoOrigin);
 }
 
 int read_pictures(const std::vector<audit::View>& views, judge::Report& report) {

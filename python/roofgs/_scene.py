@@ -176,7 +176,7 @@ class Scene:
 
     @property
     def bounds(self) -> Tuple[Vector3, Vector3]:
-        """Two corners of the world box where Gaussians are dense and opaque: what `default_view` shows. Reads the scene."""
+        """Two corners of the world box where Gaussians are dense and opaque. Reads the scene."""
         return self._native.bounds
 
     @property
@@ -491,8 +491,7 @@ def _count_or_none(value: Optional[int], name: str) -> Optional[int]:
 def _html(scene: Union[Scene, StreamedScene], facts: str) -> str:
     picture = ""
     if len(scene):
-        low, high = scene.bounds
-        view = _roofgs.orbit(low, high, 1, scene.up, 480, 270, 60.0)
+        view = _roofgs.orbit(scene._native.first_view, 1, 480, 270, None)
         on_device = isinstance(scene, StreamedScene) and scene.pool.device_memory > 0
         options = _roofgs.RenderOptions((0.0, 0.0, 0.0), None, 0.0, 3, None, None, None, None, "automatic")
         image = _roofgs.Renderer("cuda" if on_device else "cpu", 0).render(scene._native, view, False, None, None, None, True,

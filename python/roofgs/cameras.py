@@ -8,7 +8,7 @@ camera axes; gsplat calls it a view matrix. Pixel (i, j) covers [i, i + 1) x [j,
 from __future__ import annotations
 
 import json
-from typing import Any, Iterable, List, Sequence, Tuple, Union
+from typing import Any, Iterable, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
@@ -97,15 +97,17 @@ def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 
 
 
 def orbit(scene: Union[Scene, StreamedScene], n: int, *, width: int = 1280, height: int = 720,
-          horizontal_fov: float = 60.0) -> List[Camera]:
-    """`n` cameras all around the scene's subject, each as near as shows it."""
-    low, high = scene.bounds
-    return _roofgs.orbit(low, high, int(n), scene.up, width, height, float(horizontal_fov))
+          horizontal_fov: Optional[float] = None) -> List[Camera]:
+    """`n` cameras around what the first view looks at; of a room, turning where it stands. The first is
+    :func:`default_view`."""
+    fov = None if horizontal_fov is None else float(horizontal_fov)
+    return _roofgs.orbit(scene._native.first_view, int(n), width, height, fov)
 
 
 def default_view(scene: Union[Scene, StreamedScene], *, width: int = 1280, height: int = 720,
-                 horizontal_fov: float = 60.0) -> Camera:
-    """A view of a scene without cameras, from the front and a little above."""
+                 horizontal_fov: Optional[float] = None) -> Camera:
+    """The view from which the scene is seen first: the best by quick pictures. 60 degrees wide, unless
+    `horizontal_fov` is given."""
     return orbit(scene, 1, width=width, height=height, horizontal_fov=horizontal_fov)[0]
 
 

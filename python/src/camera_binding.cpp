@@ -169,6 +169,7 @@ name : str
         take(file.commit(), path);
       },
       "path"_a, "json"_a, "overwrite"_a);
+  py::class_<PlacedView>(module, "FirstView");
   module.def(
       "look_at",
       [](const Vector& eye, const Vector& target, const Vector& up, const py::object& width, const py::object& height,
@@ -180,12 +181,14 @@ name : str
       "eye"_a, "target"_a, "up"_a, "width"_a, "height"_a, "horizontal_fov"_a);
   module.def(
       "orbit",
-      [](const Vector& low, const Vector& high, int n, const Vector& up, const py::object& width,
-         const py::object& height, double horizontal_fov) {
+      [](PlacedView first, int n, const py::object& width, const py::object& height,
+         std::optional<double> horizontal_fov) {
         if (n < 1) refuse(Errc::bad_argument, "an orbit has at least one camera");
-        return orbit({vector(low), vector(high)}, n, view_format(width, height, horizontal_fov), vector(up));
+        if (horizontal_fov) first.view.horizontal_fov = static_cast<float>(*horizontal_fov);
+        const auto wide = static_cast<double>(first.view.horizontal_fov);
+        return orbit(first.view, first.origin, n, view_format(width, height, wide));
       },
-      "low"_a, "high"_a, "n"_a, "up"_a, "width"_a, "height"_a, "horizontal_fov"_a);
+      "view"_a, "n"_a, "width"_a, "height"_a, "horizontal_fov"_a);
   module.def(
       "interpolated_path",
       [](const std::vector<Camera>& keys, int n) {

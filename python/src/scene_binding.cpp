@@ -17,6 +17,7 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
+#include "camera_binding.hpp"
 #include "convert.hpp"
 #include "info_json.hpp"
 #include "info_report.hpp"
@@ -349,6 +350,13 @@ void bind_scene(py::module_& module) {
                                const auto [low, high] = bounds_of(s);
                                return py::make_tuple(py::make_tuple(low.x, low.y, low.z),
                                                      py::make_tuple(high.x, high.y, high.z));
+                             })
+      .def_property_readonly("first_view",
+                             [](const PyScene& s) {
+                               begin_work();
+                               const Scene& scene = s.file.scene;
+                               const Unlocked unlocked;
+                               return PlacedView{take(first_view(scene, s.file.up), s.path), scene.origin()};
                              })
       .def_property_readonly("up",
                              [](const PyScene& s) { return py::make_tuple(s.file.up.x, s.file.up.y, s.file.up.z); })

@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "bindings.hpp"
+#include "camera_binding.hpp"
 #include "rgs/camera.hpp"
 
 namespace py = pybind11;
@@ -85,6 +86,12 @@ void bind_stream(py::module_& module) {
                                const auto [low, high] = take(subject_bounds(s.scene()), s.name());
                                return py::make_tuple(py::make_tuple(low.x, low.y, low.z),
                                                      py::make_tuple(high.x, high.y, high.z));
+                             })
+      .def_property_readonly("first_view",
+                             [](const PyStream& s) {
+                               const Scene& scene = s.scene();
+                               const glm::dvec3 up = declared_up(*scene.declarations());
+                               return PlacedView{take(first_view(scene, up), s.name()), scene.origin()};
                              })
       .def_property_readonly("up",
                              [](const PyStream& s) {

@@ -6,6 +6,7 @@
 #include <rgs/camera.hpp>
 #include <rgs/renderer.hpp>
 #include <rgs/scene.hpp>
+#include <rgs/scene_first_view.hpp>
 
 int report(const rgs::Error& error) {
   std::fprintf(stderr, "%s: %s\n", rgs::errc_name(error.code), error.what);
@@ -20,9 +21,9 @@ int main(int argc, char** argv) {
   auto renderer = rgs::Renderer::create();
   if (!renderer) return report(renderer.error());
 
-  const auto bounds = rgs::subject_bounds(*scene);
-  if (!bounds) return report(bounds.error());
-  const auto camera = rgs::default_view(*bounds, {.width = 1280, .height = 720});
+  const auto view = rgs::first_view(*scene);
+  if (!view) return report(view.error());
+  const auto camera = rgs::default_view(*view, scene->origin(), {.width = 1280, .height = 720});
   rgs::Image image = rgs::Image::make(camera.width, camera.height, 3);
   rgs::RenderTarget target;
   target.rgb = image.pixels;

@@ -28,6 +28,7 @@
 #include "rgs/camera_file.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
+#include "rgs/scene_first_view.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
 #include "spz_axes.hpp"
@@ -140,9 +141,8 @@ int name_files(std::vector<Shot>& shots, const Options& options) {
 }
 
 // Cameras of all pictures, at their final size, from the options and, for views without cameras, from the scene.
-// `bounds()` is a Result<SceneBounds>. Returns an exit code.
-template <class Bounds>
-int make_shots(const Options& options, const Bounds& bounds, const glm::dvec3& scene_up, std::vector<Shot>& shots) {
+// `scene` may be streamed. Returns an exit code.
+int make_shots(const Options& options, const rgs::Scene& scene, const glm::dvec3& scene_up, std::vector<Shot>& shots) {
   rgs::ViewFormat format;
   tool::ImageSize size;
   if (!options.size.empty()) {
@@ -157,11 +157,13 @@ int make_shots(const Options& options, const Bounds& bounds, const glm::dvec3& s
     cameras = rgs::interpolated_path(*keys, options.frames);
   } else {
     glm::dvec3 up = scene_up;
+    bool exact_up = false;
     if (!options.cameras.empty()) {
       const auto set = rgs::read_camera_set(options.cameras);
       if (!set) return tool::report(options.cameras, set.error());
       if (options.orbit > 0) {
         up = rgs::mean_up(set->cameras);
+        exact_up = true;
       } else {
         const std::string view = !options.view.empty() ? options.view : names_picture(options.out) ? "0" : "all";
         auto chosen = rgs::choose_cameras(*set, options.split, view);
@@ -170,9 +172,9 @@ int make_shots(const Options& options, const Bounds& bounds, const glm::dvec3& s
       }
     }
     if (cameras.empty()) {
-      const rgs::Result<rgs::SceneBounds> subject = bounds();
-      if (!subject) return tool::report(options.scene, subject.error());
-      cameras = rgs::orbit(*subject, std::max(options.orbit, 1), format, up);
+      const auto view = rgs::first_view(scene, up, exact_up);
+      if (!view) return tool::report(options.scene, view.error());
+      cameras = rgs::orbit(*view, scene.origin(), std::max(options.orbit, 1), format);
       for (std::size_t i = 0; i < cameras.size(); ++i)
         cameras[i].name = options.orbit > 0 ? fmt::format("orbit_{:04}", i) : "view";
     }
@@ -478,8 +480,7 @@ int render(const Options& options) {
   if (!options.quiet) warn_of_missing_pages(options.scene, scene->scene);
 
   std::vector<Shot> shots;
-  const auto bounds = [&] { return rgs::subject_bounds(scene->scene); };
-  if (const int code = make_shots(options, bounds, scene->up, shots); code != tool::kSuccess) return code;
+  if (const int code = make_shots(options, scene->scene, scene->up, shots); code != tool::kSuccess) return code;
   std::vector<std::string> outputs{options.json || !options.quiet ? "-" : ""};
   for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
@@ -569,9 +570,8 @@ int render_streamed(const Options& options) {
   const double load_seconds = seconds_since(start);
 
   std::vector<Shot> shots;
-  const auto bounds = [&] { return rgs::subject_bounds(*scene); };
   const glm::dvec3 up = rgs::declared_up(*scene->declarations());
-  if (const int code = make_shots(options, bounds, up, shots); code != tool::kSuccess) return code;
+  if (const int code = make_shots(options, *scene, up, shots); code != tool::kSuccess) return code;
   std::vector<std::string> outputs{options.json || !options.quiet ? "-" : ""};
   for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;

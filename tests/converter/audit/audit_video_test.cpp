@@ -129,14 +129,13 @@ TEST_CASE("a video has one size, and all cameras of a file") {
   for (int i = 0; i < 9; ++i) many += (i == 0 ? "" : ",") + file.substr(1, file.size() - 2);
   many.replace(many.find("\"test\""), 6, "\"train\"");
   write_text(options.cameras, many + "]");
-  const SceneBounds bounds;
-  CHECK(choose_views(options, bounds, kWorldUp)->size() == 36);
+  CHECK(choose_views(options, {}, kNoOrigin)->size() == 36);
   options.video = false;
-  CHECK(choose_views(options, bounds, kWorldUp)->size() == 35);  // --split test
+  CHECK(choose_views(options, {}, kNoOrigin)->size() == 35);  // --split test
   write_text(options.cameras, sizes);
-  CHECK(choose_views(options, bounds, kWorldUp));
+  CHECK(choose_views(options, {}, kNoOrigin));
   options.video = true;
-  CHECK(choose_views(options, bounds, kWorldUp).error().error.code == Errc::bad_argument);
+  CHECK(choose_views(options, {}, kNoOrigin).error().error.code == Errc::bad_argument);
   options.size = {32, 24};
-  CHECK(choose_views(options, bounds, kWorldUp));
+  CHECK(choose_views(options, {}, kNoOrigin));
 }

@@ -1,0 +1,63 @@
+// first_view.hpp - the view from which a scene is seen first, found without cameras.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "rgs/api.hpp"
+
+namespace RGS_API rgs {
+
+/// Where a first view stands.
+enum class ViewKind : std::uint8_t {
+  none = 0,
+  outside = 1,  ///< of what it looks at, which can be seen from around
+  inside = 2,   ///< of a scene that is all around
+};
+
+/// The view from which a scene is seen first.
+struct FirstView {
+  ViewKind kind = ViewKind::none;                          ///< none: all else is 0
+  std::array<float, 3> position{0, 0, 0}, pivot{0, 0, 0};  ///< relative to the origin; it looks at the pivot
+  std::array<float, 3> up{0, 0, 0};                        ///< unit direction
+  float horizontal_fov = 0;                                ///< degrees
+  bool operator==(const FirstView&) const = default;
+};
+
+/// Of the Gaussians that are added, those whose means have the smallest hashes: the same ones in whatever order. At most
+/// 4 MB.
+class FirstViewSample {
+ public:
+  static constexpr std::size_t kMost = 32768;
+  struct Row {
+    std::uint64_t key = 0;  ///< hash of the mean
+    std::array<float, 3> mean{}, scale{};
+    std::array<float, 4> rotation{};  ///< w, x, y, z; need not be normalised
+    float opacity = 0;
+    auto operator<=>(const Row&) const = default;
+  };
+
+  /// Values that are not finite count, but are not taken. `mean` and `scale` [3], `rotation` [4].
+  void add(const float* mean, const float* scale, const float* rotation, float opacity);
+  /// Of those added.
+  std::uint64_t n() const { return n_; }
+  /// At most kMost, in ascending order.
+  std::vector<Row> rows() const;
+
+ private:
+  void keep_least();
+
+  std::uint64_t n_ = 0, most_ = ~std::uint64_t{0};
+  std::vector<Row> rows_;  // fewer than 2 kMost
+};
+
+/// The best of many views around the subject and inside the scene: it shows much of the scene, large, sharp and with
+/// nothing before it. `up`: unit direction of the scene's up; the floor or ground, where there clearly is one, corrects it
+/// by up to 30 degrees if `finds_up`. Depends on the sample alone: no logarithms or angles, whose last bits differ between
+/// C libraries. ViewKind::none without visible Gaussians, or if FP32 cannot hold the view.
+FirstView choose_first_view(const FirstViewSample& sample, const std::array<double, 3>& up, bool finds_up);
+
+}  // namespace rgs
