@@ -101,6 +101,22 @@ void put_head(const FileView& view) {
   put<std::uint64_t>("counts", "u8", counts.size(), counts);
   put<double>("origin", "f8", d.origin.size(), d.origin);
 
+  if (const FirstView& v = d.first_view; v != FirstView()) {
+    const std::array<float, 11> numbers = {
+        static_cast<float>(v.kind),
+        v.position[0],
+        v.position[1],
+        v.position[2],
+        v.pivot[0],
+        v.pivot[1],
+        v.pivot[2],
+        v.up[0],
+        v.up[1],
+        v.up[2],
+        v.horizontal_fov,
+    };
+    put<float>("first_view", "f4", numbers.size(), numbers);
+  }
   if (d.crs != Crs()) {
     put<char>("crs", "u1", 1, d.crs.text);
     put<Axis>("crs_axes", "u1", 3, d.crs.axes);

@@ -85,6 +85,10 @@ def compare(scene: rgs_reader.Scene, library: dict[str, NDArray[Any]]) -> None:
         "n_source", "n_dropped", "n_repaired", "n_scale_subnormal", "n_scale_zero", "n_opacity_zero",
         "n_opacity_one")]], np.uint64))
     same_bits("origin", library["origin"], [d["origin"]])
+    assert (d["view_kind"] != 0) == ("first_view" in library), "first view"
+    if d["view_kind"] != 0:
+        view = [d["view_kind"], *d["view_position"], *d["view_pivot"], *d["view_up"], d["view_width"]]
+        same_bits("first_view", library["first_view"], np.array([view], np.float32))
     assert ("crs" in d) == ("crs" in library), "CRS"
     if "crs" in d:
         assert library["crs"].tobytes().decode("utf-8") == d["crs"]["text"], "text of the CRS"

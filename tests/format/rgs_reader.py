@@ -54,13 +54,14 @@ CHUNK = np.dtype([
     ("count", "<u4"), ("reserved", "<u4")])
 DECL = np.dtype([
     ("axes", "u1", 3), ("colour_space", "u1"), ("sh_basis", "u1"), ("kernel", "u1"), ("aa_mode", "u1"),
-    ("sort_metric", "u1"), ("depth_mapping", "u1"), ("depth_source", "u1"), ("order", "u1"), ("reserved", "u1"),
+    ("sort_metric", "u1"), ("depth_mapping", "u1"), ("depth_source", "u1"), ("order", "u1"), ("view_kind", "u1"),
     ("z_near", "<f4"), ("z_far", "<f4"), ("metres_per_unit", "<f4"), ("cutoff_sigma", "<f4"),
     ("alpha_threshold", "<f4"), ("alpha_max", "<f4"), ("low_pass_px2", "<f4"), ("transmittance_min", "<f4"),
     ("full_min", "<f4", 3), ("full_max", "<f4", 3), ("robust_min", "<f4", 3), ("robust_max", "<f4", 3),
     ("robust_fraction", "<f4"), ("n_source", "<u8"), ("n_dropped", "<u8"), ("n_repaired", "<u8"),
     ("n_scale_subnormal", "<u8"), ("n_scale_zero", "<u8"), ("n_opacity_zero", "<u8"), ("n_opacity_one", "<u8"),
-    ("origin", "<f8", 3), ("reserved_tail", "u1", 80)])
+    ("origin", "<f8", 3), ("view_position", "<f4", 3), ("view_pivot", "<f4", 3), ("view_up", "<f4", 3),
+    ("view_width", "<f4"), ("reserved_tail", "u1", 40)])
 ARCH_HEAD = [("mean_cells", "<u4"), ("mean_bits", "<u4"), ("n_classes", "<u4"), ("opacity_levels", "<u4"),
              ("n_distributions", "<u4")]
 ARCH = {                                                          # by codec
@@ -309,8 +310,19 @@ def read_declarations(data: memoryview, h: Record, base: int) -> Record:
     def rule(ok: Any, name: str, text: str) -> None:
         require(ok, "bad_value", base + DECL.fields[name][1], text)
 
-    require_reserved(data, base + 11, base + 12, "a reserved byte of DECL")
-    require_reserved(data, base + (176 if h["version_minor"] >= 3 else 152), base + 256, "reserved bytes of DECL")
+    minor, has_view = h["version_minor"], d["view_kind"] != 0
+    if minor < 5:
+        require_reserved(data, base + 11, base + 12, "a reserved byte of DECL")
+    rule(d["view_kind"] <= 2, "view_kind", "the first view is from outside or inside, or there is none")
+    unused = 152 if minor < 3 else 216 if has_view else 176
+    require_reserved(data, base + unused, base + 256, "reserved bytes of DECL")
+    for name in ("view_position", "view_pivot"):
+        for axis, value in enumerate(d[name]):
+            require(abs(value) <= ORIGIN_MAX, "bad_value", base + DECL.fields[name][1] + 4 * axis, "within 10^12")
+    if has_view:
+        rule(d["view_position"] != d["view_pivot"], "view_position", "a first view looks at something")
+        rule(abs(sum(x * x for x in d["view_up"]) - 1) <= 1e-3, "view_up", "a unit vector")
+        rule(1 <= d["view_width"] <= 179, "view_width", "degrees")
     for axis, value in enumerate(d["origin"]):
         require(abs(value) <= ORIGIN_MAX, "bad_value", base + 152 + 8 * axis, "an origin within 10^12")
     for axis, direction in enumerate(d["axes"]):

@@ -74,6 +74,8 @@ inline std::vector<GoldenLevels> all_golden_levels() {
   scenes.push_back(golden_levels("levels_archive3", Profile::archive, 300, 1, 34));
   scenes.push_back(golden_levels("levels_crs", Profile::packed, 140, 0, 36));
   scenes.back().options.crs = {"EPSG:4978", {}};
+  scenes.push_back(golden_levels("levels_first_view", Profile::packed, 140, 0, 39));
+  scenes.back().options.first_view = {ViewKind::outside, {0, -12, -24}, {0, 0, 0.5F}, {0, -1, 0}, 60};
   scenes.push_back(golden_origins("levels_origins_direct", Profile::direct, 140, 37));
   scenes.push_back(golden_origins("levels_origins_packed", Profile::packed, 140, 38));
   return scenes;

@@ -167,6 +167,8 @@ inline std::vector<GoldenScene> golden_scenes() {
   scenes.back().options.origin = {4201984.125, 168424.5, 4780209.25};
   scenes.back().options.crs = {"GEODCRS[\"Z\u00fcrich \U0001f30d\", CS[Cartesian, 3]]",
                                {Axis::right, Axis::forward, Axis::up}};
+  scenes.push_back({"first_view", golden_cloud(6, 0, 27), golden_options()});
+  scenes.back().options.first_view = {ViewKind::inside, {1.5F, -2, 0.25F}, {-3, -1.5F, 8}, {0.6F, -0.8F, 0}, 75};
   return scenes;
 }
 

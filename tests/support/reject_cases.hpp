@@ -189,6 +189,28 @@ inline void reject_origin(RejectMaker& m) {
   m.set("origin_reserved", reserved_bits, origin + 24, std::uint8_t{1});
 }
 
+// `m` has a file with a first view.
+inline void reject_first_view(RejectMaker& m) {
+  using enum Errc;
+  constexpr float kNaN = std::numeric_limits<float>::quiet_NaN(), kInfinity = std::numeric_limits<float>::infinity();
+  const std::uint64_t d = m.section("DECL"), position = d + 176, pivot = d + 188, up = d + 200, width = d + 212;
+  m.set("view_in_1_4", reserved_bits, d + 11, 10, std::uint16_t{4});
+  m.set("view_kind", bad_value, d + 11, std::uint8_t{3});
+  m.set("view_none", reserved_bits, position, d + 11, std::uint8_t{0});
+  m.set("view_position_nan", bad_value, position, kNaN);
+  m.set("view_position_beyond", bad_value, position + 8, 1.1e12F);
+  m.set("view_pivot_infinite", bad_value, pivot + 4, -kInfinity);
+  m.change("view_pivot_same", bad_value, position, [&](Bytes& b) {
+    for (std::uint64_t i = 0; i < 12; i += 4) put(b, pivot + i, get<float>(b, position + i));
+  });
+  m.set("view_up_nan", bad_value, up, up + 8, kNaN);
+  m.set("view_up_short", bad_value, up, up + 4, 0.F);
+  m.set("view_width_0", bad_value, width, 0.F);
+  m.set("view_width_180", bad_value, width, 180.F);
+  m.set("view_width_nan", bad_value, width, kNaN);
+  m.set("view_reserved", reserved_bits, width + 4, std::uint8_t{1});
+}
+
 // `m` has a file with a CRS of ten bytes or more.
 inline void reject_crs(RejectMaker& m) {
   using enum Errc;
@@ -349,6 +371,11 @@ inline std::vector<RejectCase> reject_cases(const std::filesystem::path& golden)
   far.crs = {"LOCAL:house", {Axis::right, Axis::forward, Axis::up}};
   detail::RejectMaker crs(cases, detail::sound(golden_cloud(6, 0, 15), far));
   detail::reject_crs(crs);
+
+  EncodeOptions seen = golden_options();
+  seen.first_view = {ViewKind::outside, {0, -12, -24}, {0, 0, 0.5F}, {0, -1, 0}, 60};
+  detail::RejectMaker view(cases, detail::sound(golden_cloud(6, 0, 15), seen));
+  detail::reject_first_view(view);
 
   options.profile = Profile::packed;
   detail::RejectMaker coded(cases, detail::sound(golden_cloud(200, 0, 17), options));

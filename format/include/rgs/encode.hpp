@@ -66,7 +66,8 @@ struct EncodeOptions {
   float metres_per_unit = 0;                         ///< 0: unknown
   /// of the means; |x| <= kMaxOrigin
   Origin origin = kNoOrigin;
-  Crs crs;  ///< of origin + mean
+  Crs crs;               ///< of origin + mean
+  FirstView first_view;  ///< see choose_first_view()
   /// With levels, but not Profile::archive: pages get origins of their own where a Splat::mean_rest is not 0, so that
   /// means keep a quarter of a millimetre however far apart they are (a unit of unknown size counts as a metre).
   bool page_origins = false;
@@ -84,7 +85,7 @@ struct EncodeOptions {
 };
 
 /// `options` with all that `declared` states of a scene: axes, colours, anti-aliasing, low-pass, units, origin, CRS,
-/// depth range and mapping, thresholds, n_source and n_repaired; so encode() keeps the declarations of a scene that was
+/// first view, depth range and mapping, thresholds, n_source and n_repaired; so encode() keeps the declarations of a scene that was
 /// loaded and filtered. Provenance and positions are no declarations: see FileView::provenance() and source_index().
 EncodeOptions keep_declarations(EncodeOptions options, const Declarations& declared);
 

@@ -7,25 +7,9 @@
 #include <cstdint>
 #include <vector>
 
-#include "rgs/api.hpp"
+#include "rgs/layout.hpp"
 
 namespace RGS_API rgs {
-
-/// Where a first view stands.
-enum class ViewKind : std::uint8_t {
-  none = 0,
-  outside = 1,  ///< of what it looks at, which can be seen from around
-  inside = 2,   ///< of a scene that is all around
-};
-
-/// The view from which a scene is seen first.
-struct FirstView {
-  ViewKind kind = ViewKind::none;                          ///< none: all else is 0
-  std::array<float, 3> position{0, 0, 0}, pivot{0, 0, 0};  ///< relative to the origin; it looks at the pivot
-  std::array<float, 3> up{0, 0, 0};                        ///< unit direction
-  float horizontal_fov = 0;                                ///< degrees
-  bool operator==(const FirstView&) const = default;
-};
 
 /// Of the Gaussians that are added, those whose means have the smallest hashes: the same ones in whatever order. At most
 /// 4 MB.
@@ -57,7 +41,7 @@ class FirstViewSample {
 /// The best of many views around the subject and inside the scene: it shows much of the scene, large, sharp and with
 /// nothing before it. `up`: unit direction of the scene's up; the floor or ground, where there clearly is one, corrects it
 /// by up to 30 degrees if `finds_up`. Depends on the sample alone: no logarithms or angles, whose last bits differ between
-/// C libraries. ViewKind::none without visible Gaussians, or if FP32 cannot hold the view.
+/// C libraries. ViewKind::none without visible Gaussians, or if no file can state the view.
 FirstView choose_first_view(const FirstViewSample& sample, const std::array<double, 3>& up, bool finds_up);
 
 }  // namespace rgs

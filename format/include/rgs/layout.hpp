@@ -19,8 +19,8 @@ namespace RGS_API rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
-/// The newest known. A file states the lowest that describes it: 5 with Codec::archive, a CRS or origins of pages, 4
-/// with levels of detail, 3 with an origin, 2 with Codec::archive_draco, 1 with Codec::planes, else 0.
+/// The newest known. A file states the lowest that describes it: 5 with Codec::archive, a CRS, origins of pages or a
+/// first view, 4 with levels of detail, 3 with an origin, 2 with Codec::archive_draco, 1 with Codec::planes, else 0.
 inline constexpr std::uint16_t kVersionMinor = 5;
 
 inline constexpr std::uint64_t kHeaderBytes = 128;
@@ -171,6 +171,23 @@ inline constexpr std::uint32_t kMaxCrsText = 1u << 14;
 /// Whether a text can be that of a Crs: UTF-8 of at most kMaxCrsText bytes without control characters, not empty.
 bool is_crs_text(std::string_view text);
 
+/// Where a first view stands.
+enum class ViewKind : std::uint8_t {
+  none = 0,
+  outside = 1,  ///< of what it looks at, which can be seen from around
+  inside = 2,   ///< of a scene that is all around
+};
+
+/// The view from which a scene is seen first.
+struct FirstView {
+  ViewKind kind = ViewKind::none;  ///< none: all else is 0
+  /// Relative to the origin, at most kMaxOrigin; different. It looks at the pivot.
+  std::array<float, 3> position{0, 0, 0}, pivot{0, 0, 0};
+  std::array<float, 3> up{0, 0, 0};  ///< unit direction
+  float horizontal_fov = 0;          ///< 1 to 179 degrees
+  bool operator==(const FirstView&) const = default;
+};
+
 /// Facts of a scene that a reader must not guess. Defaults are the original 3DGS code's.
 struct Declarations {
   std::array<Axis, 3> axes{Axis::right, Axis::down, Axis::forward};  ///< where +x, +y, +z point
@@ -201,7 +218,8 @@ struct Declarations {
   std::uint64_t n_opacity_zero = 0;     ///< stored opacities that are 0
   std::uint64_t n_opacity_one = 0;      ///< stored opacities that are 1
   Origin origin = kNoOrigin;            ///< of all means and boxes of the file; |x| <= kMaxOrigin
-  Crs crs;                              ///< in a section of its own, CREF
+  FirstView first_view;
+  Crs crs;  ///< in a section of its own, CREF
 };
 
 /// One entry of the chunk table: answers questions about a chunk without reading its Gaussians.

@@ -75,6 +75,7 @@ Declarations declare(const SceneScan& scan, const EncodeOptions& options) {
   d.metres_per_unit = options.metres_per_unit;
   d.origin = options.origin;
   d.crs = options.crs;
+  d.first_view = options.first_view;
   d.cutoff_sigma = options.cutoff_sigma;
   d.alpha_threshold = options.alpha_threshold;
   d.alpha_max = options.alpha_max;
@@ -131,6 +132,7 @@ EncodeOptions keep_declarations(EncodeOptions options, const Declarations& decla
   options.metres_per_unit = declared.metres_per_unit;
   options.origin = declared.origin;
   options.crs = declared.crs;
+  options.first_view = declared.first_view;
   options.depth = DepthRange{declared.z_near, declared.z_far, declared.depth_source};
   options.depth_mapping = declared.depth_mapping;
   options.cutoff_sigma = declared.cutoff_sigma;
@@ -190,7 +192,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   Header& h = plan.header;
   h.version_minor = profile == Profile::direct ? 0 : profile == Profile::packed ? 1 : 5;
   if (options.origin != kNoOrigin) h.version_minor = std::max<std::uint16_t>(h.version_minor, 3);
-  if (options.crs != Crs()) h.version_minor = 5;
+  if (options.crs != Crs() || options.first_view != FirstView()) h.version_minor = 5;
   h.n_gaussians = n;
   h.chunk_size = options.chunk_size;
   h.n_chunks = n / h.chunk_size + (n % h.chunk_size != 0 ? 1 : 0);

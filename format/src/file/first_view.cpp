@@ -612,8 +612,8 @@ FirstView choose_first_view(const FirstViewSample& sample, const std::array<doub
   Choice choice(sample, up, finds_up);
   if (!choice.has_items()) return {};
   const FirstView view = choice.best_of_many();
-  const auto finite = [](float x) { return std::isfinite(x); };
-  const bool sound = std::ranges::all_of(view.position, finite) && std::ranges::all_of(view.pivot, finite) &&
+  const auto within = [](float x) { return std::abs(static_cast<double>(x)) <= kMaxOrigin; };
+  const bool sound = std::ranges::all_of(view.position, within) && std::ranges::all_of(view.pivot, within) &&
                      view.position != view.pivot;
   return sound ? view : FirstView();
 }

@@ -55,7 +55,7 @@ std::vector<std::byte> write_declarations(const Declarations& d) {
   out.u8(static_cast<std::uint8_t>(d.depth_mapping));
   out.u8(static_cast<std::uint8_t>(d.depth_source));
   out.u8(static_cast<std::uint8_t>(d.order));
-  out.u8(0);
+  out.u8(static_cast<std::uint8_t>(d.first_view.kind));
   for (const float value : {d.z_near, d.z_far, d.metres_per_unit, d.cutoff_sigma, d.alpha_threshold, d.alpha_max,
                             d.low_pass_px2, d.transmittance_min}) {
     out.f32(value);
@@ -70,6 +70,11 @@ std::vector<std::byte> write_declarations(const Declarations& d) {
     out.u64(value);
   }
   for (const double value : d.origin) out.f64(value + 0.0);  // no -0
+  const FirstView& view = d.first_view;
+  for (const auto* vector : {&view.position, &view.pivot, &view.up}) {
+    for (const float value : *vector) out.f32(value + 0.F);
+  }
+  out.f32(view.horizontal_fov);
   out.pad_to(kDeclarationBytes);
   return out.take();
 }
@@ -257,6 +262,31 @@ bool ordered(const Box& box) {
   return true;
 }
 
+// All but its kind, which is not none.
+Status read_first_view(ByteReader& in, FirstView& view) {
+  const auto bad = [&in](std::uint64_t back, const char* what) {
+    return make_error(Errc::bad_value, in.offset() - back, what);
+  };
+  for (auto* place : {&view.position, &view.pivot}) {
+    for (float& value : *place) {
+      value = in.f32();
+      if (!(std::fabs(static_cast<double>(value)) <= kMaxOrigin))
+        return bad(4, "the first view's position or pivot is not finite or beyond 10^12");
+    }
+  }
+  if (view.position == view.pivot) return bad(24, "the first view's position and pivot are the same");
+  double squared = 0;
+  for (float& value : view.up) {
+    value = in.f32();
+    squared += static_cast<double>(value) * static_cast<double>(value);
+  }
+  if (!(std::fabs(squared - 1) <= 1e-3)) return bad(12, "the first view's up is no unit vector");
+  view.horizontal_fov = in.f32();
+  if (!(view.horizontal_fov >= 1 && view.horizontal_fov <= 179))
+    return bad(4, "the first view is not 1 to 179 degrees wide");
+  return {};
+}
+
 }  // namespace
 
 Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::uint64_t offset, std::uint16_t minor) {
@@ -277,7 +307,11 @@ Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::u
   if (!read_enum(in, d.depth_mapping, 1, 2)) return bad(1, "depth mapping is not 1 or 2");
   if (!read_enum(in, d.depth_source, 1, 3)) return bad(1, "depth source is not 1 to 3");
   if (!read_enum(in, d.order, 1, 2)) return bad(1, "order is not 1 or 2");
-  if (in.u8() != 0) return make_error(Errc::reserved_bits, in.offset() - 1, "a reserved declaration byte is not zero");
+  if (minor >= 5) {
+    if (!read_enum(in, d.first_view.kind, 0, 2)) return bad(1, "the kind of the first view is not 0 to 2");
+  } else if (in.u8() != 0) {
+    return make_error(Errc::reserved_bits, in.offset() - 1, "a reserved declaration byte is not zero");
+  }
   for (float* value : {&d.z_near, &d.z_far, &d.metres_per_unit, &d.cutoff_sigma, &d.alpha_threshold, &d.alpha_max,
                        &d.low_pass_px2, &d.transmittance_min}) {
     *value = in.f32();
@@ -300,6 +334,9 @@ Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::u
   for (std::size_t i = 0; minor >= 3 && i < 3; ++i) {
     d.origin[i] = in.f64();
     if (!(std::fabs(d.origin[i]) <= kMaxOrigin)) return bad(8, "the origin is not finite or beyond 10^12");
+  }
+  if (d.first_view.kind != ViewKind::none) {
+    if (const Status view = read_first_view(in, d.first_view); !view) return tl::unexpected(view.error());
   }
   const std::uint64_t reserved = in.offset();
   if (!in.zeros(in.remaining()))

@@ -69,7 +69,8 @@ Result<std::vector<std::byte>> leaves_as_file(const PagedFile& file, const LoadO
     }
     Header h = head.header();
     const std::uint64_t stride = sh_bytes(h.sh_degree);
-    h.version_minor = head.declarations().crs != Crs() ? 5 : head.declarations().origin != kNoOrigin ? 3 : 0;
+    const Declarations& d = head.declarations();
+    h.version_minor = d.crs != Crs() || d.first_view != FirstView() ? 5 : d.origin != kNoOrigin ? 3 : 0;
     h.n_step_sets = h.n_chunks;  // even if pages share one
     std::vector<SectionEntry> sections{entry_of(SectionType::declarations, kDeclarationBytes, true),
                                        entry_of(SectionType::sh_steps, h.n_step_sets * kStepSetBytes, true),

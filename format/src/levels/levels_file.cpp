@@ -155,6 +155,7 @@ Result<WrittenScene> LevelsFile::finish(const Declarations& declarations, std::s
   }
   WrittenScene written{header_, declarations, {}};
   const bool is_new = options_.profile == Profile::archive || options_.crs != Crs() ||
+                      options_.first_view != FirstView() ||
                       std::ranges::any_of(table_.stored, [](const StoredPage& page) { return page.n_origins != 0; });
   written.header.version_minor = is_new ? 5 : 4;
   written.header.file_bytes = end_;

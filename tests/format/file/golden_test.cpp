@@ -20,6 +20,7 @@
 #include "instruction_sets.hpp"
 #include "reject_cases.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/quantize.hpp"
 #include "skip.hpp"
 
@@ -316,6 +317,20 @@ TEST_CASE("golden files have the scale sets and optional sections that they test
   CHECK(crs->header().version_minor == 5);
   CHECK(crs->declarations().crs.text == "GEODCRS[\"Z\u00fcrich \U0001f30d\", CS[Cartesian, 3]]");
   CHECK(crs->declarations().crs.axes == std::array{Axis::right, Axis::forward, Axis::up});
+  for (const bool with_levels : {false, true}) {
+    const Bytes view_bytes = golden(with_levels ? "levels_first_view" : "first_view");
+    const auto paged = PagedFile::open(view_bytes);
+    const auto plain = FileView::open(view_bytes);
+    REQUIRE((with_levels ? paged.has_value() : plain.has_value()));
+    const FileView& viewed = with_levels ? paged->head() : *plain;
+    CHECK(viewed.header().version_minor == 5);
+    const FirstView expected =
+        with_levels ? FirstView{ViewKind::outside, {0, -12, -24}, {0, 0, 0.5F}, {0, -1, 0}, 60}
+                    : FirstView{ViewKind::inside, {1.5F, -2, 0.25F}, {-3, -1.5F, 8}, {0.6F, -0.8F, 0}, 75};
+    CHECK(viewed.declarations().first_view == expected);
+    CHECK(keep_declarations({}, viewed.declarations()).first_view == expected);
+  }
+  CHECK(crs->declarations().first_view == FirstView());
   const auto edges = FileView::open(edges_bytes);
   REQUIRE(edges);
   CHECK(edges->declarations().n_scale_zero != 0);

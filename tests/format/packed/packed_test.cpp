@@ -45,9 +45,10 @@ void check_equal(const Pair& pair, const LoadOptions& options = {}) {
   REQUIRE(b);
   CHECK_FALSE(a->coded());
   CHECK(b->coded());
-  const bool has_origin = a->declarations().origin != kNoOrigin, has_crs = a->declarations().crs != Crs();
-  CHECK(a->header().version_minor == (has_crs ? 5 : has_origin ? 3 : 0));
-  CHECK(b->header().version_minor == (has_crs ? 5 : has_origin ? 3 : 1));
+  const Declarations& d = a->declarations();
+  const bool has_origin = d.origin != kNoOrigin, is_new = d.crs != Crs() || d.first_view != FirstView();
+  CHECK(a->header().version_minor == (is_new ? 5 : has_origin ? 3 : 0));
+  CHECK(b->header().version_minor == (is_new ? 5 : has_origin ? 3 : 1));
   REQUIRE(validate(*b));
   const auto x = load_direct(*a, options), y = load_direct(*b, options);
   REQUIRE(x);

@@ -11,6 +11,7 @@ const kSortMetrics = ["undeclared", "z_depth"] as const;
 const kDepthMappings = ["undeclared", "linear", "logarithmic"] as const;
 const kDepthSources = ["undeclared", "cameras", "scene_extent", "by_hand"] as const;
 const kOrders = ["undeclared", "input", "morton"] as const;
+const kViewKinds = ["none", "outside", "inside"] as const;
 const kCodecs = ["none", "planes", "archive_draco", "archive"] as const;
 
 /** x, y, z. */
@@ -83,8 +84,23 @@ export interface Declarations {
   readonly nOpacityOne: number;
   /** World position = origin + mean. */
   readonly origin: Vector3;
+  /** Null: not stated. */
+  readonly firstView: FirstView | null;
   /** Coordinate reference system of world positions; null: not stated. */
   readonly crs: Crs | null;
+}
+
+/** The view from which a scene is seen first, relative to the origin. */
+export interface FirstView {
+  /** `outside` of what it looks at, or `inside` of a scene that is all around. */
+  readonly kind: "outside" | "inside";
+  readonly position: Vector3;
+  /** What it looks at, and what one turns around. */
+  readonly pivot: Vector3;
+  /** Unit direction. */
+  readonly up: Vector3;
+  /** Degrees, 1 to 179. */
+  readonly horizontalFov: number;
 }
 
 /** A coordinate reference system. The text is untrusted: show it as plain text. */
@@ -179,6 +195,11 @@ class Numbers {
   box(): Box {
     return { min: this.vector(), max: this.vector() };
   }
+  firstView(): FirstView | null {
+    const kind = this.of(kViewKinds);
+    const view = { position: this.vector(), pivot: this.vector(), up: this.vector(), horizontalFov: this.next() };
+    return kind === "none" ? null : { kind, ...view };
+  }
   /** The name of a code, which the library has checked. */
   of<T extends string>(names: readonly T[]): T {
     const name = names[this.next()];
@@ -234,6 +255,7 @@ export function parseHead(values: Float64Array, text: Uint8Array): Head {
     nOpacityZero: in_.next(),
     nOpacityOne: in_.next(),
     origin: in_.vector(),
+    firstView: in_.firstView(),
     crs: null,
   };
   const utf8 = new TextDecoder(undefined, { ignoreBOM: true });

@@ -10,6 +10,7 @@ export type {
   Codec,
   Crs,
   Declarations,
+  FirstView,
   Header,
   Levels,
   Page,

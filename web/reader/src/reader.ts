@@ -3,7 +3,17 @@
 import { Client, type Port } from "./client.js";
 import type { Gaussians, Groups, Limits, Range, StoredGaussians } from "./decoder.js";
 import { RgsError } from "./errors.js";
-import { type Box, type Declarations, type Head, type Header, Levels, parseHead, type Provenance, type Section } from "./head.js";
+import {
+  type Box,
+  type Declarations,
+  type FirstView,
+  type Head,
+  type Header,
+  Levels,
+  parseHead,
+  type Provenance,
+  type Section,
+} from "./head.js";
 import { kAnyGroup, type PageEvent, type PageSchedule, PageScheduler } from "./pages.js";
 import type { Requests } from "./service.js";
 import type { Spz } from "./spz.js";
@@ -197,6 +207,11 @@ export class RgsFile {
    */
   get subjectBox(): Box | null {
     return this.subject;
+  }
+
+  /** The view from which the file states that its scene is seen first. Null: none. */
+  get firstView(): FirstView | null {
+    return this.declarations.firstView;
   }
 
   /** Pages 0 .. nPresent - 1 lie within the actual file, which may be cut off: then known pages alone may count. */

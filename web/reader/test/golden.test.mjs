@@ -125,6 +125,13 @@ function assertHead(file, arrays) {
   const counts = [d.nSource, d.nDropped, d.nRepaired, d.nScaleSubnormal, d.nScaleZero, d.nOpacityZero, d.nOpacityOne];
   assert.deepEqual(counts.map(BigInt), [...arrays.counts]);
   assert.deepEqual([...d.origin], [...arrays.origin]);
+  assert.equal(file.firstView, d.firstView);
+  if (arrays.first_view) {
+    const { kind, position, pivot, up, horizontalFov } = d.firstView;
+    assert.deepEqual([["none", "outside", "inside"].indexOf(kind), ...position, ...pivot, ...up, horizontalFov], [...arrays.first_view]);
+  } else {
+    assert.equal(d.firstView, null);
+  }
   if (arrays.crs) {
     assert.equal(d.crs.text, Buffer.from(arrays.crs).toString());
     assert.deepEqual(d.crs.axes.map((axis) => axes.indexOf(axis)), [...arrays.crs_axes]);

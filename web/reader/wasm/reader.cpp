@@ -399,6 +399,11 @@ RGS_EXPORT(rgs_head) void rgs_head(File* file) {
   put_box(d.robust);
   put(d.n_source, d.n_dropped, d.n_repaired, d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one);
   for (const double x : d.origin) put(x);
+  put(static_cast<int>(d.first_view.kind));
+  for (const auto* vector : {&d.first_view.position, &d.first_view.pivot, &d.first_view.up}) {
+    for (const float x : *vector) put(x);
+  }
+  put(d.first_view.horizontal_fov);
   put(d.crs.text.size());
   for (const Axis axis : d.crs.axes) put(static_cast<int>(axis));
   text = d.crs.text;
