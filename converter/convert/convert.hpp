@@ -36,8 +36,10 @@ struct StageObserver {
 };
 
 struct ConvertOptions {
-  EncodeOptions encode;         ///< except its origin, which is that of the Gaussians
-  std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
+  EncodeOptions encode;  ///< except its origin, which is that of the Gaussians
+  /// Depth range as these see the scene, and the first view is the best of them. Empty: encode.depth, or the scene's
+  /// extent; encode.first_view, or what choose_first_view() chooses.
+  std::vector<Camera> cameras;
   std::optional<float> z_near, z_far;  ///< override either end of the range
   int spz_version = WriteOptions{}.spz_version;
   /// Levels of detail beside the Gaussians of an .rgs (docs/develop/LEVELS.md).

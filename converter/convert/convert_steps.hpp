@@ -15,9 +15,10 @@ namespace rgs {
 /// How many means determine a depth range: an even sample of the kept ones.
 inline constexpr std::uint64_t kDepthSample = 65536;  // the limit of depth_range_from_cameras()
 
-/// Sets encode.depth from cameras and explicit ends. Errors: depth_range_from_cameras()'s.
-Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const SceneScan& scan,
-                        std::span<const float> sample);
+/// Sets encode.depth from cameras and explicit ends, and encode.first_view from cameras or, if it is none, the scene;
+/// then drops the scan's sample.
+/// Errors: depth_range_from_cameras()'s.
+Status find_views(EncodeOptions& encode, const ConvertOptions& options, SceneScan& scan, std::span<const float> sample);
 /// bad_value: BadPolicy::refuse, and a Gaussian at this byte is damaged.
 tl::unexpected<Error> damaged_gaussian(std::uint64_t offset, const SceneScan& scan);
 /// bad_argument: a scene without Gaussians has no levels.

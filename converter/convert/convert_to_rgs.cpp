@@ -35,7 +35,7 @@ struct Scanned {
 
 Scanned scan_source(const SplatSource& source, const EncodeOptions& options, const StageObserver& observer) {
   const std::uint64_t n = source.size();
-  const SceneScan empty(std::min(source.sh_degree(), options.sh_degree), options.on_bad);
+  const SceneScan empty(std::min(source.sh_degree(), options.sh_degree), options.on_bad, true);
   Scanned result{empty, std::vector<std::uint64_t>((n + 63) / 64), {}};
   result.means.resize(3 * n);
   tbb::enumerable_thread_specific<SceneScan> scans(empty);
@@ -139,6 +139,22 @@ Status encode_batches(const SplatSource& source, SceneWriter& writer, const Stag
   return status;
 }
 
+FirstView choose_view(const EncodeOptions& encode, std::span<const Camera> cameras, const FirstViewSample& sample) {
+  constexpr std::size_t kMostViews = 64;
+  const auto list = [](const glm::dvec3& v) { return std::array{v.x, v.y, v.z}; };
+  std::vector<CandidateView> views(std::min(cameras.size(), kMostViews));
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    const Camera& camera = cameras[i * cameras.size() / views.size()];
+    const glm::dvec3 at = camera_centre(camera) - glm::dvec3(encode.origin[0], encode.origin[1], encode.origin[2]);
+    views[i] = {list(at), list(camera_axis(camera, 2)), list(-camera_axis(camera, 1)), camera.width / (2 * camera.fx),
+                camera.height / (2 * camera.fy)};
+  }
+  Declarations declared;
+  declared.axes = encode.axes;
+  const glm::dvec3 up = cameras.empty() ? declared_up(declared) : mean_up(cameras);
+  return choose_first_view(sample, list(up), cameras.empty(), views);
+}
+
 Result<WrittenScene> write_plain(const SplatSource& source, AtomicFile& file, const SceneScan& scan,
                                  const EncodeOptions& encode, std::span<const std::uint32_t> indices, StageClock& clock,
                                  const StageObserver& observer) {
@@ -236,8 +252,11 @@ Result<double> choose_page_origins(EncodeOptions& encode, MeanRounding rounding,
   return check_rounding(left, max_rounding(encode, allow_rounding)).map([left] { return left; });
 }
 
-Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const SceneScan& scan,
-                        std::span<const float> sample) {
+Status find_views(EncodeOptions& encode, const ConvertOptions& options, SceneScan& scan,
+                  std::span<const float> sample) {
+  if (!options.cameras.empty() || encode.first_view == FirstView())
+    encode.first_view = choose_view(encode, options.cameras, scan.view_sample());
+  scan.drop_view_sample();
   if (!options.cameras.empty()) {
     const auto range = depth_range_from_cameras(options.cameras, sample, encode.origin);
     if (!range) return tl::unexpected(range.error());
@@ -350,7 +369,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   scanned.kept = std::vector<std::uint64_t>();
   std::vector<float> sample;
   if (!options.cameras.empty()) sample = sample_means(scanned, indices);
-  if (const Status s = find_depth_range(encode, options, scanned.scan, sample); !s) return tl::unexpected(s.error());
+  if (const Status s = find_views(encode, options, scanned.scan, sample); !s) return tl::unexpected(s.error());
   if (encode.order == Order::morton) sort_morton(indices, scanned.means, scanned.scan.robust());
   scanned.means = std::vector<float>();
   hashing.wait();
@@ -395,7 +414,7 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   stages.advance = [&observer](std::uint64_t units) { observer.advance(units); };
 
   clock.begin("scan", stream.n, "Gaussians");
-  SceneScan scan(std::min(stream.sh_degree, encode.sh_degree), encode.on_bad);
+  SceneScan scan(std::min(stream.sh_degree, encode.sh_degree), encode.on_bad, true);
   std::uint64_t first_damaged = Error::kNone;
   if (const Status s = lod::scan_stream(stream, stages, scan, first_damaged); !s) return tl::unexpected(s.error());
   if (encode.on_bad == BadPolicy::refuse && scan.n_kept() != scan.n_source()) {
@@ -416,7 +435,7 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
     if (const Status s = lod::sample_means(stream, stages, scan, encode.on_bad, kDepthSample, sample); !s)
       return tl::unexpected(s.error());
   }
-  if (const Status s = find_depth_range(encode, options, scan, sample); !s) return tl::unexpected(s.error());
+  if (const Status s = find_views(encode, options, scan, sample); !s) return tl::unexpected(s.error());
   if (encode.provenance) {
     clock.begin("hash", 0, "");
     encode.provenance->source_xxh3 = facts.hash();

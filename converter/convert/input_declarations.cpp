@@ -194,6 +194,9 @@ Status declare_scene(EncodeOptions& encode, std::span<const InputDeclarations> i
     if (low_pass >= 0) encode.low_pass_px2 = low_pass;
   }
   if (Status s = declare_crs(encode, inputs, asked, notes); !s) return s;
+  const InputDeclarations& first = inputs.front();
+  const bool is_as_it_was = inputs.size() == 1 && !first.is_moved && first.stated.axes == encode.axes;
+  encode.first_view = is_as_it_was ? first.stated.first_view : FirstView();
   declare_depth(encode, inputs, asked, notes);
   declare_thresholds(encode, inputs, notes);
   return {};

@@ -316,7 +316,9 @@ void OutputOptions::add_to(CLI::App& app) {
          "cuda: --lod-quality best fits on the GPU, whose roundings differ [cpu]")
       ->check(CLI::IsMember({"cpu", "cuda"}))
       ->option_text("cpu|cuda");
-  app.add_option("--cameras", cameras, "Set the sort key's depth range for these cameras (docs/user/CAMERAS.md)");
+  app.add_option("--cameras", cameras,
+                 "Set the sort key's depth range for these cameras, and the first view to the best of them "
+                 "(docs/user/CAMERAS.md)");
   app.add_option("--near", convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);
   app.add_option("--far", convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
 

@@ -95,6 +95,8 @@ json encode_json(const EncodeOptions& o) {
          {"n_source", o.n_source},
          {"n_repaired", o.n_repaired}};
   if (o.depth) j["depth"] = json::array({o.depth->z_near, o.depth->z_far, enum_json(o.depth->source)});
+  if (const FirstView& v = o.first_view; v != FirstView())
+    j["first_view"] = json::array({enum_json(v.kind), v.position, v.pivot, v.up, v.horizontal_fov});
   if (o.crs != Crs()) j["crs"] = json::array({o.crs.text, axes_json(o.crs.axes)});
   if (o.provenance) {
     // Names need not be UTF-8.
@@ -143,6 +145,10 @@ EncodeOptions encode_of(const json& j) {
   if (j.contains("depth")) {
     const json& d = j["depth"];
     o.depth = DepthRange{d.at(0), d.at(1), enum_of<DepthSource>(d.at(2))};
+  }
+  if (j.contains("first_view")) {
+    const json& v = j["first_view"];
+    o.first_view = {enum_of<ViewKind>(v.at(0)), v.at(1), v.at(2), v.at(3), v.at(4)};
   }
   if (j.contains("crs")) o.crs = {j["crs"].at(0), axes_of(j["crs"].at(1))};
   if (j.contains("provenance")) {

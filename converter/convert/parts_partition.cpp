@@ -187,7 +187,7 @@ Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
   }
   ScannedInput scanned;
   scanned.modified = modified_of(part.path);
-  SceneScan scan(job.output_degree(), job.encode.on_bad);
+  SceneScan scan(job.output_degree(), job.encode.on_bad, true);
   std::vector<float> means;
   const std::uint64_t stride = std::max<std::uint64_t>(1, job.bin_rows / kSampleOfBin);
   lod::SplatStream stream = open.tiles().stream();
@@ -263,9 +263,9 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
   if (const auto left = choose_page_origins(plan.encode, rounding, job.allow_rounding); !left)
     return failed(first_path, left.error());
   if (plan.encode.provenance) plan.encode.provenance->source_xxh3 = hash_of_sources(hashes);
-  ConvertOptions depth;
-  depth.z_near = job.z_near;
-  depth.z_far = job.z_far;
+  ConvertOptions views;
+  views.z_near = job.z_near;
+  views.z_far = job.z_far;
   std::vector<float> even;
   if (!job.cameras.empty()) {
     const auto hash = options_hash({}, job.cameras);
@@ -273,7 +273,7 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
     if (*hash != job.cameras_hash) return failed(job.cameras, kInputChanged);
     auto cameras = read_cameras(job.cameras);
     if (!cameras) return failed(job.cameras, cameras.error());
-    depth.cameras = std::move(*cameras);
+    views.cameras = std::move(*cameras);
     std::string input;
     run.observer.begin("sample", job.n, "Gaussians");
     const Status s = lod::sample_means(all_inputs(job, input), run.stream_options(job.quality), plan.scan,
@@ -281,7 +281,7 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
     if (!s) return failed(input, s.error());
     run.observer.finish();
   }
-  if (const Status s = find_depth_range(plan.encode, depth, plan.scan, even); !s)
+  if (const Status s = find_views(plan.encode, views, plan.scan, even); !s)
     return failed(job.cameras.empty() ? first_path : job.cameras, s.error());
   plan.bins = cut_bins(job, plan.scan, means);
   // Based on the scans that were read: another may have replaced one meanwhile.

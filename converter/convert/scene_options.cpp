@@ -303,6 +303,7 @@ Outcome<LoadedScene> load_scene(const SceneOptions& options, ConvertOptions& con
     if (auto s = check_rounding(parts[i].position_rounding, most); !s) return failed(inputs[i].path(), s.error());
   }
   const std::vector<std::uint64_t> kept = filter_splats(scene.cloud, options.filter, scene.origin);
+  if (kept.size() != scene.n_source) encode.first_view = {};  // it might look at what is gone
   scene.xxh3 = hash_of_sources(hashes);
   if (!keep_source(encode, scene, only, kept, options.moves())) {
     loss.notes.push_back("positions refer to " + inputs.front().name() +

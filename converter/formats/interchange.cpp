@@ -236,6 +236,7 @@ Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64
     convert_axes(file->crs, file->axes, kAxes3dgs);
     file->axes = kAxes3dgs;
     if (file->declarations) {
+      if (file->declarations->axes != kAxes3dgs) file->declarations->first_view = {};
       file->declarations->axes = kAxes3dgs, file->declarations->origin = file->origin;
       file->declarations->crs = file->crs;
     }
@@ -498,6 +499,7 @@ SplatFormat format_of_name(const std::string& path) {
 EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file) {
   if (file.declarations) options = keep_declarations(std::move(options), *file.declarations);
   if (file.declarations) options.provenance = file.provenance;
+  if (file.declarations && file.declarations->axes != file.axes) options.first_view = {};  // of means in other axes
   options.axes = file.axes;
   options.colour_space = file.colour_space;
   options.aa_mode = file.aa_mode;

@@ -66,6 +66,14 @@ Json json(const Declarations& d) {
     crs["text"] = d.crs.text;
     for (const Axis axis : d.crs.axes) crs["axes"].push_back(name_of(axis).id);
   }
+  Json first_view;
+  if (const FirstView& v = d.first_view; v != FirstView()) {
+    first_view = {{"from", v.kind == ViewKind::inside ? "inside" : "outside"},
+                  {"position", numbers(v.position)},
+                  {"pivot", numbers(v.pivot)},
+                  {"up", numbers(v.up)},
+                  {"horizontal_fov", number(v.horizontal_fov)}};
+  }
   return {{"axes", axes},
           {"handedness", right ? Json(*right ? "right" : "left") : Json()},
           {"metres_per_unit", d.metres_per_unit > 0 ? number(d.metres_per_unit) : Json()},
@@ -87,6 +95,7 @@ Json json(const Declarations& d) {
             {"mapping", name_of(d.depth_mapping).id},
             {"source", name_of(d.depth_source).id}}},
           {"origin", d.origin},
+          {"first_view", first_view},
           {"crs", crs},
           {"full_box", json(d.full)},
           {"robust_box", json(d.robust)},

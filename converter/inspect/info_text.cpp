@@ -153,6 +153,11 @@ class TextReport : private TextLines {
     if (d.origin != kNoOrigin) {
       row("origin", fmt::format("x {}, y {}, z {}; means are relative to it", d.origin[0], d.origin[1], d.origin[2]));
     }
+    if (const FirstView& v = d.first_view; v != FirstView()) {
+      row("first view", fmt::format("from {}, at {:.6g}, {:.6g}, {:.6g}, looking at {:.6g}, {:.6g}, {:.6g}",
+                                    v.kind == ViewKind::inside ? "inside" : "outside", v.position[0], v.position[1],
+                                    v.position[2], v.pivot[0], v.pivot[1], v.pivot[2]));
+    }
     box("means", d.full);
     box(fmt::format("  {:.3g}% of them", 100 * static_cast<double>(d.robust_fraction)), d.robust);
     row("from source", fmt::format("{} Gaussians, {} dropped, {} repaired", format_count(d.n_source),

@@ -55,6 +55,7 @@ Result<SceneFile> read_scene_file(const std::string& path, const ReadOptions& op
 
 Declarations declarations_of(const SplatFile& file) {
   Declarations d = file.declarations.value_or(Declarations());
+  if (d.axes != file.axes) d.first_view = {};  // of means in other axes
   d.axes = file.axes;
   d.colour_space = file.colour_space;
   d.aa_mode = file.aa_mode;

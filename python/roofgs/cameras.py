@@ -106,8 +106,8 @@ def orbit(scene: Union[Scene, StreamedScene], n: int, *, width: int = 1280, heig
 
 def default_view(scene: Union[Scene, StreamedScene], *, width: int = 1280, height: int = 720,
                  horizontal_fov: Optional[float] = None) -> Camera:
-    """The view from which the scene is seen first: the best by quick pictures. 60 degrees wide, unless
-    `horizontal_fov` is given."""
+    """The view from which the scene is seen first: the one that its .rgs states, else the best by quick pictures. As wide
+    as that, 60 degrees as a rule, unless `horizontal_fov` is given."""
     return orbit(scene, 1, width=width, height=height, horizontal_fov=horizontal_fov)[0]
 
 

@@ -45,6 +45,8 @@ Status add_file(const FileView& file, FirstViewSample& sample) {
 }  // namespace
 
 Result<FirstView> first_view(const Scene& scene, const glm::dvec3& up, bool exact_up) {
+  if (const auto& declared = scene.declarations(); declared && declared->first_view != FirstView())
+    return declared->first_view;
   if (!scene.is_streamed()) {
     FirstViewSample sample;
     if (scene.has_file()) {

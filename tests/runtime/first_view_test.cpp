@@ -14,9 +14,11 @@
 #include <vector>
 
 #include "rgs/encode.hpp"
+#include "rgs/levels_writer.hpp"
 #include "rgs/scene_first_view.hpp"
 #include "temporary_folder.hpp"
 #include "text_file.hpp"
+#include "trivial_levels.hpp"
 
 using namespace rgs;
 
@@ -231,6 +233,24 @@ TEST_CASE("neither the order of the Gaussians nor an .rgs moves the view") {
       CHECK(glm::distance(vec(stored.position), vec(view.position)) < 0.01);
       CHECK(glm::distance(vec(stored.up), vec(view.up)) < 0.001);
     }
+  }
+}
+
+TEST_CASE("a scene whose file states a view has that one, however it is opened") {
+  const SplatCloud cloud = room().cloud();
+  EncodeOptions options;
+  options.first_view = {ViewKind::outside, {0, 1, -40}, {0, 1, 0}, {0, -1, 0}, 50};
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("levels.rgs");
+  std::vector<std::byte> levels;
+  REQUIRE(write_levels(test::trivial_levels(cloud, {.page_chunks = 4}), options, levels));
+  test::write_text(path, {reinterpret_cast<const char*>(levels.data()), levels.size()});
+  const auto plain = Scene::load(encode(cloud.view(), options).value());
+  const auto whole = Scene::open(path), streamed = Scene::open(path, {.pool = StreamPool::create().value()});
+  const auto in_memory = Scene::load(cloud, plain->declarations());
+  for (const auto* scene : {&plain, &whole, &streamed, &in_memory}) {
+    REQUIRE(scene->has_value());
+    CHECK(first_view(**scene, {0, 0, 1}, true) == options.first_view);
   }
 }
 

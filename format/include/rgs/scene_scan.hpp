@@ -8,6 +8,7 @@
 #include <span>
 #include <vector>
 
+#include "rgs/first_view.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
@@ -60,8 +61,8 @@ class ShMagnitudes {
 /// are split between merged scans.
 class SceneScan {
  public:
-  /// `sh_degree` of the future file; higher coefficients do not count.
-  explicit SceneScan(int sh_degree, BadPolicy on_bad = BadPolicy::drop);
+  /// `sh_degree` of the future file; higher coefficients do not count. `samples_view`: fills view_sample().
+  explicit SceneScan(int sh_degree, BadPolicy on_bad = BadPolicy::drop, bool samples_view = false);
 
   /// Examines one Gaussian, repairs it under BadPolicy::repair, and returns whether it is kept.
   bool add(Splat& splat);
@@ -87,6 +88,9 @@ class SceneScan {
   float min_opacity_logit() const { return n_kept_ == 0 ? 0 : min_opacity_logit_; }
   float max_opacity_logit() const { return n_kept_ == 0 ? 0 : max_opacity_logit_; }
   const ShMagnitudes& sh_magnitudes() const { return sh_magnitudes_; }
+  /// Of the kept Gaussians, for choose_first_view().
+  const FirstViewSample& view_sample() const { return view_sample_; }
+  void drop_view_sample() { view_sample_ = {}; }
 
  private:
   int sh_degree_;
@@ -96,6 +100,8 @@ class SceneScan {
   Box full_;
   float min_log_scale_, max_log_scale_, min_opacity_logit_, max_opacity_logit_;
   ShMagnitudes sh_magnitudes_;
+  bool samples_view_;
+  FirstViewSample view_sample_;
   std::vector<std::uint64_t> histogram_;  // [3, 65536] by the top 16 bits of each coordinate, order-preserving
 };
 

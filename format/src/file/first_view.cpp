@@ -9,7 +9,9 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <numbers>
 
+#include "rgs/quantize.hpp"
 #include "rgs/subject_box.hpp"
 
 namespace rgs {
@@ -43,7 +45,8 @@ Vec normalized(const Vec& a, const Vec& otherwise) {
 constexpr int kWidth = 48, kHeight = 27, kBins = 64;  // 8 bins an octave of depth
 constexpr float kTanX = 0.57735027F, kTanY = kTanX * kHeight / kWidth;
 constexpr float kHorizontalFov = 60;
-constexpr float kNear = 0.2F;     // nothing nearer is drawn
+constexpr double kDegrees = 180 / std::numbers::pi;  // a radian
+constexpr float kNear = 0.2F;                        // nothing nearer is drawn
 constexpr float kSharp = 0.015F;  // a Gaussian with this standard deviation, as a share of the width, is half blurred
 constexpr float kUnit = 1024;     // of sums
 constexpr std::size_t kQuick = 8192;  // Gaussians of quick pictures
@@ -358,11 +361,28 @@ class Choice {
 
   FirstView best_of_many() {
     std::vector<Candidate> outside = around(), inside = within();
-    rate(outside, false);
-    rate(inside, true);
     const bool is_inside = is_room(outside, inside);
-    std::vector<Candidate>& candidates = is_inside ? inside : outside;
-    return view_of(best_of(candidates, is_inside), is_inside);
+    return view_of(best_of(is_inside ? inside : outside, is_inside), is_inside);
+  }
+
+  FirstView best_of_given(std::span<const CandidateView> given) {
+    std::vector<Candidate> outside = around(), inside = within(), candidates;
+    for (const CandidateView& view : given) {
+      const auto vec = [](const std::array<double, 3>& v) {
+        return Vec{static_cast<float>(v[0]), static_cast<float>(v[1]), static_cast<float>(v[2])};
+      };
+      Candidate& c = candidates.emplace_back();
+      const Vec eye = (1 / scale_) * (turned(vec(view.position)) - middle_);
+      c.pose = looking(eye, turned(vec(view.forward)), turned(vec(view.up)));
+      c.pose.tan_x = static_cast<float>(view.tan_x);
+      c.pose.tan_y = static_cast<float>(view.tan_y);
+    }
+    rate(candidates, true);
+    const Candidate best = best_of(std::move(candidates), true);
+    FirstView view = view_of(best, is_room(outside, inside));
+    view.up = turned_back(-1 * best.pose.down);
+    view.horizontal_fov = static_cast<float>(2 * std::atan(static_cast<double>(best.pose.tan_x)) * kDegrees);
+    return view;
   }
 
  private:
@@ -544,7 +564,9 @@ class Choice {
     for (Pose& pose : poses) pose.tan_x = pose.tan_y = 1;
     return seen_share(poses);
   }
-  bool is_room(const std::vector<Candidate>& outside, const std::vector<Candidate>& inside) {
+  bool is_room(std::vector<Candidate>& outside, std::vector<Candidate>& inside) {
+    rate(outside, false);
+    rate(inside, true);
     const float seen = seen_from_inside(inside);
     return seen > kRoomLeast && seen > kRoomShare * seen_from_outside(outside);
   }
@@ -590,6 +612,24 @@ void FirstViewSample::add(const float* mean, const float* scale, const float* ro
   if (!std::ranges::all_of(row.mean, finite) || !std::ranges::all_of(row.scale, finite) ||
       !std::ranges::all_of(row.rotation, finite) || !finite(opacity))
     return;
+  take(row);
+}
+
+void FirstViewSample::add(const Splat& splat) {
+  if (key_of(splat.mean) > most_) return count(1);
+  std::array<float, 3> scale;
+  std::ranges::transform(splat.log_scale, scale.begin(), scale_from_log);
+  add(splat.mean, scale.data(), splat.rotation, opacity_from_logit(splat.opacity_logit));
+}
+
+void FirstViewSample::merge(const FirstViewSample& other) {
+  n_ += other.n_;
+  for (const Row& row : other.rows_) {
+    if (row.key <= most_) take(row);
+  }
+}
+
+void FirstViewSample::take(const Row& row) {
   rows_.push_back(row);
   if (rows_.size() >= 2 * kMost) keep_least();
 }
@@ -608,12 +648,14 @@ std::vector<FirstViewSample::Row> FirstViewSample::rows() const {
   return std::move(least.rows_);
 }
 
-FirstView choose_first_view(const FirstViewSample& sample, const std::array<double, 3>& up, bool finds_up) {
+FirstView choose_first_view(const FirstViewSample& sample, const std::array<double, 3>& up, bool finds_up,
+                            std::span<const CandidateView> candidates) {
   Choice choice(sample, up, finds_up);
   if (!choice.has_items()) return {};
-  const FirstView view = choice.best_of_many();
+  const FirstView view = candidates.empty() ? choice.best_of_many() : choice.best_of_given(candidates);
   const auto within = [](float x) { return std::abs(static_cast<double>(x)) <= kMaxOrigin; };
-  const bool sound = std::ranges::all_of(view.position, within) && std::ranges::all_of(view.pivot, within) &&
+  const bool sound = view.horizontal_fov >= 1 && view.horizontal_fov <= 179 &&
+                     std::ranges::all_of(view.position, within) && std::ranges::all_of(view.pivot, within) &&
                      view.position != view.pivot;
   return sound ? view : FirstView();
 }

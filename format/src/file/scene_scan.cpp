@@ -105,13 +105,14 @@ bool repair(Splat& s, std::uint32_t defects) {
   return true;
 }
 
-SceneScan::SceneScan(int sh_degree, BadPolicy on_bad)
+SceneScan::SceneScan(int sh_degree, BadPolicy on_bad, bool samples_view)
     : sh_degree_(std::clamp(sh_degree, 0, kMaxShDegree)),
       on_bad_(on_bad),
       min_log_scale_(kInfinity),
       max_log_scale_(-kInfinity),
       min_opacity_logit_(kInfinity),
       max_opacity_logit_(-kInfinity),
+      samples_view_(samples_view),
       histogram_(3 * kBins) {
   full_.min.fill(kInfinity);
   full_.max.fill(-kInfinity);
@@ -136,6 +137,7 @@ bool SceneScan::add(Splat& s) {
   min_opacity_logit_ = std::min(min_opacity_logit_, s.opacity_logit);
   max_opacity_logit_ = std::max(max_opacity_logit_, s.opacity_logit);
   sh_magnitudes_.add(s.sh, sh_degree_);
+  if (samples_view_) view_sample_.add(s);
   return true;
 }
 
@@ -162,6 +164,7 @@ void SceneScan::merge(const SceneScan& other) {
   min_opacity_logit_ = std::min(min_opacity_logit_, other.min_opacity_logit_);
   max_opacity_logit_ = std::max(max_opacity_logit_, other.max_opacity_logit_);
   sh_magnitudes_.merge(other.sh_magnitudes_);
+  view_sample_.merge(other.view_sample_);
   for (std::size_t i = 0; i < histogram_.size(); ++i) histogram_[i] += other.histogram_[i];
 }
 
@@ -182,6 +185,15 @@ std::vector<std::byte> SceneScan::to_bytes() const {
     if (histogram_[i] == 0) continue;
     out.u32(static_cast<std::uint32_t>(i));
     out.u64(histogram_[i]);
+  }
+  const std::vector<FirstViewSample::Row> rows = view_sample_.rows();
+  out.u64(view_sample_.n());
+  out.u64(rows.size());
+  for (const FirstViewSample::Row& row : rows) {
+    for (const float x : row.mean) out.f32(x);
+    for (const float x : row.scale) out.f32(x);
+    for (const float x : row.rotation) out.f32(x);
+    out.f32(row.opacity);
   }
   return out.take();
 }
@@ -214,6 +226,15 @@ Result<SceneScan> SceneScan::from_bytes(std::span<const std::byte> bytes) {
     scan.histogram_[i] = n;
     on_axis[i / kBins] += n;
   }
+  const std::uint64_t sampled = in.offset(), n_sampled = in.u64(), n_rows = in.u64();
+  if (n_sampled > scan.n_kept_ || n_rows > std::min<std::uint64_t>(n_sampled, FirstViewSample::kMost))
+    return make_error(Errc::bad_value, sampled, "these bytes are not a scan of a scene");
+  for (std::uint64_t i = 0; i < n_rows && in.ok(); ++i) {
+    std::array<float, 11> row;
+    for (float& x : row) x = in.f32();
+    scan.view_sample_.add(&row[0], &row[3], &row[6], row[10]);
+  }
+  scan.view_sample_.count(n_sampled - n_rows);
   if (!in.ok()) return make_error(Errc::truncated, bytes.size(), "the scan of a scene ends too early");
   if (in.remaining() != 0) return make_error(Errc::trailing_bytes, in.offset(), "bytes after the scan of a scene");
   // The search for the robust box relies on it.

@@ -10,9 +10,10 @@
 
 namespace RGS_API rgs {
 
-/// The view from which the scene is seen first, relative to its origin: choose_first_view() of its Gaussians, all of which
-/// are read; of a streamed scene, or without visible Gaussians, default_view() of subject_bounds(). Never ViewKind::none.
-/// `up` is refined unless it is `exact_up`, as that of cameras. Errors: those of subject_bounds().
+/// The view from which the scene is seen first, relative to its origin: that of its declarations; else
+/// choose_first_view() of its Gaussians, all of which are read; of a streamed scene, or without visible Gaussians,
+/// default_view() of subject_bounds(). Never ViewKind::none. `up` is refined unless it is `exact_up`, as that of cameras.
+/// Errors: those of subject_bounds().
 Result<FirstView> first_view(const Scene& scene, const glm::dvec3& up = kWorldUp, bool exact_up = false);
 
 /// A first view in a picture of this size, as wide as it says; format.horizontal_fov does not count.

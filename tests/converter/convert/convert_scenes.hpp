@@ -10,6 +10,8 @@
 
 #include "golden_scenes.hpp"
 #include "ply_samples.hpp"
+#include "rgs/camera.hpp"
+#include "rgs/scene_scan.hpp"
 #include "text_file.hpp"
 
 namespace rgs::test {
@@ -18,6 +20,16 @@ inline std::vector<Splat> splats_of(const SplatCloud& cloud) {
   std::vector<Splat> splats;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
   return splats;
+}
+
+/// The first view that a conversion with these options states.
+inline FirstView chosen_for(const SplatCloud& cloud, const EncodeOptions& options = {}) {
+  SceneScan scan(cloud.sh_degree, options.on_bad, true);
+  for (Splat splat : splats_of(cloud)) scan.add(splat);
+  Declarations declared;
+  declared.axes = options.axes;
+  const glm::dvec3 up = declared_up(declared);
+  return choose_first_view(scan.view_sample(), {up.x, up.y, up.z}, true);
 }
 
 inline std::string write_scene(const std::string& path, const SplatCloud& cloud) {

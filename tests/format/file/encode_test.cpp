@@ -26,7 +26,7 @@ constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 SceneScan scan_of(const SplatCloud& cloud, const EncodeOptions& options, std::uint64_t first, std::uint64_t last) {
-  SceneScan scan(std::min(cloud.sh_degree, options.sh_degree), options.on_bad);
+  SceneScan scan(std::min(cloud.sh_degree, options.sh_degree), options.on_bad, true);
   for (std::uint64_t i = first; i < last; ++i) {
     Splat s = cloud.view().splat(i);
     scan.add(s);
@@ -129,6 +129,28 @@ TEST_CASE("a scan does not depend on how its input is split") {
     CHECK(parts.max_opacity_logit() == whole.max_opacity_logit());
     const ShStepSet one = parts.sh_magnitudes().max_abs(), two = whole.sh_magnitudes().max_abs();
     CHECK(std::memcmp(&one, &two, sizeof one) == 0);
+    CHECK(parts.view_sample().n() == 499);
+    CHECK(parts.view_sample().rows() == whole.view_sample().rows());
+  }
+}
+
+TEST_CASE("the sample for the first view does not depend on order and parts where it leaves most out") {
+  SplitMix random(kSeed);
+  const SplatCloud cloud = random_cloud(4 * FirstViewSample::kMost, 0, random);
+  const std::uint64_t n = cloud.size(), a = n / 3, b = n / 2;
+  const SceneScan whole = scan_of(cloud, {}, 0, n);
+  SceneScan parts = scan_of(cloud, {}, b, n);
+  parts.merge(scan_of(cloud, {}, a, b));
+  const auto before = SceneScan::from_bytes(scan_of(cloud, {}, 0, a).to_bytes());
+  REQUIRE(before);
+  parts.merge(*before);
+  FirstViewSample backwards;
+  for (std::uint64_t i = n; i-- > 0;) backwards.add(cloud.view().splat(i));
+  for (const FirstViewSample* sample :
+       std::array{&whole.view_sample(), &parts.view_sample(), &std::as_const(backwards)}) {
+    CHECK(sample->n() == n);
+    CHECK(sample->rows().size() == FirstViewSample::kMost);
+    CHECK(sample->rows() == whole.view_sample().rows());
   }
 }
 
@@ -600,7 +622,7 @@ TEST_CASE("an origin is declared by version 1.3 or later, and only where there i
 }
 
 TEST_CASE("a scan survives serialisation, and no other bytes are accepted") {
-  SceneScan scan(2, BadPolicy::repair);
+  SceneScan scan(2, BadPolicy::repair, true);
   for (int i = 0; i < 500; ++i) {
     Splat s;
     for (int k = 0; k < 3; ++k) s.mean[k] = static_cast<float>((i * 37 + k * 11) % 101) - 40.F;
@@ -621,6 +643,8 @@ TEST_CASE("a scan survives serialisation, and no other bytes are accepted") {
   CHECK(back->robust().min == scan.robust().min);
   CHECK(back->full().max == scan.full().max);
   CHECK(back->min_log_scale() == scan.min_log_scale());
+  CHECK(back->view_sample().rows() == scan.view_sample().rows());
+  const std::size_t sample_bytes = 16 + 44 * scan.view_sample().rows().size();
   // Every prefix, and trailing bytes; a count that would send the search for the robust box out of its bins.
   for (std::size_t n = 0; n < bytes.size(); n += n < 400 ? 1 : 101) {
     const std::vector<std::byte> prefix(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(n));
@@ -630,8 +654,13 @@ TEST_CASE("a scan survives serialisation, and no other bytes are accepted") {
   changed.push_back(std::byte{0});
   CHECK(SceneScan::from_bytes(changed).error().code == Errc::trailing_bytes);
   changed = bytes;
-  changed[changed.size() - 8] ^= std::byte{1};  // the last bin's count
+  changed[changed.size() - sample_bytes - 8] ^= std::byte{1};  // the last bin's count
   CHECK(SceneScan::from_bytes(changed).error().code == Errc::bad_value);
+  for (const std::size_t count : {0U, 8U}) {
+    changed = bytes;
+    changed[changed.size() - sample_bytes + count + 2] ^= std::byte{1};  // Gaussians offered to the sample, and in it
+    CHECK(SceneScan::from_bytes(changed).error().code == Errc::bad_value);
+  }
   changed = bytes;
   changed[0] = std::byte{4};
   CHECK(SceneScan::from_bytes(changed).error().code == Errc::bad_value);
