@@ -22,7 +22,7 @@ class FirstViewSample {
     std::array<float, 3> mean{}, scale{};
     std::array<float, 4> rotation{};  ///< w, x, y, z; need not be normalised
     float opacity = 0;
-    auto operator<=>(const Row&) const = default;
+    auto operator<=>(const Row&) const = default;  // NOLINT(modernize-use-nullptr): of clang-tidy 14
   };
 
   /// Values that are not finite count, but are not taken. `mean` and `scale` [3], `rotation` [4].
