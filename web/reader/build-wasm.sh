@@ -1,15 +1,19 @@
 #!/bin/sh
-# build-wasm.sh - builds dist/rgs.wasm of a package by Debian's clang-19: sh build-wasm.sh [reader|converter].
+# build-wasm.sh - builds WebAssembly of a package by Debian's clang-19: sh build-wasm.sh [reader|converter|viewer]; dist/rgs.wasm, and
+# build/web/first-view.wasm of the viewer.
 # reader: RGS_FORMAT_PORTABLE of format/CMakeLists.txt, the scheduler of pages in runtime/pages, the framing of .spz, the .cpp files in
 # wasm/ and the decoder of Zstandard. Its sources are not in Debian's packages; they come with the npm package zstd-napi.
 # converter: all of the format library, the reader of PLY, levels of detail and the conversion of rgs-convert. converter/wasm replaces
 # what these take from the host: files by memory, oneTBB by loops.
+# viewer: what chooses the first view. The reader's size is limited.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 root=$(cd "$here/../.." && pwd)
-out=$root/web/${1:-reader}/dist/rgs.wasm
 build=$root/build/web
+package=${1:-reader}
+out=$root/web/$package/dist/rgs.wasm
+[ "$package" != viewer ] || out=$build/first-view.wasm
 zstd=$root/web/node_modules/zstd-napi/deps/zstd/lib
 llvm=/usr/lib/llvm-19
 mkdir -p "$build/include" "$(dirname "$out")"
@@ -103,6 +107,12 @@ rule link
     objects="$objects $build/$source.o"
   done
   echo "build $root/web/reader/dist/rgs.wasm: link $shared $objects $build/no_console.o $inflater"
+  for source in format/src/file/first_view.cpp web/viewer/wasm/first_view.cpp; do
+    echo "build $build/viewer/$source.o: cxx $root/$source"
+    echo "  size = -Oz"
+  done
+  echo "build $build/first-view.wasm: link $build/viewer/format/src/file/first_view.cpp.o $build/viewer/web/viewer/wasm/first_view.cpp.o $
+    $build/src/file/subject_box.cpp.o $build/no_console.o"
   objects="$build/no_console.o $inflater"
   for source in $compressor; do
     echo "build $build/zstd/$source.o: c $zstd/$source.c"

@@ -6,23 +6,27 @@
 
 #include <cstdio>
 #include <cstdlib>
-#include <utility>
 
 #include "rgs/scene.hpp"
+#include "rgs/scene_first_view.hpp"
 #include "scene_file.hpp"
 
 namespace {
 
 using namespace rgs;
 
-Result<std::pair<SceneBounds, glm::dvec3>> subject_of(const char* path) {
+Result<Camera> camera_of(const Scene& scene, const glm::dvec3& up, const ViewFormat& format) {
+  const auto view = first_view(scene, up);
+  if (!view) return tl::unexpected(view.error());
+  return default_view(*view, scene.origin(), format);
+}
+
+Result<Camera> camera_of(const char* path, const ViewFormat& format) {
   if (const auto streamed = Scene::open(path, {.pool = *StreamPool::create()}))
-    return std::pair(*subject_bounds(*streamed), declared_up(*streamed->declarations()));
-  const auto scene = open_scene_file(path);
-  if (!scene) return tl::unexpected(scene.error());
-  const auto bounds = subject_bounds(scene->scene);
-  if (!bounds) return tl::unexpected(bounds.error());
-  return std::pair(*bounds, scene->up);
+    return camera_of(*streamed, declared_up(*streamed->declarations()), format);
+  const auto file = open_scene_file(path);
+  if (!file) return tl::unexpected(file.error());
+  return camera_of(file->scene, file->up, format);
 }
 
 }  // namespace
@@ -30,17 +34,15 @@ Result<std::pair<SceneBounds, glm::dvec3>> subject_of(const char* path) {
 int main(int argc, char** argv) {
   if (argc < 4) return 2;
   for (int i = 3; i < argc; ++i) {
-    const auto subject = subject_of(argv[i]);
-    if (!subject) {
-      std::fprintf(stderr, "%s: %s\n", argv[i], subject.error().what);
+    const auto camera = camera_of(argv[i], {.width = std::atoi(argv[1]), .height = std::atoi(argv[2])});
+    if (!camera) {
+      std::fprintf(stderr, "%s: %s\n", argv[i], camera.error().what);
       return 3;
     }
-    const Camera camera =
-        default_view(subject->first, {.width = std::atoi(argv[1]), .height = std::atoi(argv[2])}, subject->second);
-    const glm::dvec3 at = camera_centre(camera);
+    const glm::dvec3 at = camera_centre(*camera);
     std::printf("%.17g %.17g %.17g", at.x, at.y, at.z);
     for (int row = 0; row < 3; ++row) {
-      for (int column = 0; column < 3; ++column) std::printf(" %.17g", camera.world_to_camera[column][row]);
+      for (int column = 0; column < 3; ++column) std::printf(" %.17g", camera->world_to_camera[column][row]);
     }
     std::printf("\n");
   }

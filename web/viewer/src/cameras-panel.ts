@@ -1,20 +1,22 @@
 // cameras-panel.ts - a button for each camera with its photograph, or with what the engine draws from there.
 // SPDX-License-Identifier: Apache-2.0
-import { viewFrom, viewOf } from "./cameras.js";
+import { viewFrom, viewOf, type ViewState } from "./cameras.js";
 import type { Captures } from "./captures.js";
 import { readInside } from "./manifest.js";
 import type { Page } from "./page.js";
 
 const kSize = { width: 96, height: 72 };
 
-export function jump(page: Page, index: number): void {
+/** Returns the view of the camera, if there is one and a scene; `shows` it at once. */
+export function jump(page: Page, index: number, shows = true): ViewState | undefined {
   const { store } = page;
   const { cameras, scenes } = store.state;
   const camera = cameras[index];
-  if (!camera || !scenes[0]) return;
+  if (!camera || !scenes[0]) return undefined;
   const view = viewFrom(camera, scenes[0].box);
-  store.set({ camera: index, cameraView: view, view });
+  store.set({ camera: index, cameraView: view, ...(shows ? { view } : {}) });
   page.say(`Camera ${camera.img_name}`);
+  return view;
 }
 
 export function showCameras(page: Page, captures: Captures): void {

@@ -1,6 +1,7 @@
 // cameras.ts - reads camera files (docs/user/CAMERAS.md), and holds the page's view and the path through the cameras.
 // SPDX-License-Identifier: Apache-2.0
 import type { Pinhole } from "@roofgs/playcanvas";
+import type { FirstView } from "@roofgs/reader";
 
 /** An entry of the cameras.json of 3DGS training programs. */
 export interface CameraEntry extends Pinhole {
@@ -60,7 +61,13 @@ export const kNear = 0.2;
 const kTanHalfView = Math.tan(Math.PI / 6);
 const kElevation = Math.PI / 18;
 
-/** The view of a scene without cameras, as rgs/camera.hpp has it, for a picture of this height over its width. */
+/** A first view of a scene with this origin, for a picture of this height over its width: in one wider than 16:9, as high as there. */
+export function viewFromFirst({ position, pivot, up, horizontalFov }: FirstView, origin: Vector, height: number): ViewState {
+  const focal = (0.5 / Math.tan((horizontalFov * Math.PI) / 360)) * Math.min(1, (height * 16) / 9);
+  return { position: add(position, origin), rotation: looking(add(pivot, position, -1), up), focal, aspect: 1, offset: [0, 0], pivot: add(pivot, origin) };
+}
+
+/** The view of a scene whose first view is not known, as rgs/camera.hpp has it, for a picture of this height over its width. */
 export function defaultView({ min, max }: { min: Vector; max: Vector }, up: Vector, height: number): ViewState {
   const scaled = (v: Vector, scale: number): number[] => add([0, 0, 0], v, scale);
   const [middle, half] = [scaled(add(min, max), 0.5), scaled(add(max, min, -1), 0.5)];

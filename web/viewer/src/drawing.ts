@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { add } from "./cameras.js";
 import type { Controls } from "./controls.js";
+import { advanceFlight } from "./flight.js";
 import { advance } from "./path.js";
 import type { PageStore } from "./state.js";
 import type { Stage } from "./stage.js";
@@ -21,24 +22,26 @@ export function drawState(store: PageStore, stage: Stage): void {
     if (right) stage.setAntiAliasing(1, right.antiAliasing(detailPx));
   });
   // What is done before each frame depends on these.
-  store.subscribe(({ detailPx, budget, statistics, bounds, playing, frame }) => [detailPx, budget, statistics, bounds, playing, frame], () => stage.request());
+  store.subscribe(({ detailPx, budget, statistics, bounds, playing, flight, frame }) => [detailPx, budget, statistics, bounds, playing, flight, frame], () => stage.request());
 }
 
 /** Called before each frame. Returns whether pages are still to come, or the view is moving. */
 export function step(store: PageStore, stage: Stage, controls: Controls, seconds: number): boolean {
+  const now = performance.now();
   controls.step(seconds);
   advance(store, seconds);
-  const { view, size, scenes, detailPx, budget: mostGaussians, playing, bounds } = store.state;
+  advanceFlight(store, now);
+  const { view, size, scenes, detailPx, budget: mostGaussians, playing, flight, bounds } = store.state;
   if (!view) return false;
   for (const scene of scenes) {
     if (!scene?.hasPages) continue;
     const position = add(view.position, scene.origin, -1);
-    scene.look({ position, focalPx: Math.max(1, view.aspect) * view.focal * size.width, detailPx, mostGaussians }, performance.now());
+    scene.look({ position, focalPx: Math.max(1, view.aspect) * view.focal * size.width, detailPx, mostGaussians }, now);
   }
   store.set({ nChanges: scenes.reduce((sum, scene) => sum + (scene?.nChanges ?? 0), 0) });
   // Boxes last for one frame.
   if (bounds && stage.isToDraw) drawBounds(store, stage);
-  return controls.active || playing !== undefined || scenes.some((scene) => scene !== undefined && scene.pages.wanted > 0);
+  return controls.active || playing !== undefined || flight !== undefined || scenes.some((scene) => scene !== undefined && scene.pages.wanted > 0);
 }
 
 function drawBounds({ state: { scenes } }: PageStore, stage: Stage): void {

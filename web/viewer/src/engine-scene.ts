@@ -1,12 +1,14 @@
 // engine-scene.ts - PLY, compressed PLY, SOG and SPZ, loaded by the engine.
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf } from "@roofgs/playcanvas";
-import { subjectBox } from "@roofgs/reader";
-import { Asset, type GSplatData, type GSplatResourceBase, type Texture, Vec4 } from "playcanvas";
+import { type FirstView, subjectBox } from "@roofgs/reader";
+import { Asset, type GSplatData, type GSplatResourceBase } from "playcanvas";
 import { antiAliasingOfComments, antiAliasingOfMeta } from "./declared.js";
+import { firstView } from "./first-view.js";
 import type { OpenScene } from "./open-scene.js";
 import { type Box, Scene } from "./scene.js";
 import { worker } from "./reader-worker.js";
+import { type Part, seenOf } from "./seen.js";
 import { readSpz } from "./spz-resource.js";
 import type { Side, Stage } from "./stage.js";
 
@@ -22,8 +24,8 @@ export interface OpenEngineScene extends Omit<OpenScene, "read" | "on"> {
 interface Made {
   resource: GSplatResourceBase;
   end(): void;
-  /** [n] 0 to 1. */
-  opacities: Float32Array;
+  /** Turned. */
+  seen: Iterable<Part>;
   /** Axes are right, up, backward; the scene is turned to right, down, forward. */
   isYUp?: boolean;
   antiAliasing: AntiAliasing;
@@ -33,9 +35,9 @@ interface Made {
 let nAssets = 0;
 
 async function makeSpz({ app }: Stage, { answer, spzAxes }: OpenEngineScene): Promise<Made> {
-  const { resource, antialiased, axes, opacities } = await readSpz(app.graphicsDevice, await answer.arrayBuffer());
+  const { antialiased, ...made } = await readSpz(app.graphicsDevice, await answer.arrayBuffer(), spzAxes);
   const antiAliasing = antiAliasingOf({ aaMode: antialiased ? "mip_splatting" : "classic" });
-  return { resource, end: () => resource.destroy(), opacities, isYUp: (axes ?? spzAxes) === "opengl", antiAliasing };
+  return { ...made, end: () => made.resource.destroy(), antiAliasing };
 }
 
 async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenEngineScene): Promise<Made> {
@@ -81,23 +83,11 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
   const { comments = [], meta } = resource.gsplatData as { comments?: string[]; meta?: object };
   try {
     const antiAliasing = antiAliasingOf(meta ? antiAliasingOfMeta(meta) : antiAliasingOfComments(comments));
-    return { resource, end, opacities: await opacitiesOf(resource.gsplatData as GSplatData), antiAliasing };
+    return { resource, end, seen: await seenOf(resource.gsplatData as GSplatData), antiAliasing };
   } catch (error) {
     end();
     throw error;
   }
-}
-
-async function opacitiesOf(data: GSplatData): Promise<Float32Array> {
-  const { sh0 } = data as { sh0?: Texture & { _levels: unknown[] } };
-  // Of a SOG, whose opacities are in an image.
-  if (sh0) sh0._levels[0] = await sh0.read(0, 0, sh0.width, sh0.height, { immediate: true });
-  const colour = new Vec4();
-  const rows = data.createIter(null, null, null, colour);
-  return Float32Array.from({ length: data.numSplats }, (_, i) => {
-    rows.read(i);
-    return colour.w;
-  });
 }
 
 /** With the code that rgs-convert reports. */
@@ -122,7 +112,7 @@ export class EngineScene extends Scene {
 
   static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
     const bytes = Number(options.answer.headers.get("content-length") ?? 0);
-    const { opacities, ...made } = await (options.kind === "spz" ? makeSpz(stage, options) : makeAsset(stage, options));
+    const { seen, ...made } = await (options.kind === "spz" ? makeSpz(stage, options) : makeAsset(stage, options));
     if (!((made.resource.numSplats as number) > 0)) {
       made.end();
       throw new Error("it holds no Gaussians");
@@ -130,10 +120,20 @@ export class EngineScene extends Scene {
     const { centers } = made.resource;
     const means = (made.isYUp ? centers?.map((value, i) => (i % 3 === 0 ? value : -value)) : centers) ?? new Float32Array();
     try {
+      const opacities = new Float32Array(made.resource.numSplats as number);
+      let n = 0;
+      const parts = function* (): Generator<Part> {
+        for (const part of seen) {
+          opacities.set(part.opacities, n);
+          n += part.opacities.length;
+          yield part;
+        }
+      };
+      const first = await firstView(parts());
       const box = await subjectBox(means, opacities, worker ? { worker } : {});
       // The converter takes no compressed PLY.
       const source = options.kind === "ply" && !(made.resource.gsplatData as GSplatData).isCompressed ? options.source : undefined;
-      return new EngineScene(options.name, bytes, source, made, means, box, stage, options.side);
+      return new EngineScene(options.name, bytes, source, made, means, box, first, stage, options.side);
     } catch (error) {
       made.end();
       throw error;
@@ -144,10 +144,11 @@ export class EngineScene extends Scene {
     name: string,
     bytes: number,
     override readonly source: Blob | string | undefined,
-    private readonly made: Omit<Made, "opacities">,
+    private readonly made: Omit<Made, "seen">,
     /** [n, 3], turned. */
     private readonly means: Float32Array,
     readonly box: Box,
+    override readonly firstView: FirstView | null,
     stage: Stage,
     side: Side,
   ) {

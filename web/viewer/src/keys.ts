@@ -1,6 +1,7 @@
 // keys.ts - what keys do, wherever the focus is.
 // SPDX-License-Identifier: Apache-2.0
 import { jump } from "./cameras-panel.js";
+import { goHome } from "./home.js";
 import type { Mode } from "./link.js";
 import type { Page } from "./page.js";
 import { play } from "./path.js";
@@ -17,6 +18,8 @@ export function connectKeys(page: Page): void {
     KeyN: () => go(1),
     KeyB: () => go(-1),
     KeyP: () => play(store),
+    KeyH: () => goHome(page),
+    Home: () => goHome(page),
     KeyF: () => toggle("flicker"),
     KeyX: () => toggle("difference"),
     KeyC: () => toggle("slider"),
@@ -28,8 +31,8 @@ export function connectKeys(page: Page): void {
   page.listen("keydown", (event) => {
     // The event's target is the element that the shadow root belongs to.
     const [target] = event.composedPath();
-    const typing = target instanceof HTMLSelectElement || (target instanceof HTMLInputElement && !["checkbox", "radio", "range"].includes(target.type));
-    if (typing || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+    const typing = target instanceof HTMLSelectElement || (target instanceof HTMLInputElement && !(event.code === "Home" || !["checkbox", "radio", "range"].includes(target.type)));
+    if (typing || event.defaultPrevented || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
     actions[event.code]?.();
   });
 }

@@ -1,6 +1,7 @@
 // opening.ts - opens scenes and cameras: what the page begins with, then what is dropped or chosen.
 // SPDX-License-Identifier: Apache-2.0
-import { defaultView, parseCameras, viewFrom } from "./cameras.js";
+import { parseCameras } from "./cameras.js";
+import { fly } from "./flight.js";
 import type { Mode } from "./link.js";
 import { type Manifest, readInside, type SceneEntry, spzAxesOf } from "./manifest.js";
 import { waitingSentence } from "./messages.js";
@@ -8,7 +9,7 @@ import { closeRead, openScene, type Read, readFile } from "./open-scene.js";
 import { beginLoading, type Page, progressOf } from "./page.js";
 import type { Trouble } from "./page-driver.js";
 import type { Scene } from "./scene.js";
-import { type PageStore, type State, worldOf } from "./state.js";
+import { homeOf, type PageStore, type State } from "./state.js";
 import type { Side, Stage } from "./stage.js";
 
 export class Opening {
@@ -120,11 +121,14 @@ export class Opening {
         throw error;
       });
       if (before) before.hidden = true;
-      this.show(scene, side === 0 ? { scenes: [scene, undefined], referenceScene } : { scenes: [scenesBefore[0], scene], mode: store.state.mode === "single" ? mode : store.state.mode });
+      this.show(side === 0 ? { scenes: [scene, undefined], referenceScene } : { scenes: [scenesBefore[0], scene], mode: store.state.mode === "single" ? mode : store.state.mode });
       this.markPicture(name);
+      const guess = scene.firstView || viewBefore || store.state.cameras.length > 0 ? undefined : store.state.view;
       await Promise.race([scene.complete(), cancelled]);
       before?.destroy();
       if (side === 0) store.set({ isComplete: true });
+      const home = scene.firstView && homeOf(store.state);
+      if (home && guess === store.state.view) void fly(store, home, performance.now());
     } catch (error) {
       scene?.destroy();
       if (!scene) closeRead(reading);
@@ -138,10 +142,9 @@ export class Opening {
     }
   }
 
-  private show({ box }: Scene, patch: Partial<State>): void {
+  private show(patch: Partial<State>): void {
     const next = { ...this.store.state, ...patch };
-    const { view, size, cameras: [first] } = next;
-    this.store.set({ ...patch, view: view ?? (first ? viewFrom(first, box) : defaultView(box, worldOf(next).up, size.height / size.width)) });
+    this.store.set({ ...patch, view: next.view ?? homeOf(next) });
   }
 
   /** Adds a measure to the browser's timeline: from the mark `open NAME`, or the page's start, to the first picture. */

@@ -12,9 +12,9 @@ export function watchRest({ store, signal }: Page, isActive: () => boolean): voi
     clearTimeout(timer);
     if (signal.aborted) return;
     timer = window.setTimeout(() => {
-      const { playing, isReady, scenes } = store.state;
+      const { playing, flight, isReady, scenes } = store.state;
       // The link that the page begins with stays in the address until there is a scene.
-      if (isActive() || playing !== undefined || (!isReady && !scenes[0])) wait();
+      if (isActive() || playing !== undefined || flight !== undefined || (!isReady && !scenes[0])) wait();
       else store.set({ isAtRest: true });
     }, kRestMs);
   };

@@ -1,8 +1,9 @@
 // rgs-scene.ts - an opened .rgs file, drawn part by part while it is read, or by pages from coarse to fine.
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf, type Colour, RgsResource } from "@roofgs/playcanvas";
-import type { Look, PageEvent, PageScheduler, Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
+import type { FirstView, Look, PageEvent, PageScheduler, Progress, RgsFile, StoredGaussians, Vector3 } from "@roofgs/reader";
 import { isWorthShowing } from "./first-picture.js";
+import { firstView } from "./first-view.js";
 import { kSchedule, PageDriver, type Trouble } from "./page-driver.js";
 import { type Box, Scene, type Tint } from "./scene.js";
 import type { Side, Stage } from "./stage.js";
@@ -40,16 +41,17 @@ export function beginFile(file: RgsFile, onProgress: (done: number, total: numbe
   for (const each of [opened.first, opened.scheduler]) each?.catch(() => undefined);
   return opened;
 }
-function upOf(file: RgsFile): readonly number[] | null {
+function upOf(file: RgsFile): Vector3 | null {
   const { axes } = file.declarations;
   const i = axes.findIndex((axis) => axis === "up" || axis === "down");
-  return i < 0 ? null : [0, 1, 2].map((k) => (k === i ? (axes[i] === "up" ? 1 : -1) : 0));
+  return i < 0 ? null : ([0, 1, 2].map((k) => (k === i ? (axes[i] === "up" ? 1 : -1) : 0)) as unknown as Vector3);
 }
 
 export class RgsScene extends Scene {
   readonly nGaussians: number;
   readonly box: Box;
-  override readonly up: readonly number[] | null;
+  override readonly up: Vector3 | null;
+  override firstView: FirstView | null;
   override readonly origin: readonly number[];
   override readonly hasPages: boolean;
   override readonly shDegree: number;
@@ -86,6 +88,7 @@ export class RgsScene extends Scene {
     this.nGaussians = file.header.nGaussians;
     this.origin = origin;
     this.up = upOf(file);
+    this.firstView = file.firstView;
     this.hasPages = file.levels !== null;
     this.shDegree = file.header.shDegree;
     const { levels } = file;
@@ -116,7 +119,9 @@ export class RgsScene extends Scene {
     } catch (error) {
       if (!this.stop.signal.aborted) throw error;
     }
-    if (!this.hasPages) this.file.close();
+    if (this.hasPages) return;
+    this.file.close();
+    if (!this.stop.signal.aborted) this.firstView ??= await firstView(this.parts, this.up ?? undefined);
   }
 
   get nDrawn(): number {

@@ -1,7 +1,7 @@
 // scene.ts - an opened scene on one side of the stage.
 // SPDX-License-Identifier: Apache-2.0
 import type { AntiAliasing } from "@roofgs/playcanvas";
-import type { Look } from "@roofgs/reader";
+import type { FirstView, Look } from "@roofgs/reader";
 import { Entity, type GSplatResourceBase, WORKBUFFER_UPDATE_ONCE } from "playcanvas";
 import type { Side, Stage } from "./stage.js";
 
@@ -14,8 +14,10 @@ export type Tint = "none" | "level" | "error";
 
 export abstract class Scene {
   abstract readonly nGaussians: number;
-  /** What a view without cameras looks at, world: docs/user/CAMERAS.md. */
+  /** What it is about, world. */
   abstract readonly box: Box;
+  /** From where it is seen first, relative to `origin` (docs/user/CAMERAS.md). Null: not known, or not yet; then the box counts. */
+  readonly firstView: FirstView | null = null;
   /** The up direction that the file declares, or null. */
   readonly up: readonly number[] | null = null;
   readonly origin: readonly number[] = [0, 0, 0];

@@ -4,14 +4,15 @@ import { readSpz as read, type Spz } from "@roofgs/reader";
 import { type BoundingBox, type GraphicsDevice, type GSplatResourceBase, Vec3 } from "playcanvas";
 import { GSplatSpzResource } from "playcanvas/scripts/esm/parsers/spz-parser.mjs";
 import { worker } from "./reader-worker.js";
+import { type Part, seenOfSpz } from "./seen.js";
 import { axesOf, smallestThree, type SpzAxes } from "./spz.js";
 
 /** SH coefficients beyond degree 0, per channel. */
 const kRest = [0, 3, 8, 15];
 
 /** The data that the engine's resource expects; it looks for the streams by their names. */
-function dataOf({ version, n, fractionalBits, shDegree, antialiased, streams: { rotations, ...rest } }: Spz): object {
-  const streams = { ...rest, rotations: version === 2 ? smallestThree(rotations) : rotations };
+function dataOf({ n, fractionalBits, shDegree, antialiased, streams: others }: Spz, rotations: Uint8Array): object {
+  const streams = { ...others, rotations };
   const getCenters = (): Float32Array => {
     const { positions } = streams;
     const centers = new Float32Array(3 * n);
@@ -33,9 +34,20 @@ function dataOf({ version, n, fractionalBits, shDegree, antialiased, streams: { 
   return { ...streams, numSplats: n, fractionalBits, shBands: shDegree, shDim: kRest[shDegree], antialiased, getCenters, calcAabb };
 }
 
-export async function readSpz(device: GraphicsDevice, contents: ArrayBuffer): Promise<{ resource: GSplatResourceBase; antialiased: boolean; axes: SpzAxes | null; opacities: Float32Array }> {
+export interface SpzMade {
+  resource: GSplatResourceBase;
+  antialiased: boolean;
+  /** Axes are right, up, backward. */
+  isYUp: boolean;
+  seen: Iterable<Part>;
+}
+
+/** `axes`: of a file that declares none. */
+export async function readSpz(device: GraphicsDevice, contents: ArrayBuffer, axes: SpzAxes): Promise<SpzMade> {
   const spz = await read(new Uint8Array(contents), worker ? { worker } : {});
   if (spz.n === 0) throw new Error("it holds no Gaussians");
-  const axes = axesOf(spz);
-  return { resource: new GSplatSpzResource(device, dataOf(spz)), antialiased: spz.antialiased, axes, opacities: Float32Array.from(spz.streams.alphas, (code) => code / 255) };
+  const isYUp = (axesOf(spz) ?? axes) === "opengl";
+  const rotations = spz.version === 2 ? smallestThree(spz.streams.rotations) : spz.streams.rotations;
+  const resource = new GSplatSpzResource(device, dataOf(spz, rotations));
+  return { resource, antialiased: spz.antialiased, isYUp, seen: seenOfSpz(spz, rotations, resource.centers as Float32Array, isYUp) };
 }

@@ -14,6 +14,19 @@ export function axesOf({ axes }: Spz): SpzAxes | null {
   return known;
 }
 
+/** x, y, z, w of smallest three of 9 bits and sign. */
+export function rotationOf(word: number): number[] {
+  const largest = word >>> 30;
+  const q = [0, 0, 0, 0];
+  for (let c = 3, rest = word; c >= 0; --c) {
+    if (c === largest) continue;
+    q[c] = ((rest & 511) / 511) * Math.SQRT1_2 * (rest & 512 ? -1 : 1);
+    rest >>>= 10;
+  }
+  q[largest] = Math.sqrt(Math.max(0, 1 - q.reduce((sum, value) => sum + value * value, 0)));
+  return q;
+}
+
 /** Converts rotations of version 2 (x, y, z of 8 bits) to smallest three of 9 bits and sign: 4 bytes. */
 export function smallestThree(rotations: Uint8Array): Uint8Array {
   const n = rotations.length / 3;

@@ -1,7 +1,8 @@
 // state.ts - what the page knows: all that it shows follows from this.
 // SPDX-License-Identifier: Apache-2.0
-import { add, axisOf, type CameraEntry, length, normalised, type ViewState } from "./cameras.js";
+import { add, axisOf, type CameraEntry, defaultView, length, normalised, viewFrom, viewFromFirst, type ViewState } from "./cameras.js";
 import type { World } from "./controls.js";
+import type { Flight } from "./flight.js";
 import type { Frame } from "./frames.js";
 import type { LinkState } from "./link.js";
 import type { Size } from "./picture-size.js";
@@ -43,6 +44,8 @@ export interface State extends Omit<LinkState, "view"> {
   cameraView: ViewState | undefined;
   /** Where the view is on the path through the cameras, 0 to 1; undefined if the path is not played. */
   playing: number | undefined;
+  /** The view is flying to another one. */
+  flight: Flight | undefined;
   tint: Tint;
   statistics: boolean;
   bounds: boolean;
@@ -62,7 +65,7 @@ export function firstState(size: Size): State {
   return {
     view: undefined, size, isAtRest: false, mode: "single", split: 0.5, background: [0, 0, 0], shDegree: 3, detailPx: 1, budget: 1e6,
     scenes: [undefined, undefined], isComplete: false, nChanges: 0, loading: undefined, saving: undefined, saved: "", hasPicture: false, isReady: false,
-    cameras: [], photos: new Map(), camera: -1, cameraView: undefined, playing: undefined, tint: "none", statistics: false, bounds: false,
+    cameras: [], photos: new Map(), camera: -1, cameraView: undefined, playing: undefined, flight: undefined, tint: "none", statistics: false, bounds: false,
     hasReference: false, isReferenceShown: false, referenceScene: 0, frame: undefined, panel: undefined, theme: undefined,
   };
 }
@@ -72,8 +75,17 @@ export function rightOf({ scenes, isReferenceShown }: State): "scene" | "referen
   return isReferenceShown ? "reference" : scenes[1] ? "scene" : "none";
 }
 
+/** The view from which the left scene is seen first: that of the first camera, else its own. */
+export function homeOf(state: State): ViewState | undefined {
+  const { cameras: [camera], scenes: [left], size } = state;
+  if (!left) return undefined;
+  const height = size.height / size.width;
+  if (camera) return viewFrom(camera, left.box);
+  return left.firstView ? viewFromFirst(left.firstView, left.origin, height) : defaultView(left.box, worldOf(state).up, height);
+}
+
 export function worldOf({ cameras, scenes: [left] }: State): World {
   const up = cameras.length > 0 ? cameras.reduce((sum, { rotation }) => add(sum, axisOf(rotation, 1), -1), [0, 0, 0]) : null;
   const size = left ? length(add(left.box.max, left.box.min, -1)) : 1;
-  return { up: normalised(up && length(up) > 0.1 ? up : (left?.up ?? [0, -1, 0])), speed: 0.15 * size };
+  return { up: normalised(up && length(up) > 0.1 ? up : (left?.firstView?.up ?? left?.up ?? [0, -1, 0])), speed: 0.15 * size };
 }

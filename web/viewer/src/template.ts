@@ -4,6 +4,7 @@
 /** Strokes in a square of 24. */
 const kIcons = {
   open: "M3 6v12a1 1 0 0 0 1 1h16a1 1 0 0 0 1-1V9a1 1 0 0 0-1-1h-8L9.5 5H4a1 1 0 0 0-1 1z",
+  home: "M4 11l8-7 8 7M6 10v10h12V10",
   views: "M4 4h7v7H4zM13 4h7v7h-7zM4 13h7v7H4zM13 13h7v7h-7z",
   screenshot: "M3 8h4l2-3h6l2 3h4v11H3zM12 16.5a3.5 3.5 0 1 0 0-7 3.5 3.5 0 0 0 0 7z",
   save: "M5 4h11l3 3v13H5zM8 4v5h7V4M8 20v-6h8v6",
@@ -33,6 +34,7 @@ export const kTemplate = `
     ${button("open", "Open a scene (O)")}
     ${opener("views", "Cameras")}
     ${opener("save", "Save as .rgs")}
+    ${button("home", "First view (H)")}
     ${button("screenshot", "Save a screenshot")}
     ${button("link", "Copy a link to this view")}
     ${button("theme", "Dark", `aria-pressed="false"`)}
@@ -122,7 +124,7 @@ export const kTemplate = `
     <dl id="keys">
       ${key("Drag", "orbit; one finger, too")}${key("Right-drag", "look around")}${key("Shift-drag", "pan; two fingers, too")}
       ${key("Wheel + -", "zoom; pinch, too")}${key("Double-click", "focus; double tap, too")}${key("← → ↑ ↓", "orbit")}
-      ${key("W A S D Q E", "fly; a gamepad, too")}${key("N B", "next and previous camera")}${key("P", "play the path")}
+      ${key("W A S D Q E", "fly; a gamepad, too")}${key("N B", "next and previous camera")}${key("P", "play the path")}${key("H", "first view")}
       ${key("C F X", "slider, flicker, difference")}${key("T", "reference picture")}${key("I", "statistics")}${key("O", "open")}
     </dl>
   </section>

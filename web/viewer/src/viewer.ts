@@ -1,12 +1,14 @@
 // viewer.ts - one viewer: its state, what shows it, and what it begins with.
 // SPDX-License-Identifier: Apache-2.0
 import { restore, showLink } from "./address.js";
-import { jump, showCameras } from "./cameras-panel.js";
+import { showCameras } from "./cameras-panel.js";
 import { Captures } from "./captures.js";
 import { showComparison } from "./compare.js";
 import { Controls } from "./controls.js";
 import { drawState, step } from "./drawing.js";
+import { watchFlights } from "./flight.js";
 import { drawReference } from "./frames.js";
+import { goHome, goTo } from "./home.js";
 import { connectKeys } from "./keys.js";
 import { readLink } from "./link.js";
 import { nameOf, readManifest } from "./manifest.js";
@@ -53,16 +55,11 @@ export class Viewer {
     this.stop.abort();
   }
 
-  /** By the name of a camera, or the part of a link behind #. Resolves with whether there is one. */
+  /** By the name of a camera, or the part of a link behind #. Resolves when it is there, with whether there is one. */
   async flyTo(camera: string): Promise<boolean> {
     const parts = await this.parts;
     await parts?.opening.allOpened();
-    const { store } = this.page;
-    const i = store.state.cameras.findIndex(({ img_name: name }) => name === camera);
-    const link = readLink(camera);
-    if (i >= 0) jump(this.page, i);
-    else if (link.view) restore(store, link);
-    return i >= 0 || link.view !== undefined;
+    return goTo(this.page, camera);
   }
 
   async screenshot(): Promise<Blob> {
@@ -119,9 +116,11 @@ export class Viewer {
     bindSaving(page);
     showNames(page);
     showCameras(page, captures);
+    watchFlights(store, signal);
     showPath(page);
     showLink(page);
     connectKeys(page);
+    page.onClick("home", () => void goHome(page));
     page.onClick("screenshot", () => void captures.screenshot().catch((error: unknown) => page.fail("The screenshot", error)));
     const showStatistics = statisticsOf(page);
     frame = (seconds) => {
@@ -142,7 +141,7 @@ export class Viewer {
     const { page } = this;
     await opening.begin(...asked);
     const camera = page.host.getAttribute("camera");
-    if (camera !== null) await this.flyTo(camera);
+    if (camera !== null) await goTo(page, camera, false);
     if (page.signal.aborted) return;
     page.store.set({ isReady: true });
     page.host.dataset["ready"] = "true";

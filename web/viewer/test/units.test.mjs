@@ -1,7 +1,7 @@
 // units.test.mjs - what of the page needs no browser: links, cameras, pages, the difference, sentences.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { spawnSync } from "node:child_process";
+import { execFileSync, spawnSync } from "node:child_process";
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
@@ -10,15 +10,15 @@ import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 import { build } from "vite";
 import { program } from "../../playcanvas/test/pictures.mjs";
-import { readSpz } from "../../reader/dist/node.js";
+import { open, readSpz } from "../../reader/dist/node.js";
 import { PageScheduler } from "../../reader/dist/pages.js";
-import { golden } from "../../reader/test/dump.mjs";
+import { golden, scenes } from "../../reader/test/dump.mjs";
 
 let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "controls", "declared", "difference", "first-picture", "flip", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "rgs-scene", "spz", "store"];
+  const names = ["cameras", "chooser", "controls", "declared", "difference", "first-picture", "flight", "flip", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "rgs-scene", "spz", "store"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -97,6 +97,110 @@ test("orbiting keeps the distance and stays upright", () => {
   assert.ok(Math.abs(back.rotation[1][2] - Math.cos(0.05)) < 1e-9, `${back.rotation}`);
   assert.deepEqual(moved(start, [1, 2, 3]).position, [1, 2, -2]);
   assert.deepEqual(approached(start, 0.5).position, [0, 0, -2.5]);
+});
+
+test("the view that is chosen of Gaussians is that of the C++ library, in whatever parts they come", async () => {
+  const wasm = new WebAssembly.Module(readFileSync(new URL("../../../build/web/first-view.wasm", import.meta.url)));
+  const choose = (parts, up = [0, -1, 0]) => {
+    const chooser = new modules.chooser.Chooser(wasm);
+    for (const part of parts) chooser.add(part);
+    return chooser.choose(up);
+  };
+  const read = async (name) => {
+    const file = await open(readFileSync(join(scenes(), name)));
+    const parts = [];
+    for await (const part of file.storedParts()) parts.push(part);
+    const gaussians = file.levels ? undefined : await file.read();
+    file.close();
+    return { parts, gaussians };
+  };
+  const names = ["packed.rgs", "direct.rgs", "low.rgs"];
+  const lines = execFileSync(program("rgs_first_view"), ["640", "360", ...names.map((name) => join(scenes(), name))], { encoding: "utf8" }).trim().split("\n");
+  for (const [i, name] of names.entries()) {
+    const native = lines[i].split(" ").map(Number);
+    const { parts, gaussians } = await read(name);
+    const view = choose(parts);
+    assert.deepEqual([view.kind, view.horizontalFov], ["outside", 60]);
+    const away = view.pivot.map((value, k) => value - view.position[k]);
+    for (let k = 0; k < 3; ++k) {
+      assert.ok(Math.abs(view.position[k] - native[k]) < 1e-6, `${name}: ${view.position} for ${native}`);
+      assert.ok(Math.abs(away[k] / Math.hypot(...away) - native[9 + k]) < 1e-6, `${name}: it looks at ${view.pivot}`);
+    }
+    assert.deepEqual(choose([gaussians]), view, name);
+    assert.deepEqual(choose(parts.reverse()), view, name);
+  }
+  const { gaussians } = await read("packed.rgs");
+  // Leaves are all of a scene's Gaussians.
+  assert.deepEqual(choose((await read("levels.rgs")).parts), choose([gaussians]));
+  assert.ok(choose([gaussians], [0, 0, 1]).up[2] > 0.8);
+  assert.equal(choose([{ ...gaussians, opacities: new Float32Array(gaussians.n) }]), null);
+  assert.equal(choose([]), null);
+});
+
+test("a first view is 60 degrees wide, and as high as in a picture of 16:9", () => {
+  const { viewFromFirst } = modules.cameras;
+  const first = { kind: "outside", position: [0, -1, -4], pivot: [0, -1, 0], up: [0, -1, 0], horizontalFov: 60 };
+  const focal = 0.5 / Math.tan(Math.PI / 6);
+  const found = viewFromFirst(first, [10, 0, 1e6], 3 / 4);
+  assert.deepEqual([found.position, found.pivot], [[10, -1, 1e6 - 4], [10, -1, 1e6]]);
+  assert.deepEqual(found.rotation.map((row) => row.map((value) => value + 0)), identity);
+  assert.ok(Math.abs(found.focal - focal) < 1e-12);
+  assert.ok(Math.abs(viewFromFirst(first, [0, 0, 0], 9 / 32).focal - focal / 2) < 1e-12);
+});
+
+const flights = (now, ...more) => {
+  const from = { ...view, position: [0, 0, -5], pivot: [0, 0, 0] };
+  const behind = { ...from, position: [0, 0, 5], rotation: [[-1, 0, 0], [0, 1, 0], [0, 0, -1]], focal: 1 };
+  const store = new modules.store.Store({ view: from, flight: undefined, playing: 0.5 });
+  modules.flight.watchFlights(store, new AbortController().signal);
+  const over = modules.flight.fly(store, behind, now, ...more);
+  return { from, behind, store, over };
+};
+
+test("a flight goes round the pivot, slowly off and slowly in, and ends where it should", async () => {
+  const { advanceFlight } = modules.flight;
+  const { from, behind, store, over } = flights(1000, false);
+  assert.deepEqual([store.state.view, store.state.playing], [from, undefined]);
+  const angles = [1000, 1100, 1300, 1500, 1599].map((now) => {
+    advanceFlight(store, now);
+    const { position, rotation, pivot } = store.state.view;
+    assert.deepEqual(pivot, [0, 0, 0]);
+    assert.ok(Math.abs(Math.hypot(...position) - 5) < 1e-9 && Math.abs(position[1]) < 1e-9, `${position}`);
+    rotation.forEach((row, k) => assert.ok(Math.abs(row[2] + position[k] / 5) < 1e-9, "it looks at the pivot"));
+    return Math.acos(Math.max(-1, Math.min(1, -position[2] / 5))) / Math.PI;
+  });
+  assert.ok(angles[0] === 0 && angles[1] < 0.1 && Math.abs(angles[2] - 0.5) < 1e-9 && angles[3] > 0.9 && angles[4] < 1, `${angles}`);
+  advanceFlight(store, 1600);
+  assert.equal(store.state.view, behind);
+  assert.equal(store.state.flight, undefined);
+  await over;
+});
+
+test("a flight ends where somebody else moves the view, or takes over", async () => {
+  const { advanceFlight } = modules.flight;
+  const moved = flights(0, false);
+  advanceFlight(moved.store, 200);
+  const other = { ...moved.from };
+  moved.store.set({ view: other });
+  advanceFlight(moved.store, 300);
+  assert.deepEqual([moved.store.state.view, moved.store.state.flight], [other, undefined]);
+  await moved.over;
+  const stopped = flights(0, false);
+  advanceFlight(stopped.store, 200);
+  const { view: at } = stopped.store.state;
+  stopped.store.set({ flight: undefined });
+  advanceFlight(stopped.store, 300);
+  assert.equal(stopped.store.state.view, at);
+  await stopped.over;
+});
+
+test("where less motion is wished, or there is no view yet, a flight is a jump", async () => {
+  const { behind, store, over } = flights(0, true);
+  assert.equal(store.state.view, behind);
+  await over;
+  store.set({ view: undefined });
+  await modules.flight.fly(store, behind, 0, false);
+  assert.equal(store.state.view, behind);
 });
 
 test("a view of the state is called when what it depends on changes, and only then", () => {
@@ -571,17 +675,7 @@ test("a rotation of three bytes is the one of four", () => {
   const codes = Uint8Array.from(three.flat().map((value) => Math.round((value + 1) * 127.5)));
   const words = new Uint32Array(modules.spz.smallestThree(codes).buffer);
   three.forEach((xyz, i) => {
-    const found = [0, 0, 0, 0];
-    const largest = words[i] >>> 30;
-    let rest = words[i];
-    let sum = 0;
-    for (let c = 3; c >= 0; --c) {
-      if (c === largest) continue;
-      found[c] = ((rest & 0x1ff) / 511) * Math.SQRT1_2 * (rest & 0x200 ? -1 : 1);
-      sum += found[c] ** 2;
-      rest >>>= 10;
-    }
-    found[largest] = Math.sqrt(1 - sum);
+    const found = modules.spz.rotationOf(words[i]);
     const expected = [...xyz, Math.sqrt(1 - xyz.reduce((total, value) => total + value * value, 0))];
     const dot = expected.reduce((total, value, c) => total + value * found[c], 0);
     assert.ok(Math.abs(dot) > 0.999, `${found} for ${expected}`);
