@@ -1,10 +1,11 @@
 // element.ts - <rgs-view>: a viewer in a page of others. README.md lists its attributes, events and methods.
 // SPDX-License-Identifier: Apache-2.0
+import type { RgsView as Declared } from "../rgs-view.js";
 import kStyle from "./style.css?inline";
 import { kTemplate } from "./template.js";
 import { Viewer } from "./viewer.js";
 
-export class RgsView extends HTMLElement {
+export class RgsView extends HTMLElement implements Declared {
   static readonly observedAttributes = ["src", "compare", "cameras", "camera"];
   private viewer: Viewer | undefined;
 

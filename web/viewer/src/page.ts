@@ -1,16 +1,9 @@
 // page.ts - one viewer's state and elements, in a shadow root of its own: error messages, announcements, events.
 // SPDX-License-Identifier: Apache-2.0
+import type { RgsViewEvents } from "../rgs-view.js";
 import { bytesText, sentence } from "./messages.js";
 import type { PageStore } from "./state.js";
 import { kCloseIcon } from "./template.js";
-
-/** Events of the element, by name, with their details. */
-export interface Events {
-  ready: null;
-  progress: { text: string; share: number | undefined } | null;
-  error: { message: string };
-  camera: { name: string | null; link: string };
-}
 
 export class Page {
   /** Whether title, address, keys and drops of the whole document are this viewer's. */
@@ -60,7 +53,7 @@ export class Page {
     target.addEventListener(name, heard, { signal: this.signal });
   }
 
-  tell<Name extends keyof Events>(name: Name, detail: Events[Name]): void {
+  tell<Name extends keyof RgsViewEvents>(name: Name, detail: RgsViewEvents[Name]): void {
     // The next viewer has the same host.
     if (!this.signal.aborted) this.host.dispatchEvent(new CustomEvent(name, { detail }));
   }

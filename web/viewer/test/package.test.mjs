@@ -10,6 +10,28 @@ import test from "node:test";
 import { fileURLToPath } from "node:url";
 
 const viewer = fileURLToPath(new URL("..", import.meta.url));
+const tsc = fileURLToPath(new URL("../../node_modules/typescript/bin/tsc", import.meta.url));
+
+const kTypes = `
+import type { RgsView, RgsViewEvents } from "@roofgs/viewer";
+import "@roofgs/viewer";
+const view: RgsView = document.createElement("rgs-view");
+const found: RgsView | null = document.querySelector("rgs-view");
+const isThere: boolean = await view.flyTo("view2");
+const png: Blob = await view.screenshot();
+await view.compare(new File([], "a.rgs"));
+await found?.compare();
+view.addEventListener("error", ({ detail }) => console.log(detail.message));
+view.addEventListener("progress", ({ detail }) => console.log(detail?.share ?? 0));
+view.addEventListener("camera", ({ detail: { name, link } }) => console.log(name ?? "", link.length));
+view.addEventListener("keydown", ({ code }) => console.log(code));
+// @ts-expect-error: ready has no detail
+view.addEventListener("ready", ({ detail }) => detail.message);
+// @ts-expect-error: there is no such method
+view.land();
+const failed: RgsViewEvents["error"] = { message: "" };
+console.log(isThere, png, failed);
+`;
 
 function policyOf(html) {
   const [, policy] = /<meta http-equiv="Content-Security-Policy" content="([^"]+)">/.exec(html) ?? [];
@@ -32,9 +54,15 @@ test("the page's package", async (t) => {
     t.diagnostic(`${packed.size} bytes, ${singlePage.length} of them the page in one file before it is packed`);
     const names = packed.files.map(({ path }) => path);
     for (const needed of ["package.json", "README.md", "LICENSE", "NOTICE"]) assert.ok(names.includes(needed), needed);
-    const known = /^(package\.json|README\.md|LICENSE|NOTICE|dist\/index\.html|dist\/assets\/[\w-]+\.(js|wasm)|dist-single\/(page\.html|rgs-view\.js))$/;
+    const known = /^(package\.json|README\.md|LICENSE|NOTICE|dist\/index\.html|dist\/assets\/[\w-]+\.(js|wasm)|dist-single\/(page\.html|rgs-view\.js)|rgs-view\.d\.ts)$/;
     assert.deepEqual(names.filter((name) => !known.test(name)), []);
     for (const part of [/PlayCanvas/, /Zstandard/]) assert.match(readFileSync(join(installed, "NOTICE"), "utf8"), part);
+  });
+
+  await t.test("has types", () => {
+    writeFileSync(join(folder, "types.ts"), kTypes);
+    const flags = "--noEmit --strict --target es2022 --module nodenext --lib es2022,dom types.ts".split(" ");
+    execFileSync(process.execPath, [tsc, ...flags], { cwd: folder, encoding: "utf8" });
   });
 
   await t.test("every address is relative and there", () => {

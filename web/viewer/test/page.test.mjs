@@ -878,6 +878,34 @@ inBrowser("without cameras a scene is seen from where rgs-render sees it", { all
   for (const name of names) assert.ok(away[name] < kFirstViews[name], `${name}: ${away[name]}`);
 });
 
+inBrowser("the page begins with the view that a file states, and comes back to it", { allowed: [k404] }, async ({ page }) => {
+  const bytes = readFileSync(join(golden, "first_view.rgs"));
+  const file = await open(bytes);
+  const { firstView, declarations: { origin } } = file;
+  file.close();
+  await drop(page, "a.rgs", bytes);
+  await page.waitForFunction(() => byId("title").textContent === "a.rgs");
+  const lookedFrom = async () => {
+    await page.locator("#loading").waitFor({ state: "hidden" });
+    await settled(page);
+    await page.locator("#link").click();
+    const state = new URLSearchParams((await hashOf(page)).slice(1));
+    return ["at", "pivot"].map((name) => state.get(name).split(",").map(Number));
+  };
+  const isNear = ([found, pivot]) => [[found, firstView.position], [pivot, firstView.pivot]].every(([a, b]) => a.every((value, k) => Math.abs(value - b[k] - origin[k]) < 1e-5));
+  const first = await lookedFrom();
+  assert.ok(isNear(first), `${first} for ${firstView.position} and ${firstView.pivot}`);
+  for (const goHome of [() => page.keyboard.press("h"), () => page.keyboard.press("Home"), () => page.locator("#home").click()]) {
+    await page.locator("#picture").focus();
+    await page.keyboard.press("ArrowRight");
+    const [away] = await lookedFrom();
+    assert.ok(away.some((value, k) => Math.abs(value - first[0][k]) > 1e-3), "it has moved");
+    await goHome();
+    const back = await lookedFrom();
+    assert.ok(isNear(back), `${back} for ${first}`);
+  }
+});
+
 inBrowser("a PLY that ends too early is said to be damaged", { allowed: [k404, /scene1\.ply-gsplat/] }, async ({ page }) => {
   const whole = plyOf([[1, 2, 3], [4, 5, 6]], 1);
   await drop(page, "a.ply", whole.subarray(0, whole.length - 1));
