@@ -1,7 +1,6 @@
 // cameras.ts - reads camera files (docs/user/CAMERAS.md), and holds the page's view and the path through the cameras.
 // SPDX-License-Identifier: Apache-2.0
 import type { Pinhole } from "@roofgs/playcanvas";
-import type { FirstView } from "@roofgs/reader";
 
 /** An entry of the cameras.json of 3DGS training programs. */
 export interface CameraEntry extends Pinhole {
@@ -61,14 +60,22 @@ export const kNear = 0.2;
 const kTanHalfView = Math.tan(Math.PI / 6);
 const kElevation = Math.PI / 18;
 
+/** A FirstView of the reader. */
+export interface First {
+  readonly position: Vector;
+  readonly pivot: Vector;
+  readonly up: Vector;
+  readonly horizontalFov: number;
+}
+
 /** A first view of a scene with this origin, for a picture of this height over its width: in one wider than 16:9, as high as there. */
-export function viewFromFirst({ position, pivot, up, horizontalFov }: FirstView, origin: Vector, height: number): ViewState {
+export function viewFromFirst({ position, pivot, up, horizontalFov }: First, origin: Vector, height: number): ViewState {
   const focal = (0.5 / Math.tan((horizontalFov * Math.PI) / 360)) * Math.min(1, (height * 16) / 9);
   return { position: add(position, origin), rotation: looking(add(pivot, position, -1), up), focal, aspect: 1, offset: [0, 0], pivot: add(pivot, origin) };
 }
 
-/** The view of a scene whose first view is not known, as rgs/camera.hpp has it, for a picture of this height over its width. */
-export function defaultView({ min, max }: { min: Vector; max: Vector }, up: Vector, height: number): ViewState {
+/** The first view of a scene that is not known any better, as rgs/camera.hpp has it. World. */
+export function defaultView({ min, max }: { min: Vector; max: Vector }, up: Vector): First {
   const scaled = (v: Vector, scale: number): number[] => add([0, 0, 0], v, scale);
   const [middle, half] = [scaled(add(min, max), 0.5), scaled(add(max, min, -1), 0.5)];
   const front = add([0, 0, -1], up, at(up, 2));
@@ -77,9 +84,9 @@ export function defaultView({ min, max }: { min: Vector; max: Vector }, up: Vect
   const rotation = looking(scaled(away, -1), up);
   // How far the middle must be for an edge of the picture to pass the ellipsoid in the box.
   const far = (edge: Vector): number => length(add(away, edge).map((value, i) => value * at(half, i)));
-  const edges = [1, -1].flatMap((side) => [scaled(axisOf(rotation, 0), side / kTanHalfView), scaled(axisOf(rotation, 1), side / kTanHalfView / height)]);
+  const edges = [1, -1].flatMap((side) => [scaled(axisOf(rotation, 0), side / kTanHalfView), scaled(axisOf(rotation, 1), ((side / kTanHalfView) * 16) / 9)]);
   const distance = Math.max(far([0, 0, 0]) + 2 * kNear, ...edges.map(far));
-  return { position: add(middle, away, distance), rotation, focal: 0.5 / kTanHalfView, aspect: 1, offset: [0, 0], pivot: middle };
+  return { position: add(middle, away, distance), pivot: middle, up, horizontalFov: 60 };
 }
 
 const isNumber = (value: unknown): value is number => typeof value === "number" && Number.isFinite(value);

@@ -79,9 +79,9 @@ export function rightOf({ scenes, isReferenceShown }: State): "scene" | "referen
 export function homeOf(state: State): ViewState | undefined {
   const { cameras: [camera], scenes: [left], size } = state;
   if (!left) return undefined;
-  const height = size.height / size.width;
   if (camera) return viewFrom(camera, left.box);
-  return left.firstView ? viewFromFirst(left.firstView, left.origin, height) : defaultView(left.box, worldOf(state).up, height);
+  const height = size.height / size.width;
+  return left.firstView ? viewFromFirst(left.firstView, left.origin, height) : viewFromFirst(defaultView(left.box, worldOf(state).up), [0, 0, 0], height);
 }
 
 export function worldOf({ cameras, scenes: [left] }: State): World {
