@@ -65,7 +65,14 @@ export default defineConfig(({ mode }) => ({
   worker: { format: mode === "single" ? "iife" : "es" },
   resolve:
     mode === "single"
-      ? { alias: { "./reader-worker.js": fileURLToPath(new URL("src/reader-worker-inline.ts", import.meta.url)), "./converter.js": fileURLToPath(new URL("src/no-converter.ts", import.meta.url)) } }
+      ? {
+          alias: Object.fromEntries(
+            Object.entries({ "reader-worker": "reader-worker-inline", "load-engine": "load-engine-inline", converter: "no-converter" }).map(([name, other]) => [
+              `./${name}.js`,
+              fileURLToPath(new URL(`src/${other}.ts`, import.meta.url)),
+            ]),
+          ),
+        }
       : {},
   build: {
     target: "es2022",

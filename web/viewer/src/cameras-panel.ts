@@ -1,4 +1,4 @@
-// cameras-panel.ts - a button for each camera with its photograph, or with what the engine draws from there.
+// cameras-panel.ts - a button for each camera with its photograph, or with what is seen from there.
 // SPDX-License-Identifier: Apache-2.0
 import { viewFrom, viewOf, type ViewState } from "./cameras.js";
 import type { Captures } from "./captures.js";

@@ -1,6 +1,6 @@
 // cameras.ts - reads camera files (docs/user/CAMERAS.md), and holds the page's view and the path through the cameras.
 // SPDX-License-Identifier: Apache-2.0
-import type { Pinhole } from "@roofgs/playcanvas";
+import type { Pinhole } from "@roofgs/webgpu";
 
 /** An entry of the cameras.json of 3DGS training programs. */
 export interface CameraEntry extends Pinhole {

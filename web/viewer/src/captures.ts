@@ -5,15 +5,14 @@ import { difference } from "./difference.js";
 import { frameRequest, type Frames } from "./frames.js";
 import { offer, type Page } from "./page.js";
 import type { Size } from "./picture-size.js";
+import type { Pixels, Side } from "./renderer.js";
 import { rightOf } from "./state.js";
-import type { Side, Stage } from "./stage.js";
-
-type Pixels = Uint8ClampedArray<ArrayBuffer>;
+import type { Stage } from "./stage.js";
 
 export class Captures {
   /** One comes after the other. */
   private last: Promise<unknown> = Promise.resolve();
-  /** Rejects when the viewer ends: its engine draws no more. */
+  /** Rejects when the viewer ends: nothing is drawn any more. */
   private readonly gone: Promise<never>;
 
   constructor(
@@ -27,7 +26,7 @@ export class Captures {
     this.gone.catch(() => undefined);
   }
 
-  /** RGBA of what the engine draws. */
+  /** RGBA of what the stage draws. */
   capture(side: Side, view: ViewState, { width, height }: Size): Promise<Pixels> {
     const result = this.last.then(() => Promise.race([this.gone, this.stage.capture(side, view, width, height)]));
     this.last = result.catch(() => undefined);

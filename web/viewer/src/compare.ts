@@ -29,7 +29,7 @@ export function showComparison(page: Page, stage: Stage, captures: Captures): vo
     const { mode, split, isReferenceShown } = store.state;
     const isAlone = rightOf(store.state) === "none";
     const border = mode === "slider" ? split : isFlickered || (isReferenceShown && mode === "single") ? 0 : 1;
-    stage.setShow(isReferenceShown ? { only: 0 } : { split: isAlone ? 1 : border });
+    stage.set({ show: isReferenceShown ? { only: 0 } : { split: isAlone ? 1 : border } });
     reference.hidden = !isReferenceShown || border === 1;
     reference.style.clipPath = `inset(0 0 0 ${100 * border}%)`;
     const isBoth = mode === "difference";

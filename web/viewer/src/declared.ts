@@ -1,6 +1,6 @@
 // declared.ts - the anti-aliasing that PLY and SOG files declare, read as rgs-convert does: docs/user/INTERCHANGE.md, "Declarations".
 // SPDX-License-Identifier: Apache-2.0
-import type { DeclaredAntiAliasing } from "@roofgs/playcanvas";
+import type { DeclaredAntiAliasing } from "@roofgs/reader";
 
 /** `comments` of a PLY's header, without the word "comment"; the last one wins. Throws bad_value if a comment of ours has a bad value. */
 export function antiAliasingOfComments(comments: readonly string[]): DeclaredAntiAliasing {

@@ -1,4 +1,4 @@
-// drawing.ts - the engine's picture as a view of the state, and what is done before each frame.
+// drawing.ts - the stage's picture as a view of the state, and what is done before each frame.
 // SPDX-License-Identifier: Apache-2.0
 import { add } from "./cameras.js";
 import type { Controls } from "./controls.js";
@@ -8,18 +8,13 @@ import type { PageStore } from "./state.js";
 import type { Stage } from "./stage.js";
 
 export function drawState(store: PageStore, stage: Stage): void {
-  store.subscribe(({ scenes }) => [scenes], ([[left, right]]) => {
-    if (left) stage.setOrigin(left.origin);
-    for (const scene of [left, right]) scene?.place(left?.origin ?? scene.origin);
-  });
-  // The stage takes the view relative to its origin, so after that.
-  store.subscribe(({ view, size, scenes }) => [view, size, scenes], ([view]) => view && stage.setView(view));
-  store.subscribe(({ background }) => [background], ([background]) => stage.setBackground(background));
+  store.subscribe(({ scenes: [left] }) => [left], ([left]) => left && stage.set({ origin: left.origin }));
+  store.subscribe(({ view, size }) => [view, size], ([view]) => view && stage.set({ view }));
+  store.subscribe(({ background }) => [background], ([background]) => stage.set({ background }));
   store.subscribe(({ scenes, shDegree }) => [scenes, shDegree], ([scenes, shDegree]) => scenes.forEach((scene) => scene?.setShDegree(shDegree)));
   store.subscribe(({ scenes, tint }) => [scenes, tint], ([scenes, tint]) => scenes.forEach((scene) => scene?.setTint(tint)));
   store.subscribe(({ scenes, detailPx }) => [scenes, detailPx], ([[left, right], detailPx]) => {
-    if (left) stage.setAntiAliasing(0, left.antiAliasing(detailPx));
-    if (right) stage.setAntiAliasing(1, right.antiAliasing(detailPx));
+    stage.set({ antiAliasing: [left?.antiAliasing(detailPx), right?.antiAliasing(detailPx)] });
   });
   // What is done before each frame depends on these.
   store.subscribe(({ detailPx, budget, statistics, bounds, playing, flight, frame }) => [detailPx, budget, statistics, bounds, playing, flight, frame], () => stage.request());
@@ -46,8 +41,6 @@ export function step(store: PageStore, stage: Stage, controls: Controls, seconds
 
 function drawBounds({ state: { scenes } }: PageStore, stage: Stage): void {
   for (const scene of scenes) {
-    if (!scene) continue;
-    const shift = add(scene.origin, scenes[0]?.origin ?? [0, 0, 0], -1);
-    for (const { min, max } of scene.boxes()) stage.drawBox(add(min, shift), add(max, shift), [1, 0.8, 0.1]);
+    for (const { min, max } of scene?.boxes() ?? []) stage.drawBox(min, max, scene?.origin ?? []);
   }
 }

@@ -1,18 +1,18 @@
 // engine-scene.ts - PLY, compressed PLY, SOG and SPZ, loaded by the engine.
 // SPDX-License-Identifier: Apache-2.0
-import { type AntiAliasing, antiAliasingOf } from "@roofgs/playcanvas";
-import { type FirstView, subjectBox } from "@roofgs/reader";
+import { type AntiAliasing, antiAliasingOf, type FirstView, subjectBox } from "@roofgs/reader";
 import { Asset, type GSplatData, type GSplatResourceBase } from "playcanvas";
 import { antiAliasingOfComments, antiAliasingOfMeta } from "./declared.js";
 import { firstView } from "./first-view.js";
 import type { OpenScene } from "./open-scene.js";
-import { type Box, Scene } from "./scene.js";
+import type { EngineRenderer, EngineSplats } from "./engine-renderer.js";
+import type { EngineKind } from "./kind.js";
 import { worker } from "./reader-worker.js";
+import type { Side } from "./renderer.js";
+import { type Box, Scene } from "./scene.js";
 import { type Part, seenOf } from "./seen.js";
 import { readSpz } from "./spz-resource.js";
-import type { Side, Stage } from "./stage.js";
-
-export type EngineKind = "ply" | "sog" | "spz";
+import type { Stage } from "./stage.js";
 
 export interface OpenEngineScene extends Omit<OpenScene, "read" | "on"> {
   kind: EngineKind;
@@ -34,18 +34,18 @@ interface Made {
 /** Counts assets, for their names. */
 let nAssets = 0;
 
-async function makeSpz({ app }: Stage, { answer, spzAxes }: OpenEngineScene): Promise<Made> {
+async function makeSpz({ app }: EngineRenderer, { answer, spzAxes }: OpenEngineScene): Promise<Made> {
   const { antialiased, ...made } = await readSpz(app.graphicsDevice, await answer.arrayBuffer(), spzAxes);
   const antiAliasing = antiAliasingOf({ aaMode: antialiased ? "mip_splatting" : "classic" });
   return { ...made, end: () => made.resource.destroy(), antiAliasing };
 }
 
-async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenEngineScene): Promise<Made> {
+async function makeAsset({ app }: EngineRenderer, { name, kind, answer, onProgress }: OpenEngineScene): Promise<Made> {
   const contents = kind === "ply" ? answer : await answer.arrayBuffer();
   // The engine takes assets of the same address for the same scene.
   const filename = `scene${(nAssets += 1)}.${kind}`;
   const asset = new Asset(name, "gsplat", { url: filename, filename, contents } as object);
-  const { assets } = stage.app;
+  const { assets } = app;
   // Without this the engine would request images that a SOG lacks from the page's server.
   const images: Asset[] = [];
   const missing: string[] = [];
@@ -112,7 +112,8 @@ export class EngineScene extends Scene {
 
   static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
     const bytes = Number(options.answer.headers.get("content-length") ?? 0);
-    const { seen, ...made } = await (options.kind === "spz" ? makeSpz(stage, options) : makeAsset(stage, options));
+    const engine = await stage.useEngine();
+    const { seen, ...made } = await (options.kind === "spz" ? makeSpz(engine, options) : makeAsset(engine, options));
     if (!((made.resource.numSplats as number) > 0)) {
       made.end();
       throw new Error("it holds no Gaussians");
@@ -152,11 +153,9 @@ export class EngineScene extends Scene {
     stage: Stage,
     side: Side,
   ) {
-    super(name, bytes, stage, side);
-    const { resource, isYUp = false } = made;
-    this.nGaussians = resource.numSplats as number;
-    if (isYUp) this.turnOver();
-    this.add(resource);
+    super(name, bytes, stage, side, [0, 0, 0]);
+    this.nGaussians = made.resource.numSplats as number;
+    this.draw();
   }
 
   get nDrawn(): number {
@@ -177,5 +176,13 @@ export class EngineScene extends Scene {
   override destroy(): void {
     super.destroy();
     this.made.end();
+  }
+
+  protected draw(): void {
+    // The engine stays.
+    const splats = this.splats as EngineSplats;
+    if (this.made.isYUp) splats.turnOver();
+    splats.add(this.made.resource);
+    this.hasChanged();
   }
 }

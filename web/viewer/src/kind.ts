@@ -1,7 +1,9 @@
 // kind.ts - recognises files by their first bytes.
 // SPDX-License-Identifier: Apache-2.0
 
-export type Kind = "rgs" | "ply" | "sog" | "spz" | "cameras";
+/** Scenes that the engine loads. */
+export type EngineKind = "ply" | "sog" | "spz";
+export type Kind = "rgs" | EngineKind | "cameras";
 
 /** Bytes that kindOf() and otherArchive() need. */
 export const kBeginningBytes = 128;

@@ -58,7 +58,7 @@ export function waitingSentence(name: string, error: unknown): string {
   return `${name} is incomplete: reading failed, and is tried again until it succeeds. If rgs-view has ended, start it again and open its new address. (${code}: ${text})`;
 }
 
-export const kNoGraphics = "This browser has no WebGL 2, which this page needs. Update it, or enable hardware acceleration in its settings.";
+export const kNoGraphics = "This browser has neither WebGPU nor WebGL 2, of which this page needs one. Update it, or enable hardware acceleration in its settings.";
 export const kNotAsDefined = "This page does not know its engine's shaders, so the picture differs slightly from what the files define.";
 export const kLost = "The graphics device was lost, perhaps because its driver restarted. If the picture does not come back, reload the page.";
 

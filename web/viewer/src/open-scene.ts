@@ -1,15 +1,16 @@
 // open-scene.ts - recognises a file by its first bytes and opens it as a scene.
 // SPDX-License-Identifier: Apache-2.0
 import { open } from "@roofgs/reader";
-import { type EngineKind, EngineScene } from "./engine-scene.js";
-import { kBeginningBytes, kindOf, otherArchive } from "./kind.js";
+import { type EngineKind, kBeginningBytes, kindOf, otherArchive } from "./kind.js";
+import { loadEngine } from "./load-engine.js";
 import { readInside, type SceneEntry } from "./manifest.js";
 import type { Trouble } from "./page-driver.js";
 import { worker } from "./reader-worker.js";
+import type { Side } from "./renderer.js";
 import { beginFile, type OpenedFile, RgsScene } from "./rgs-scene.js";
 import type { Scene } from "./scene.js";
 import type { SpzAxes } from "./spz.js";
-import type { Side, Stage } from "./stage.js";
+import type { Stage } from "./stage.js";
 
 /** Bytes read; `total` is 0 where it is not known. */
 export type OnProgress = (done: number, total: number) => void;
@@ -104,7 +105,10 @@ export interface OpenScene {
 /** Resolves with the first part of the scene; complete() reads the rest. */
 export async function openScene(stage: Stage, { name, read, spzAxes, side, onProgress, on }: OpenScene): Promise<Scene> {
   if (read.kind === "cameras") throw new Error("it is a camera file, not a scene");
-  if (read.kind !== "rgs") return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), source: read.source, spzAxes, side, onProgress });
+  if (read.kind !== "rgs") {
+    const { EngineScene } = await loadEngine();
+    return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), source: read.source, spzAxes, side, onProgress });
+  }
   const { opened } = read;
   try {
     const first = await opened.first;

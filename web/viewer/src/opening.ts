@@ -8,9 +8,10 @@ import { waitingSentence } from "./messages.js";
 import { closeRead, openScene, type Read, readFile } from "./open-scene.js";
 import { beginLoading, type Page, progressOf } from "./page.js";
 import type { Trouble } from "./page-driver.js";
+import type { Side } from "./renderer.js";
 import type { Scene } from "./scene.js";
 import { homeOf, type PageStore, type State } from "./state.js";
-import type { Side, Stage } from "./stage.js";
+import type { Stage } from "./stage.js";
 
 export class Opening {
   /** Resolves when all that was requested so far is open; never rejects. */

@@ -1,12 +1,13 @@
 // rgs-scene.ts - an opened .rgs file, drawn part by part while it is read, or by pages from coarse to fine.
 // SPDX-License-Identifier: Apache-2.0
-import { type AntiAliasing, antiAliasingOf, type Colour, RgsResource } from "@roofgs/playcanvas";
-import type { FirstView, Look, PageEvent, PageScheduler, Progress, RgsFile, StoredGaussians, Vector3 } from "@roofgs/reader";
+import { type AntiAliasing, antiAliasingOf, type FirstView, type Look, type PageEvent, type PageScheduler, type Progress, type RgsFile, type StoredGaussians, type Vector3 } from "@roofgs/reader";
+import type { Colour } from "@roofgs/webgpu";
 import { isWorthShowing } from "./first-picture.js";
 import { firstView } from "./first-view.js";
 import { kSchedule, PageDriver, type Trouble } from "./page-driver.js";
+import type { Side } from "./renderer.js";
 import { type Box, Scene, type Tint } from "./scene.js";
-import type { Side, Stage } from "./stage.js";
+import type { Stage } from "./stage.js";
 
 /** Least time between two uploads to the GPU. */
 const kRebuildMs = 250;
@@ -52,13 +53,11 @@ export class RgsScene extends Scene {
   readonly box: Box;
   override readonly up: Vector3 | null;
   override firstView: FirstView | null;
-  override readonly origin: readonly number[];
   override readonly hasPages: boolean;
   override readonly shDegree: number;
   private readonly file: RgsFile;
   private parts: StoredGaussians[] = [];
   private drawn: readonly number[] = [];
-  private resources: RgsResource[] = [];
   private shown = { shDegree: 3, tint: "none" as Tint };
   private readonly stop = new AbortController();
   private readonly driver: PageDriver<StoredGaussians> | undefined;
@@ -80,13 +79,12 @@ export class RgsScene extends Scene {
     on: Trouble,
   ) {
     const { file } = opened;
-    super(name, file.fileBytes, stage, side);
-    this.file = file;
     const { origin } = file.declarations;
+    super(name, file.fileBytes, stage, side, origin);
+    this.file = file;
     const box = file.subjectBox as Box;
     this.box = { min: box.min.map((v, i) => v + (origin[i] as number)), max: box.max.map((v, i) => v + (origin[i] as number)) };
     this.nGaussians = file.header.nGaussians;
-    this.origin = origin;
     this.up = upOf(file);
     this.firstView = file.firstView;
     this.hasPages = file.levels !== null;
@@ -148,13 +146,13 @@ export class RgsScene extends Scene {
   setShDegree(shDegree: number): void {
     if (shDegree === this.shown.shDegree) return;
     this.shown = { ...this.shown, shDegree };
-    this.setTable();
+    this.setLook();
   }
 
   override setTint(tint: Tint): void {
     if (tint === this.shown.tint) return;
     this.shown = { ...this.shown, tint };
-    this.setTable();
+    this.setLook();
   }
 
   override antiAliasing(detailPx: number): AntiAliasing {
@@ -171,7 +169,7 @@ export class RgsScene extends Scene {
       if (draw.length === this.drawn.length && draw.every((index, i) => index === this.drawn[i])) return;
       this.waitsSince ??= now;
       const errorPx = Math.max(...draw.map((index) => driver.errorPx(index)));
-      const isFirst = this.resources.length === 0;
+      const isFirst = this.nDrawn === 0;
       if (isFirst ? !isWorthShowing(errorPx, driver.nWanted, now - this.waitsSince) : now - this.rebuilt < kRebuildMs) {
         this.stage.request();
         return;
@@ -192,7 +190,7 @@ export class RgsScene extends Scene {
     }
     this.tinted = view;
     this.rebuilt = now;
-    this.setTable();
+    this.setLook();
   }
 
   override destroy(): void {
@@ -200,39 +198,29 @@ export class RgsScene extends Scene {
     this.stop.abort();
     this.file.close();
     super.destroy();
-    for (const resource of this.resources) resource.destroy();
+  }
+
+  protected draw(): void {
+    this.setLook();
+    this.splats.setParts(this.parts);
   }
 
   private addPart(part: StoredGaussians): void {
     if (this.stop.signal.aborted) return;
-    this.parts.push(part);
-    const resource = new RgsResource(this.stage.app.graphicsDevice, [part]);
-    this.resources.push(resource);
-    this.setTableOf(resource);
-    this.add(resource);
+    this.parts = [...this.parts, part];
+    this.draw();
   }
 
   private rebuild(driver: PageDriver<StoredGaussians>, draw: readonly number[]): void {
     this.drawn = draw;
-    this.parts = draw.map((index) => driver.page(index)).filter(({ n }) => n > 0);
-    if (this.parts.length > 0) this.upload();
+    this.parts = draw.map((index) => driver.page(index));
+    this.draw();
   }
 
-  private upload(): void {
-    const resource = new RgsResource(this.stage.app.graphicsDevice, this.parts);
-    this.resources = [resource];
-    this.setTableOf(resource);
-    this.replace(resource);
-  }
-
-  private setTable(): void {
-    for (const resource of this.resources) this.setTableOf(resource);
-    this.refresh();
-  }
-
-  private setTableOf(resource: RgsResource): void {
+  private setLook(): void {
     const { shDegree, tint } = this.shown;
-    resource.setTable(shDegree, tint === "none" || !this.hasPages ? undefined : this.drawn.map((index) => this.colourOf(index, tint)));
+    this.splats.setLook(shDegree, tint === "none" || !this.hasPages ? [] : this.drawn.map((index) => this.colourOf(index, tint)));
+    this.hasChanged();
   }
 
   private colourOf(index: number, tint: Tint): Colour {

@@ -1,263 +1,173 @@
-// stage.ts - the engine: two cameras in one place, each with a scene of its own. Frames are drawn only after a change.
+// stage.ts - the picture: what it shows, and by what. WebGPU draws .rgs files; the engine draws where there is no WebGPU,
+// and all from the first file of another format on. What is shown and the scenes outlive a renderer.
 // SPDX-License-Identifier: Apache-2.0
-import { type AntiAliasing, drawAsDefined, setPinhole } from "@roofgs/playcanvas";
-import {
-  AppBase,
-  AppOptions,
-  CameraComponentSystem,
-  Color,
-  createGraphicsDevice,
-  Entity,
-  GSplatComponentSystem,
-  GSplatHandler,
-  Layer,
-  LAYERID_IMMEDIATE,
-  PIXELFORMAT_RGBA8,
-  RenderTarget,
-  Texture,
-  TextureHandler,
-  Vec4,
-} from "playcanvas";
-import { pinholeOf, type ViewState } from "./cameras.js";
-import { pictureSize, type Size } from "./picture-size.js";
+import type { ViewState } from "./cameras.js";
+import type { EngineRenderer } from "./engine-renderer.js";
+import { loadEngine } from "./load-engine.js";
+import type { SceneEntry } from "./manifest.js";
+import type { Pixels, Renderer, RendererEvents, Shown, Side, Splats } from "./renderer.js";
+import { findAdapter, WebGpuRenderer } from "./webgpu-renderer.js";
 
-export type Side = 0 | 1;
+export interface StageEvents extends Omit<RendererEvents, "failed"> {
+  /** Another renderer draws, into another canvas. */
+  replaced(): void;
+  /** Nothing draws any more. */
+  ended(): void;
+}
 
-/** One side, or both with the border at `split` of the width. */
-export type Show = { only: Side } | { split: number };
+async function startEngine(canvas: HTMLCanvasElement, on: RendererEvents): Promise<EngineRenderer> {
+  return (await loadEngine()).EngineRenderer.start(canvas, on);
+}
 
 export class Stage {
-  readonly layers: readonly [number, number];
-  /** Frames drawn. */
-  frames = 0;
-  private readonly cameras: readonly [Entity, Entity];
-  private view: ViewState | undefined;
-  private origin: readonly number[] = [0, 0, 0];
-  private show: Show = { only: 0 };
-  /** A capture uses the cameras; the view and the sides are applied after it. */
-  private isCapturing = false;
-  /** Frames to draw after this one. */
-  private more = 0;
-  private isBusy = false;
-  private readonly resizes = new ResizeObserver(() => this.resize());
-
-  /** Whether the engine draws the image that RENDERING.md defines. */
-  readonly isAsDefined: boolean;
+  /** What another renderer draws anew. */
+  readonly scenes = new Set<{ drawAnew(): void }>();
+  private engine: EngineRenderer | undefined;
+  /** Renderers take over one after the other. */
+  private last: Promise<unknown> = Promise.resolve();
+  private hasLost = false;
+  private hasEnded = false;
+  private shown: Shown = { view: undefined, origin: [0, 0, 0], show: { only: 0 }, background: [0, 0, 0], antiAliasing: [undefined, undefined] };
+  private readonly events: RendererEvents;
+  private renderer!: Renderer;
 
   private constructor(
-    readonly app: AppBase,
-    private readonly canvas: HTMLCanvasElement,
-    /** `frame` returns whether it waits for something that changes the picture. */
-    private readonly on: { frame(seconds: number): boolean; resized(size: Size): void },
+    private readonly isAnyAdapter: boolean,
+    private readonly on: StageEvents,
   ) {
-    const layers = ["left", "right"].map((name) => {
-      const layer = new Layer({ name });
-      app.scene.layers.insert(layer, 0);
-      return layer.id;
-    });
-    this.layers = layers as [number, number];
-    this.cameras = this.layers.map((layer, side) => {
-      const entity = new Entity(`camera ${side}`, app);
-      entity.addComponent("camera", { layers: [layer, LAYERID_IMMEDIATE], priority: side, farClip: 1e5, clearColor: new Color(0, 0, 0, 1) });
-      // Without this the engine ignores scissorRect.
-      if (entity.camera) (entity.camera.camera as unknown as { _scissorRectClear: boolean })._scissorRectClear = true;
-      app.root.addChild(entity);
-      return entity;
-    }) as unknown as [Entity, Entity];
-    this.isAsDefined = this.cameras.map(({ camera }) => camera !== undefined && drawAsDefined(app, camera)).every((done) => done);
-    app.scene.on("gsplat:sorted", () => {
-      // One frame takes over the order, the next one shows it.
-      this.more = 2;
-      this.request();
-    });
-    app.systems.gsplat?.on("frame:request", () => (this.more = Math.max(this.more, 1)));
-    app.on("update", (seconds: number) => {
-      if (this.more > 0) {
-        this.more -= 1;
-        this.request();
-      }
-      const isWaiting = this.on.frame(seconds);
-      this.setBusy(isWaiting || this.isToDraw || this.more > 0 || this.isCapturing || this.nSorts() > 0);
-    });
-    app.on("postrender", () => (this.frames += 1));
-    app.autoRender = false;
-    this.resizes.observe(canvas);
+    this.events = { ...on, failed: (renderer, error) => this.replace(renderer, error) };
   }
 
-  /** `deviceTypes` in order of preference. Rejects if there is none of them. */
-  static async start(canvas: HTMLCanvasElement, deviceTypes: string[], on: { frame(seconds: number): boolean; resized(size: Size): void; lost(): void; restored(): void }): Promise<Stage> {
-    const device = await createGraphicsDevice(canvas, { deviceTypes, antialias: false });
-    const options = new AppOptions();
-    options.graphicsDevice = device;
-    options.componentSystems = [CameraComponentSystem, GSplatComponentSystem];
-    options.resourceHandlers = [GSplatHandler, TextureHandler];
-    const app = new AppBase(canvas);
-    app.init(options);
-    const stage = new Stage(app, canvas, on);
-    device.on("devicelost", on.lost);
-    device.on("devicerestored", () => {
-      on.restored();
-      stage.request();
-    });
-    app.start();
-    stage.resize();
+  /**
+   * `asked`: "webgl2", or "webgpu" for one in software, too. `entries`: the scenes that are opened first. Rejects where
+   * nothing can draw.
+   */
+  static async start(canvas: HTMLCanvasElement, asked: string | null, entries: Promise<readonly SceneEntry[]>, on: StageEvents): Promise<Stage> {
+    const stage = new Stage(asked === "webgpu", on);
+    const adapter = asked === "webgl2" ? undefined : await findAdapter(stage.isAnyAdapter);
+    const isOther = adapter && (await entries.catch(() => [])).some(({ name }) => !/\.rgs$/i.test(name));
+    const first = adapter && !isOther && (await WebGpuRenderer.start(adapter, canvas, stage.events).catch(() => undefined));
+    stage.renderer = first || (stage.engine = await startEngine(canvas, stage.events));
+    stage.renderer.begin();
     return stage;
   }
 
-  /** Gives the graphics device back. */
   end(): void {
-    this.resizes.disconnect();
-    this.app.destroy();
+    this.hasEnded = true;
+    this.renderer.end();
   }
 
-  setAntiAliasing(side: Side, antiAliasing: AntiAliasing | undefined): void {
-    const { camera } = this.cameras[side];
-    if (camera) drawAsDefined(this.app, camera, antiAliasing);
-    this.request();
+  get canvas(): HTMLCanvasElement {
+    return this.renderer.canvas;
   }
 
-  /** Requests a frame. */
-  request(): void {
-    this.app.renderNextFrame = true;
-    this.setBusy(true);
+  get api(): string {
+    return this.renderer.api;
   }
 
-  /** For screen readers, and for tests: while it is true, the picture is going to change by itself. */
-  private setBusy(busy: boolean): void {
-    if (busy === this.isBusy) return;
-    this.isBusy = busy;
-    this.canvas.setAttribute("aria-busy", String(busy));
+  get isAsDefined(): boolean {
+    return this.renderer.isAsDefined;
   }
 
-  /** Whether a frame is requested. */
+  /** Frames drawn. */
+  get frames(): number {
+    return this.renderer.frames;
+  }
+
   get isToDraw(): boolean {
-    return this.app.renderNextFrame;
+    return this.renderer.isToDraw;
   }
 
-  private get size(): Size {
-    const { width, height } = this.canvas;
-    return { width, height };
+  request(): void {
+    this.renderer.request();
   }
 
-  /** Origin of the engine's coordinates, world: cameras are FP64, and what the engine draws stays near 0. */
-  setOrigin(origin: readonly number[]): void {
-    this.origin = origin;
+  set(shown: Partial<Shown>): void {
+    this.shown = { ...this.shown, ...shown };
+    this.renderer.show(this.shown);
   }
 
-  setView(view: ViewState): void {
-    this.view = view;
-    if (this.isCapturing) return;
-    for (const entity of this.cameras) setPinhole(entity, pinholeOf(view, this.size.width, this.size.height), this.origin);
-    this.request();
+  addSplats(side: Side, origin: readonly number[]): Splats {
+    return this.renderer.addSplats(side, origin);
   }
 
-  setShow(show: Show): void {
-    this.show = show;
-    if (this.isCapturing) return;
-    const split = "split" in show ? show.split : show.only === 0 ? 1 : 0;
-    this.cameras.forEach(({ camera }, side) => {
-      if (!camera) return;
-      camera.enabled = side === 0 ? split > 0 : split < 1;
-      // The right side is drawn over the left one, so that rounding leaves no gap.
-      const border = Math.round(split * this.size.width) / this.size.width;
-      camera.scissorRect = side === 0 ? new Vec4(0, 0, 1, 1) : new Vec4(border, 0, 1, 1);
-    });
-    this.request();
-  }
-
-  setBackground(rgb: readonly number[]): void {
-    const [r, g, b] = rgb as [number, number, number];
-    for (const { camera } of this.cameras) if (camera) camera.clearColor = new Color(r, g, b, 1);
-    this.request();
-  }
-
-  /** Draws a box for one frame, in the engine's coordinates. */
-  drawBox(min: readonly number[], max: readonly number[], colour: readonly number[]): void {
-    // Each edge joins corners whose numbers differ in one bit.
-    const corner = (bits: number): number[] => [0, 1, 2].map((axis) => ((bits >> axis) & 1 ? max : min)[axis] as number);
-    const ends = [0, 1, 2, 3, 4, 5, 6, 7].flatMap((from) => [1, 2, 4].filter((bit) => (from & bit) === 0).flatMap((bit) => [...corner(from), ...corner(from | bit)]));
-    const colours = Array.from({ length: ends.length / 3 }, () => [...colour, 1]).flat();
-    this.app.drawLineArrays(ends, colours, false);
+  drawBox(min: readonly number[], max: readonly number[], origin: readonly number[]): void {
+    this.renderer.drawBox(min, max, origin);
   }
 
   /** RGBA of one side, upper row first, in any size. Only one capture may run at a time. */
-  async capture(side: Side, view: ViewState, width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
-    const { camera } = this.cameras[side];
-    if (!camera) throw new Error("no camera");
-    const colorBuffer = new Texture(this.app.graphicsDevice, { width, height, format: PIXELFORMAT_RGBA8, mipmaps: false });
-    const target = new RenderTarget({ colorBuffer, depth: true });
-    this.isCapturing = true;
-    try {
-      const other = this.cameras[side === 0 ? 1 : 0].camera;
-      if (other) other.enabled = false;
-      camera.enabled = true;
-      camera.scissorRect = new Vec4(0, 0, 1, 1);
-      camera.renderTarget = target;
-      setPinhole(this.cameras[side], pinholeOf(view, width, height), this.origin);
-      await this.settled();
-      const read = await colorBuffer.read(0, 0, width, height, { renderTarget: target, immediate: true });
-      const pixels = new Uint8ClampedArray(read as Uint8Array);
-      if (this.app.graphicsDevice.isWebGL2) flipRows(pixels, width);
-      return pixels;
-    } finally {
-      camera.renderTarget = null as unknown as RenderTarget;
-      target.destroy();
-      colorBuffer.destroy();
-      this.isCapturing = false;
-      if (this.view) this.setView(this.view);
-      this.setShow(this.show);
+  async capture(side: Side, view: ViewState, width: number, height: number): Promise<Pixels> {
+    for (;;) {
+      await this.last;
+      const { renderer } = this;
+      try {
+        return await renderer.capture(side, view, width, height);
+      } catch (error) {
+        await this.last;
+        if (renderer === this.renderer) throw error;
+      }
     }
   }
 
   /** Resolves when the scene that was added last has been drawn. */
   async drawn(): Promise<void> {
-    await new Promise<void>((resolve) => this.app.scene.once("gsplat:sorted", () => resolve()));
-    for (let i = 0; i < 2; ++i) await new Promise<void>((resolve) => this.app.once("postrender", () => resolve()));
+    const { renderer } = this;
+    await renderer.drawn();
+    if (renderer !== this.renderer) await this.drawn();
+    if (this.hasEnded) await new Promise(() => undefined);
   }
 
-  /** Resolves after a frame whose Gaussians are sorted for its camera. */
-  async settled(): Promise<void> {
-    for (let before = -1, i = 0; i < 20; ++i) {
-      await this.nextFrame();
-      const busy = this.nSorts();
-      if (before === 0 && busy === 0) return;
-      if (busy > 0) await new Promise<void>((resolve) => this.app.scene.once("gsplat:sorted", () => resolve()));
-      before = busy;
+  /** The engine draws from now on. */
+  useEngine(): Promise<EngineRenderer> {
+    return this.inTurn(() => this.toEngine());
+  }
+
+  private inTurn<T>(work: () => Promise<T>): Promise<T> {
+    const done = this.last.then(work);
+    this.last = done.catch(() => undefined);
+    return done;
+  }
+
+  private async toEngine(): Promise<EngineRenderer> {
+    return (this.engine ??= await this.change(startEngine));
+  }
+
+  /** After one loss WebGPU is tried again; after another one, and where the device has no room, the engine draws. */
+  private replace(failed: Renderer, error: unknown): void {
+    const isLost = !(error instanceof RangeError || error instanceof GPUError);
+    const isTriedAgain = isLost && !this.hasLost;
+    this.hasLost ||= isLost;
+    if (isLost) this.on.lost();
+    const work = async (): Promise<void> => {
+      if (failed !== this.renderer) return;
+      const adapter = isTriedAgain ? await findAdapter(this.isAnyAdapter) : undefined;
+      const again = adapter && (await this.change((canvas, on) => WebGpuRenderer.start(adapter, canvas, on)).catch(() => undefined));
+      if (!again) await this.toEngine();
+    };
+    this.inTurn(work).then(
+      () => isLost && this.on.restored(),
+      () => this.hasEnded || this.on.ended(),
+    );
+  }
+
+  private async change<T extends Renderer>(start: (canvas: HTMLCanvasElement, on: RendererEvents) => Promise<T>): Promise<T> {
+    const { renderer: before } = this;
+    // A canvas has one API for ever.
+    const canvas = before.canvas.cloneNode() as HTMLCanvasElement;
+    const next = await start(canvas, this.events);
+    if (this.hasEnded) {
+      next.end();
+      throw new DOMException("the viewer has ended", "AbortError");
     }
+    const isFocused = before.canvas.matches(":focus");
+    before.canvas.replaceWith(canvas);
+    this.renderer = next;
+    for (const scene of this.scenes) scene.drawAnew();
+    before.end();
+    next.begin();
+    next.show(this.shown);
+    if (isFocused) canvas.focus({ preventScroll: true });
+    this.on.replaced();
+    return next;
   }
-
-  /** Sorts in flight, by the engine's internals; 0 where it has none of these. */
-  private nSorts(): number {
-    interface Managers {
-      camerasMap?: Map<unknown, { layersMap: Map<unknown, { gsplatManager?: { cpuSorter?: { jobsInFlight: number; pendingSorted: unknown } } }> }>;
-    }
-    const { gsplatDirector } = this.app.renderer as unknown as { gsplatDirector?: Managers };
-    let jobs = 0;
-    for (const { layersMap } of gsplatDirector?.camerasMap?.values() ?? []) {
-      for (const { gsplatManager } of layersMap.values()) jobs += gsplatManager?.cpuSorter?.jobsInFlight ?? 0;
-    }
-    return jobs;
-  }
-
-  private nextFrame(): Promise<void> {
-    return new Promise((resolve) => {
-      this.app.once("postrender", () => resolve());
-      this.request();
-    });
-  }
-
-  private resize(): void {
-    const { clientWidth, clientHeight } = this.canvas;
-    const { width, height } = pictureSize({ width: clientWidth, height: clientHeight }, devicePixelRatio, this.app.graphicsDevice.maxTextureSize);
-    if (width === this.size.width && height === this.size.height) return;
-    this.app.graphicsDevice.setResolution(width, height);
-    this.on.resized({ width, height });
-    this.request();
-  }
-}
-
-function flipRows(pixels: Uint8ClampedArray, width: number): void {
-  const rows = pixels.slice();
-  const bytes = 4 * width;
-  for (let at = 0; at < rows.length; at += bytes) pixels.set(rows.subarray(at, at + bytes), rows.length - bytes - at);
 }

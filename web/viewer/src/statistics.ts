@@ -2,13 +2,14 @@
 // SPDX-License-Identifier: Apache-2.0
 import { bytesText, countText } from "./messages.js";
 import type { Page } from "./page.js";
+import type { Stage } from "./stage.js";
 
-/** Returns what is called before each frame, with the number of frames drawn. */
-export function statisticsOf(page: Page): (nFrames: number) => void {
+/** Returns what is called before each frame. */
+export function statisticsOf(page: Page): (stage: Stage) => void {
   const stream = page.element("stream", HTMLElement);
   const overlay = page.element("overlay", HTMLOutputElement);
   let speed = { at: 0, nFrames: 0, rate: 0 };
-  return (nFrames) => {
+  return ({ frames: nFrames, api }) => {
     const { scenes, view, statistics, frame, isReferenceShown } = page.store.state;
     const pages = scenes.map((scene) => scene?.pages ?? { drawn: 0, wanted: 0 });
     const [drawn, wanted] = [pages.reduce((sum, each) => sum + each.drawn, 0), pages.reduce((sum, each) => sum + each.wanted, 0)];
@@ -25,7 +26,7 @@ export function statisticsOf(page: Page): (nFrames: number) => void {
         const pages = scene.hasPages ? `, ${drawn} pages${wanted > 0 ? `, ${wanted} wanted` : ""}` : "";
         return `${countText(scene.nDrawn)} of ${countText(scene.nGaussians)} Gaussians, ${bytesText(scene.bytesRead)} of ${bytesText(scene.bytes)}${pages}`;
       });
-    lines.push(`${speed.rate.toFixed(0)} frames a second`);
+    lines.push(`${speed.rate.toFixed(0)} frames a second by ${api}`);
     if (frame && isReferenceShown) {
       const { renderMs, totalMs, pagesMissing } = frame;
       lines.push(`reference picture: drawn in ${renderMs.toFixed(0)} ms, shown after ${totalMs.toFixed(0)} ms${pagesMissing > 0 ? `, ${pagesMissing} pages missing` : ""}`);

@@ -26,7 +26,7 @@ import { firstState } from "./state.js";
 import { statisticsOf } from "./statistics.js";
 import { Store } from "./store.js";
 
-/** What there is once the engine runs. */
+/** What there is once something draws. */
 interface Parts {
   opening: Opening;
   captures: Captures;
@@ -50,7 +50,7 @@ export class Viewer {
     const { store } = this.page;
     const { scenes } = store.state;
     store.end();
-    // The engine's parts go before the engine.
+    // What the renderer has of them goes before the renderer.
     for (const scene of scenes) scene?.destroy();
     this.stop.abort();
   }
@@ -79,17 +79,19 @@ export class Viewer {
     const { page } = this;
     const { store, signal, host } = page;
     const canvas = page.element("picture", HTMLCanvasElement);
+    // What needs no picture does not wait for one.
+    bindSettings(page);
     showLoading(page);
     showPoster(page);
-    // Scenes are requested while the engine starts.
+    // Scenes are requested while the renderer starts.
     const manifest = readManifest(host, page.isWhole);
     const reading = manifest.then(({ scenes }) => scenes.map((entry) => readFile({ entry, onProgress: progressOf(store) })));
     void reading.then((all) => all.forEach((each) => each.catch(() => undefined))).catch(() => undefined);
     const leave = (): undefined => void reading.then((all) => all.forEach(closeRead)).catch(() => undefined);
     let frame = (_seconds: number): boolean => false;
-    const device = new URLSearchParams(page.search).get("device");
-    // WebGPU only on request: not every browser that has it can draw with it.
-    const stage = await Stage.start(canvas, device === "webgpu" ? ["webgpu", "webgl2"] : ["webgl2"], {
+    const asked = host.getAttribute("renderer") ?? new URLSearchParams(page.search).get("renderer");
+    let replaced = (): void => undefined;
+    const stage = await Stage.start(canvas, asked, manifest.then(({ scenes }) => scenes), {
       frame: (seconds) => frame(seconds),
       resized: (size) => store.set({ size }),
       lost: () => page.showError(kLost),
@@ -97,14 +99,20 @@ export class Viewer {
         page.withdrawError(kLost);
         page.say("The graphics device is back");
       },
+      replaced: () => replaced(),
+      ended: () => page.showError(kNoGraphics),
     }).catch(() => page.showError(kNoGraphics));
     if (!stage) return leave();
     if (signal.aborted) stage.end();
     else signal.addEventListener("abort", () => stage.end());
-    if (!stage.isAsDefined) page.showError(kNotAsDefined);
     const found = await manifest;
     if (signal.aborted) return leave();
-    const controls = new Controls(store, canvas, () => page.isWhole || host.matches(":focus-within"));
+    let controls: Controls;
+    replaced = () => {
+      controls = new Controls(store, stage.canvas, () => page.isWhole || host.matches(":focus-within"));
+      if (!stage.isAsDefined) page.showError(kNotAsDefined);
+    };
+    replaced();
     // Before what is done only at rest.
     watchRest(page, () => controls.active);
     drawState(store, stage);
@@ -112,7 +120,6 @@ export class Viewer {
     const frames = found.frames ? drawReference(page, found.frames.url) : undefined;
     const captures = new Captures(page, stage, frames, () => opening.allOpened());
     showComparison(page, stage, captures);
-    bindSettings(page);
     bindSaving(page);
     showNames(page);
     showCameras(page, captures);
@@ -125,7 +132,7 @@ export class Viewer {
     const showStatistics = statisticsOf(page);
     frame = (seconds) => {
       const isWaiting = step(store, stage, controls, seconds);
-      showStatistics(stage.frames);
+      showStatistics(stage);
       return isWaiting;
     };
     const { background, sh_degree: shDegree } = found.settings ?? {};

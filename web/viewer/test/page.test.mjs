@@ -1355,7 +1355,7 @@ test("a browser without WebGL 2 is told so", async (t) => {
   await page.addInitScript(() => (HTMLCanvasElement.prototype.getContext = () => null));
   await page.goto(server.url);
   await page.waitForSelector("#errors p");
-  assert.match((await errors(page))[0], /^This browser has no WebGL 2/);
+  assert.match((await errors(page))[0], /^This browser has neither WebGPU nor WebGL 2/);
 });
 
 inBrowser("a screenshot is named as the scene is, whatever that is", { allowed: [k404] }, async ({ page }) => {

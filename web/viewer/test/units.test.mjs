@@ -252,8 +252,9 @@ test("a first picture is shown once it is within 64 px, or nothing more is to co
 
 test("a scene with levels shows its first picture when that is worth showing", () => {
   const file = { declarations: { origin: [0, 0, 0], axes: [] }, subjectBox: { min: [], max: [] }, header: {}, levels: { page: () => ({}) } };
-  const stage = { app: { root: { addChild: () => undefined } }, request: () => undefined };
-  /** Whether a view is drawn so many ms after the first, by its coarsest page, which has no Gaussians and so needs no device. */
+  const splats = { setLook: () => undefined, setParts: () => undefined };
+  const stage = { scenes: new Set(), addSplats: () => splats, request: () => undefined };
+  /** Whether a view is drawn so many ms after the first, by its coarsest page. */
   const isDrawn = (errorPx, nWanted, ms) => {
     const step = ([[event]]) => (event === "frame" ? [{ is: "draw", pages: [0] }] : []);
     const scheduler = { addView: () => 0, step, errorPx: () => errorPx, nWanted: () => nWanted };

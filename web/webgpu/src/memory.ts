@@ -6,7 +6,7 @@ import { kShWords } from "./shaders/project.js";
 /** 32-bit words of a row: mean and geometry. */
 const kRowWords = 7;
 /** Words of `Group` in shaders/math.ts, and Gaussians of one. */
-export const kGroupWords = 24;
+export const kGroupWords = 28;
 const kGroupRows = 256;
 const kLeastRows = 1 << 16;
 
@@ -56,7 +56,7 @@ export interface Piece {
   readonly n: number;
   readonly block: Block;
   readonly row: number;
-  /** Chunks, [nGroups, kGroupWords]; their order is set when they are drawn. */
+  /** Chunks, [nGroups, kGroupWords]; their order and tint are set when they are drawn. */
   readonly groups: Uint32Array;
 }
 
@@ -131,7 +131,7 @@ function groupsOf(part: StoredGaussians, begin: number, n: number, row: number):
     const chunk = Math.floor(at / chunkSize);
     const count = Math.min(kGroupRows, begin + n - at, (chunk + 1) * chunkSize - at);
     const set = 12 * (part.chunkSteps[chunk] as number);
-    records.push([row + at - begin, count, 0, unit, ...steps.subarray(set, set + 12), ...bounds.subarray(8 * chunk, 8 * chunk + 8)]);
+    records.push([row + at - begin, count, 0, unit, ...steps.subarray(set, set + 12), ...bounds.subarray(8 * chunk, 8 * chunk + 8), 0, 0, 0, 0]);
     at += count;
   }
   return Uint32Array.from(records.flat());

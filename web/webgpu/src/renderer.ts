@@ -8,6 +8,9 @@ import { kCounter, kCounters, kDispatch, kSortItems } from "./shaders/scan.js";
 import { bind, kDispatchBytes, Kernels, pipelineOf, run, type Step, Steps } from "./steps.js";
 import { kViewBytes, type RenderOptions, tileGrid, viewBytes } from "./view.js";
 
+/** Red, green, blue, 0 to 1. */
+export type Colour = readonly [number, number, number];
+
 /** What a frame needed. */
 export interface Frame {
   /** Gaussians in view. */
@@ -21,6 +24,8 @@ export interface Frame {
 /** First room: splats, entries. */
 const kLeastRoom = [1 << 16, 1 << 18] as const;
 const kSplatBytes = 48;
+/** Of a tint in a colour, as @roofgs/playcanvas has it. */
+const kTintShare = 0.6;
 /** Workgroups along x where there may be more than a dispatch takes along one axis; group_index() in shaders/math.ts. */
 const kGridColumns = 1 << 15;
 /** Constants of the browser's, which other runtimes set after this module is loaded. */
@@ -35,6 +40,8 @@ export function requestDevice(adapter: GPUAdapter): Promise<GPUDevice> {
   });
 }
 
+const isSame = (a: readonly unknown[], b: readonly unknown[]): boolean => a.length === b.length && a.every((each, i) => each === b[i]);
+
 export class SplatRenderer {
   private readonly memory: Memory;
   private readonly projects = new Map<number, GPUComputePipeline>();
@@ -47,11 +54,13 @@ export class SplatRenderer {
   private readonly buffers = new Map<string, GPUBuffer>();
   private readonly idle: GPUBuffer[] = [];
   private parts: readonly Part[] = [];
+  private tints: readonly Colour[] = [];
   private nGroups = 0;
   private readonly ranges = new Map<Block, { first: number; n: number; uniform: GPUBuffer }>();
   private camera: { pinhole: Pinhole; origin: readonly number[] } | undefined;
   private picture: GPUTexture | undefined;
   private steps: readonly Step[] | undefined;
+  private isDestroyed = false;
 
   private constructor(
     readonly device: GPUDevice,
@@ -70,6 +79,11 @@ export class SplatRenderer {
     return new SplatRenderer(device, await Kernels.create(device), room);
   }
 
+  /** A renderer of other Gaussians by the same device, at once. */
+  another(): SplatRenderer {
+    return new SplatRenderer(this.device, this.kernels, kLeastRoom);
+  }
+
   /** Copies Gaussians to the device: of readStored(), storedParts() or readPageStored(), all of one SH degree. */
   add(part: StoredGaussians): Part {
     return this.memory.add(part);
@@ -80,29 +94,34 @@ export class SplatRenderer {
     this.memory.remove(part);
   }
 
-  /** What the next frames draw. Gaussians of equal depth are drawn in this order. */
-  setParts(parts: readonly Part[]): void {
-    if (parts.length === this.parts.length && parts.every((part, i) => part === this.parts[i])) return;
+  /** What the next frames draw. Gaussians of equal depth are drawn in this order. `tints`: of parts, or none. */
+  setParts(parts: readonly Part[], tints: readonly Colour[] = []): void {
+    if (isSame(parts, this.parts) && isSame(tints, this.tints)) return;
     this.parts = [...parts];
-    const pieces = parts.flatMap((part) => part.pieces);
-    this.nGroups = pieces.reduce((sum, { groups }) => sum + groups.length / kGroupWords, 0);
-    const groups = new Uint32Array(kGroupWords * this.nGroups);
-    const byBlock = new Map<Block, { groups: Uint32Array; order: number }[]>();
-    let order = 0;
-    for (const { block, groups } of pieces) {
-      const list = byBlock.get(block) ?? [];
-      list.push({ groups, order });
-      byBlock.set(block, list);
-      order += groups.length / kGroupWords;
+    this.tints = tints;
+    const byBlock = new Map<Block, { groups: Uint32Array; order: number; tint: Colour | undefined }[]>();
+    this.nGroups = 0;
+    for (const [i, { pieces }] of parts.entries()) {
+      for (const { block, groups } of pieces) {
+        const list = byBlock.get(block) ?? [];
+        list.push({ groups, order: this.nGroups, tint: tints[i] });
+        byBlock.set(block, list);
+        this.nGroups += groups.length / kGroupWords;
+      }
     }
+    const groups = new Uint32Array(kGroupWords * this.nGroups);
+    const floats = new Float32Array(groups.buffer);
     let at = 0;
     for (const { uniform } of this.ranges.values()) uniform.destroy();
     this.ranges.clear();
     for (const [block, list] of byBlock) {
       const first = at / kGroupWords;
-      for (const { groups: own, order } of list) {
+      for (const { groups: own, order, tint } of list) {
         groups.set(own, at);
-        for (let i = 0; i < own.length / kGroupWords; ++i, at += kGroupWords) groups[at + 2] = order + i;
+        for (let i = 0; i < own.length / kGroupWords; ++i, at += kGroupWords) {
+          groups[at + 2] = order + i;
+          if (tint) floats.set([...tint, kTintShare], at + 24);
+        }
       }
       const uniform = this.device.createBuffer({ size: 16, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
       const n = at / kGroupWords - first;
@@ -129,7 +148,10 @@ export class SplatRenderer {
     const encoder = this.device.createCommandEncoder();
     const picture = this.encode(encoder, width, height, options, timestampWrites);
     const pipeline = this.showOf(format);
-    const pass = encoder.beginRenderPass({ colorAttachments: [{ view: target.createView(), loadOp: "clear", storeOp: "store" }] });
+    const { firstColumn = 0 } = options;
+    const loadOp = options.firstColumn === undefined ? "clear" : "load";
+    const pass = encoder.beginRenderPass({ colorAttachments: [{ view: target.createView(), loadOp, storeOp: "store" }] });
+    pass.setScissorRect(firstColumn, 0, width - firstColumn, height);
     pass.setPipeline(pipeline);
     pass.setBindGroup(0, bind(this.device, pipeline, [picture.createView()]));
     pass.draw(3);
@@ -160,8 +182,8 @@ export class SplatRenderer {
   }
 
   destroy(): void {
+    this.isDestroyed = true;
     this.memory.destroy();
-    this.kernels.destroy();
     this.picture?.destroy();
     const own = [this.view, this.capacity, this.counters, this.workgroups, ...this.buffers.values(), ...this.idle];
     for (const buffer of own) buffer.destroy();
@@ -169,6 +191,7 @@ export class SplatRenderer {
   }
 
   private encode(encoder: GPUCommandEncoder, width: number, height: number, options: RenderOptions, timestampWrites?: GPUComputePassTimestampWrites): GPUTexture {
+    if (this.isDestroyed) throw new Error("the renderer is destroyed");
     if (!this.camera) throw new Error("no view is set");
     const { queue } = this.device;
     if (this.picture?.width !== width || this.picture.height !== height) {

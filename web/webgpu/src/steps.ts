@@ -84,10 +84,6 @@ export class Kernels {
     }
     return buffer;
   }
-
-  destroy(): void {
-    for (const buffer of this.passes.values()) buffer.destroy();
-  }
 }
 
 export class Steps {

@@ -12,6 +12,8 @@ export interface RenderOptions {
   /** Drawn are means with near < z <= far; 0.2 and no limit by default. */
   near?: number;
   far?: number;
+  /** What is left of this column stays as it was in the texture. */
+  firstColumn?: number;
 }
 
 export const kTileSize = 16;

@@ -3,7 +3,7 @@
 //
 // Math    kernels/src/common/cull_chunk.cuh, rgs/math/projection.hpp; docs/format/RENDERING.md "A Gaussian on the image"
 // In/Out  chunks in the order that is drawn, rows -> a bit a Gaussian, their number a chunk
-// Cost    96 B a chunk; 28 B a Gaussian of chunks in view
+// Cost    112 B a chunk; 28 B a Gaussian of chunks in view
 // Order   deterministic
 import { kConstants, kCoverage, kProjection, kSplatWgsl, kViewWgsl } from "./math.js";
 

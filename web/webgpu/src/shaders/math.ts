@@ -119,6 +119,7 @@ struct Group {
   radius: f32,             // three standard deviations of its largest Gaussian
   high: vec3f,
   opacity: f32,
+  tint: vec4f,             // a colour, and its share
 }
 struct Block {
   first_group: u32,

@@ -85,7 +85,8 @@ fn project(@builtin(workgroup_id) workgroup: vec3u, @builtin(local_invocation_in
   if (at >= view.capacity.x) { return; }
   let row = g.row + thread;
   let p = project_row(row, g.scale_unit);
-  let s = screen_splat(p, sh_color(row, g, normalize(from_camera(load_mean(row)))));
+  let color = sh_color(row, g, normalize(from_camera(load_mean(row))));
+  let s = screen_splat(p, mix(color, g.tint.xyz, g.tint.w));
   let e = ellipse(s);
   let y = tile_rows(e, view.grid);
   var n = 0u;

@@ -1,0 +1,3 @@
+// load-engine.ts - the engine, which pages that draw by WebGPU do not fetch.
+// SPDX-License-Identifier: Apache-2.0
+export const loadEngine = () => import("./engine.js");
