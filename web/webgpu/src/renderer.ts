@@ -196,8 +196,12 @@ export class SplatRenderer {
     const { queue } = this.device;
     if (this.picture?.width !== width || this.picture.height !== height) {
       this.picture?.destroy();
-      const usage = GPUTextureUsage.STORAGE_BINDING | GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_SRC;
+      const usage = GPUTextureUsage.STORAGE_BINDING | GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_SRC | GPUTextureUsage.RENDER_ATTACHMENT;
       this.picture = this.device.createTexture({ size: [width, height], format: "rgba8unorm", usage });
+      // Shown if there is no room for the first frame.
+      const [r, g, b] = options.background ?? [0, 0, 0];
+      const clearValue = [r, g, b, 0] as number[];
+      encoder.beginRenderPass({ colorAttachments: [{ view: this.picture.createView(), loadOp: "clear", storeOp: "store", clearValue }] }).end();
       this.steps = undefined;
     }
     this.steps ??= this.plan(this.picture);

@@ -110,11 +110,11 @@ async function picture(pinhole: Pinhole, width: number, height: number, { coarse
 }
 
 /** What render() draws in a texture of another format, as base64, and whether the frame was complete. */
-async function rendered(pinhole: Pinhole, width: number, height: number): Promise<[string, boolean]> {
+async function rendered(pinhole: Pinhole, width: number, height: number, background?: number[]): Promise<[string, boolean]> {
   const usage = GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.COPY_SRC;
   const target = device.createTexture({ size: [width, height], format: "bgra8unorm", usage });
   renderer.setView(pinhole, declarations.origin);
-  const { isComplete } = await renderer.render(target, { antiAliasing: antiAliasingOf(declarations) });
+  const { isComplete } = await renderer.render(target, { antiAliasing: antiAliasingOf(declarations), ...(background ? { background } : {}) });
   const bytesPerRow = Math.ceil(width / 64) * 256;
   const buffer = device.createBuffer({ size: bytesPerRow * height, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
   const encoder = device.createCommandEncoder();

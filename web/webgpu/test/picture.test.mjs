@@ -140,13 +140,14 @@ test("pictures", async (t) => {
   });
 
   await t.test("without room a frame leaves the picture, and makes room", async () => {
-    const first = await draw(generated[0]);
+    const background = [0, 1, 0];
+    const first = await draw(generated[0], kSize, { background });
     await load(packed, [100, 100]);
     const frames = [];
-    do frames.push(await call("rendered", generated[0], ...kSize));
+    do frames.push(await call("rendered", generated[0], ...kSize, background));
     while (!frames.at(-1)[1] && frames.length < 9);
     assert.equal(frames.length, 3, "splats, entries, then the picture");
-    for (const [pixels] of frames.slice(0, 2)) assert.ok(bytes(pixels).every((byte) => byte === 0));
+    for (const [pixels] of frames.slice(0, 2)) assert.ok(bytes(pixels).every((byte, i) => byte === [0, 255, 0, 0][i % 4]));
     assert.deepEqual(bytes(frames[2][0]), first);
   });
 
