@@ -40,13 +40,21 @@ export interface Port {
   end(): void;
 }
 
-/** @internal */
-export function convertWith(start: () => Port, source: Source, options: ConvertOptions): Promise<Converted> {
-  const { profile = "packed", levels = false, signal, onProgress, tool, wasm } = options;
-  if (!kProfiles.includes(profile)) {
-    return Promise.reject(new RgsError({ code: "bad_argument", text: `no such profile: ${String(profile)}` }));
+/** The end of a URL. */
+function nameOf({ pathname }: URL): string {
+  const name = pathname.slice(pathname.lastIndexOf("/") + 1);
+  try {
+    return decodeURIComponent(name);
+  } catch {
+    return name;
   }
-  if (signal?.aborted) return Promise.reject(signal.reason);
+}
+
+/** @internal */
+export async function convertWith(start: () => Port, source: Source, options: ConvertOptions): Promise<Converted> {
+  const { profile = "packed", levels = false, signal, onProgress, tool, wasm } = options;
+  if (!kProfiles.includes(profile)) throw new RgsError({ code: "bad_argument", text: `no such profile: ${String(profile)}` });
+  signal?.throwIfAborted();
   let from: Blob | Uint8Array | string;
   let name = "";
   if (source instanceof Blob) {
@@ -60,7 +68,7 @@ export function convertWith(start: () => Port, source: Source, options: ConvertO
   } else {
     const url = new URL(source, globalThis.document?.baseURI);
     from = url.href;
-    name = decodeURIComponent(url.pathname.split("/").pop() ?? "");
+    name = nameOf(url);
   }
   return new Promise((resolve, reject) => {
     const port = start();

@@ -152,7 +152,7 @@ test("sources, and what the provenance says of them", async (t) => {
   const file = await open((await convert(bytes, { sourceName: "x", tool: "y" })).blob);
   assert.deepEqual([file.provenance.sourceName, file.provenance.tool], ["x", "y"]);
   file.close();
-  await assert.rejects(convert(`${url}/missing.ply`), { name: "RgsError", code: "open_failed" });
+  for (const name of ["missing.ply", "100%.ply"]) await assert.rejects(convert(`${url}/${name}`), { name: "RgsError", code: "open_failed" });
 });
 
 test("progress runs through the stages", async () => {
