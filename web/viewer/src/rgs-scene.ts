@@ -119,7 +119,9 @@ export class RgsScene extends Scene {
     }
     if (this.hasPages) return;
     this.file.close();
-    if (!this.stop.signal.aborted) this.firstView ??= await firstView(this.parts, this.up ?? undefined);
+    if (this.stop.signal.aborted) return;
+    // A scene whose view cannot be chosen is seen as its box tells.
+    this.firstView ??= await firstView(this.parts, this.up ?? undefined).catch(() => null);
   }
 
   get nDrawn(): number {

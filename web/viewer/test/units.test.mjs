@@ -265,6 +265,16 @@ test("a scene with levels shows its first picture when that is worth showing", (
   assert.deepEqual([isDrawn(64, 5, 0), isDrawn(65, 0, 0), isDrawn(65, 5, 299), isDrawn(65, 5, 300)], [true, true, false, true]);
 });
 
+test("a scene stays where its first view cannot be chosen", async () => {
+  const file = { declarations: { origin: [0, 0, 0], axes: [] }, subjectBox: { min: [], max: [] }, header: {}, levels: null, firstView: null, close: () => undefined };
+  const splats = { setLook: () => undefined, setParts: () => undefined };
+  const stage = { scenes: new Set(), addSplats: () => splats };
+  const scene = new modules["rgs-scene"].RgsScene("a.rgs", { file, parts: [] }, { n: 1 }, null, stage, 0, {});
+  // Node has no Worker.
+  await scene.complete();
+  assert.equal(scene.firstView, null);
+});
+
 test("the difference of two pictures", () => {
   const { difference } = modules.difference;
   const a = new Uint8ClampedArray([10, 20, 30, 255, 0, 0, 0, 255]);
