@@ -89,10 +89,8 @@ export class Controls {
     /** Whether gamepads and the wheel are meant for this viewer, not for another one or for the page around it. */
     private readonly isAttended: () => boolean = () => true,
   ) {
-    // Whoever touches anything takes over.
-    for (const name of ["pointerdown", "wheel", "keydown"] as const) {
-      element.addEventListener(name, () => store.state.flight && store.set({ flight: undefined }), { passive: true });
-    }
+    // Whoever touches anything takes over; a wheel does where it moves the view.
+    for (const name of ["pointerdown", "keydown"] as const) element.addEventListener(name, () => store.state.flight && store.set({ flight: undefined }));
     element.addEventListener("pointerdown", (event) => {
       element.setPointerCapture(event.pointerId);
       this.fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });

@@ -195,6 +195,21 @@ test("a flight ends where somebody else moves the view, or takes over", async ()
   await stopped.over;
 });
 
+test("touching the picture ends a flight, scrolling the page past it does not", () => {
+  const { store } = flights(0, false);
+  const picture = new EventTarget();
+  new modules.controls.Controls(store, picture, () => false);
+  const isFlying = (name, fields) => {
+    picture.dispatchEvent(Object.assign(new Event(name), fields));
+    modules.flight.advanceFlight(store, 100);
+    return store.state.flight !== undefined;
+  };
+  const wheel = (ctrlKey) => isFlying("wheel", { deltaY: 100, ctrlKey });
+  assert.deepEqual([wheel(false), isFlying("keydown", { code: "Tab" })], [true, false]);
+  modules.flight.fly(store, view, 0, false);
+  assert.deepEqual([wheel(false), wheel(true)], [true, false]);
+});
+
 test("where less motion is wished, or there is no view yet, a flight is a jump", async () => {
   const { behind, store, over } = flights(0, true);
   assert.equal(store.state.view, behind);
