@@ -59,7 +59,8 @@ export class Viewer {
   async flyTo(camera: string): Promise<boolean> {
     const parts = await this.parts;
     await parts?.opening.allOpened();
-    return goTo(this.page, camera);
+    // A viewer that has ended flies nowhere.
+    return !this.stop.signal.aborted && goTo(this.page, camera);
   }
 
   async screenshot(): Promise<Blob> {

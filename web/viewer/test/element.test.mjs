@@ -157,9 +157,11 @@ inPage("a poster hides no error, and what is asked of an element that goes ends"
     const shot = () => view.screenshot().then(() => "a picture", ({ name }) => name);
     view.addEventListener("ready", () => {
       window.shot = shot();
+      window.flown = view.flyTo("at=0,0,0&axes=1,0,0,0,1,0,0,0,1&lens=1,1,0,0&pivot=0,0,1");
       view.remove();
     });
     view.setAttribute("src", "town.rgs");
   });
   assert.equal(await page.waitForFunction(() => window.shot).then((shot) => shot.jsonValue()), "AbortError");
+  assert.equal(await page.evaluate(() => window.flown), false);
 });
