@@ -24,7 +24,7 @@ export class WebGpuRenderer extends Renderer {
   isToDraw = false;
   private readonly context: GPUCanvasContext;
   private readonly lines: Lines;
-  private readonly splats: WebGpuSplats[] = [];
+  private readonly splats = new Set<WebGpuSplats>();
   private shown: Shown | undefined;
   private boxes: number[][] = [];
   private nInFlight = 0;
@@ -93,9 +93,9 @@ export class WebGpuRenderer extends Renderer {
   addSplats(side: Side, origin: readonly number[]): Splats {
     const splats: WebGpuSplats = new WebGpuSplats(this.first.another(), side, origin, {
       changed: () => this.request(),
-      gone: () => void this.splats.splice(this.splats.indexOf(splats), 1),
+      gone: () => this.splats.delete(splats),
     });
-    this.splats.push(splats);
+    this.splats.add(splats);
     return splats;
   }
 
@@ -114,7 +114,7 @@ export class WebGpuRenderer extends Renderer {
       return pixels;
     } catch (error) {
       // A scene that goes meanwhile takes its buffers with it.
-      if (this.splats.includes(splats)) this.fail(error);
+      if (this.splats.has(splats)) this.fail(error);
       throw error;
     } finally {
       this.isCapturing = false;
@@ -122,7 +122,7 @@ export class WebGpuRenderer extends Renderer {
   }
 
   drawn(): Promise<void> {
-    return new Promise((resolve) => this.waiting.push({ for: this.splats.at(-1), resolve }));
+    return new Promise((resolve) => this.waiting.push({ for: [...this.splats].at(-1), resolve }));
   }
 
   private step(now: number): void {
@@ -138,7 +138,7 @@ export class WebGpuRenderer extends Renderer {
 
   /** The scene that is drawn on a side: one that is replaced stays until the next one is complete. */
   private of(side: Side): WebGpuSplats | undefined {
-    return this.splats.filter((each) => each.side === side && !each.isHidden).at(-1);
+    return [...this.splats].filter((each) => each.side === side && !each.isHidden).at(-1);
   }
 
   private optionsOf(side: Side): RenderOptions {
