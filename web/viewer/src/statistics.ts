@@ -17,7 +17,8 @@ export function statisticsOf(page: Page): (stage: Stage) => void {
     if (wanted > 0) stream.style.width = `${(100 * drawn) / (drawn + wanted)}%`;
     overlay.hidden = !statistics || !view;
     const now = performance.now();
-    if (now - speed.at > 500) speed = { at: now, nFrames, rate: (1000 * (nFrames - speed.nFrames)) / (now - speed.at) };
+    // Another renderer counts anew.
+    if (now - speed.at > 500) speed = { at: now, nFrames, rate: (1000 * Math.max(0, nFrames - speed.nFrames)) / (now - speed.at) };
     if (overlay.hidden) return;
     const lines = scenes
       .filter((scene) => scene !== undefined)
