@@ -1,7 +1,6 @@
 // renderer.ts - what draws the picture into a canvas, only after a change: webgpu-renderer.ts or engine-renderer.ts.
 // SPDX-License-Identifier: Apache-2.0
-import type { StoredGaussians } from "@roofgs/reader";
-import type { AntiAliasing } from "@roofgs/reader";
+import type { AntiAliasing, StoredGaussians } from "@roofgs/reader";
 import type { Colour } from "@roofgs/webgpu";
 import type { ViewState } from "./cameras.js";
 import { pictureSize, type Size } from "./picture-size.js";

@@ -42,6 +42,7 @@ export function beginFile(file: RgsFile, onProgress: (done: number, total: numbe
   for (const each of [opened.first, opened.scheduler]) each?.catch(() => undefined);
   return opened;
 }
+
 function upOf(file: RgsFile): Vector3 | null {
   const { axes } = file.declarations;
   const i = axes.findIndex((axis) => axis === "up" || axis === "down");

@@ -1,4 +1,4 @@
-// seen.ts - Gaussians that the engine loaded, as the reader's firstView() takes them.
+// seen.ts - Gaussians that the engine loaded, as first-view.ts takes them.
 // SPDX-License-Identifier: Apache-2.0
 import type { Gaussians, Spz } from "@roofgs/reader";
 import { GSplatData, Quat, type Texture, Vec3, Vec4 } from "playcanvas";
