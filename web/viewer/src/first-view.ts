@@ -17,7 +17,10 @@ export async function firstView(parts: Iterable<Seen>, up: Vector3 = [0, -1, 0])
     });
   try {
     await ask({ module });
-    for (const part of parts) await ask({ part });
+    for (const part of parts) {
+      // The worker gets a copy, which needs no SH.
+      await ask({ part: "geometry" in part ? { means: part.means, geometry: part.geometry, scaleExponent: part.scaleExponent } : part });
+    }
     return await ask({ up });
   } finally {
     worker.terminate();
