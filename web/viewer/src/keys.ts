@@ -31,7 +31,7 @@ export function connectKeys(page: Page): void {
   page.listen("keydown", (event) => {
     // The event's target is the element that the shadow root belongs to.
     const [target] = event.composedPath();
-    const typing = target instanceof HTMLSelectElement || (target instanceof HTMLInputElement && !(event.code === "Home" || !["checkbox", "radio", "range"].includes(target.type)));
+    const typing = target instanceof HTMLSelectElement || (target instanceof HTMLInputElement && (event.code === "Home" || !["checkbox", "radio", "range"].includes(target.type)));
     if (typing || event.defaultPrevented || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
     actions[event.code]?.();
   });

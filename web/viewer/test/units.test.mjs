@@ -18,7 +18,7 @@ let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "chooser", "controls", "declared", "difference", "first-picture", "flight", "flip", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "rgs-scene", "spz", "store"];
+  const names = ["cameras", "chooser", "controls", "declared", "difference", "first-picture", "flight", "flip", "keys", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "rgs-scene", "spz", "store"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -217,6 +217,30 @@ test("where less motion is wished, or there is no view yet, a flight is a jump",
   store.set({ view: undefined });
   await modules.flight.fly(store, behind, 0, false);
   assert.equal(store.state.view, behind);
+});
+
+test("keys hold beside checkboxes and sliders, but not where somebody types, and Home is a slider's own", () => {
+  class Input {
+    constructor(type) {
+      this.type = type;
+    }
+  }
+  Object.assign(globalThis, { HTMLInputElement: Input, HTMLSelectElement: class {} });
+  let isDone = false;
+  let heard;
+  const store = { state: { scenes: [], cameras: [] }, set: () => (isDone = true) };
+  const host = { getAttribute: () => ((isDone = true), null) };
+  modules.keys.connectKeys({ store, host, listen: (_, hear) => (heard = hear) });
+  const acts = (code, target) => {
+    isDone = false;
+    heard({ code, composedPath: () => [target] });
+    return isDone;
+  };
+  const targets = [{}, new Input("checkbox"), new Input("range"), new Input("text"), new HTMLSelectElement()];
+  assert.deepEqual(targets.map((target) => acts("KeyI", target)), [true, true, true, false, false]);
+  assert.deepEqual(targets.map((target) => acts("Home", target)), [true, false, false, false, false]);
+  delete globalThis.HTMLInputElement;
+  delete globalThis.HTMLSelectElement;
 });
 
 test("a view of the state is called when what it depends on changes, and only then", () => {
