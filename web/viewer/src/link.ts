@@ -18,7 +18,8 @@ export interface LinkState {
 }
 
 const kModes: readonly Mode[] = ["single", "slider", "flicker", "difference"];
-const digits = (value: number): string => String(Number(value.toPrecision(7)));
+/** Seven digits, and four behind the point, of positions far from 0. */
+const digits = (value: number): string => String(Number(Math.abs(value) < 1000 ? value.toPrecision(7) : value.toFixed(4)));
 const list = (values: readonly number[]): string => values.map(digits).join(",");
 
 export function writeLink(state: LinkState): string {

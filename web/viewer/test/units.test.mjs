@@ -32,7 +32,10 @@ const state = { view, mode: "slider", split: 0.25, background: [0, 0.5, 1], shDe
 
 test("a link says what the page shows, and nothing that it does not know", () => {
   const { readLink, writeLink } = modules.link;
-  assert.deepEqual(readLink(`#${writeLink(state)}`), state);
+  for (const z of [3e5, 5412345.625]) {
+    const here = { ...state, view: { ...view, position: [1, -2.5, z] } };
+    assert.deepEqual(readLink(`#${writeLink(here)}`), here);
+  }
   assert.deepEqual(readLink(""), {});
   assert.deepEqual(readLink("#at=1,2&mode=<b>&split=x&background=1,2,3,4&sh=&detail=NaN"), {});
   assert.deepEqual(readLink("#split=7&sh=9&background=2,-1,0.5&budget=1"), { split: 1, shDegree: 3, background: [1, 0, 0.5], budget: 1000 });
