@@ -104,13 +104,15 @@ export async function drawAll(key, jobs, { api = "webgl2", replace = [], seconds
   };
   /** What the client opens. */
   const served = (scene, i) => {
-    if (key !== "cesium") {
+    // Our page draws PLY by the engine, and that by WebGL 2.
+    const made = key === "cesium" ? "tileset.json" : key === "roofgs" && api === "webgpu" ? "scene.rgs" : undefined;
+    if (!made) {
       symlinkSync(resolve(scene), join(folder, `${i}.ply`));
       return `${i}.ply`;
     }
     mkdirSync(join(folder, `${i}`));
-    execFileSync(program("rgs-convert"), ["--quiet", scene, join(folder, `${i}`, "tileset.json")], { stdio: ["ignore", "ignore", "pipe"] });
-    return `${i}/tileset.json`;
+    execFileSync(program("rgs-convert"), ["--quiet", scene, join(folder, `${i}`, made)], { stdio: ["ignore", "ignore", "pipe"] });
+    return `${i}/${made}`;
   };
   try {
     await buildPage(key, folder, replace);

@@ -5,22 +5,22 @@ import { openScene, readFile } from "../../viewer/src/open-scene.ts";
 import { Stage } from "../../viewer/src/stage.ts";
 import { kApi, newCanvas, pixels } from "./pixels.js";
 
+const kNames = { webgl2: "WebGL 2", webgpu: "WebGPU" };
 let stage;
 let scene;
 
 window.draw = async (url, pinhole) => {
-  stage ??= await Stage.start(newCanvas(pinhole), [kApi], { frame: () => false, resized() {}, lost() {}, restored() {} });
-  if (stage.app.graphicsDevice.deviceType !== kApi) throw new Error(`the engine draws by ${stage.app.graphicsDevice.deviceType}`);
+  const nothing = () => {};
+  const on = { frame: () => false, resized: nothing, lost: nothing, restored: nothing, replaced: nothing, ended: nothing };
+  stage ??= await Stage.start(newCanvas(pinhole), kApi, Promise.resolve([{ name: url, url }]), on);
+  if (stage.api !== kNames[kApi]) throw new Error(`the page draws by ${stage.api}`);
   if (!stage.isAsDefined) throw new Error("the engine has other shaders");
   if (url !== scene?.name) {
     scene?.destroy();
-    const onProgress = () => {};
-    const read = await readFile({ entry: { name: url, url }, onProgress });
-    scene = await openScene(stage, { name: url, read, spzAxes: "ply", side: 0, onProgress, on: {} });
+    const read = await readFile({ entry: { name: url, url }, onProgress: nothing });
+    scene = await openScene(stage, { name: url, read, spzAxes: "ply", side: 0, onProgress: nothing, on: {} });
     await scene.complete();
-    stage.setOrigin(scene.origin);
-    scene.place(scene.origin);
-    stage.setAntiAliasing(0, scene.antiAliasing(0));
+    stage.set({ origin: scene.origin, antiAliasing: [scene.antiAliasing(0), undefined] });
   }
   const { width, height } = pinhole;
   const rgba = await stage.capture(0, viewOf(pinhole, [0, 0, 0]), width, height);
