@@ -93,6 +93,7 @@ function bindPanel(page: Page): void {
 /** What no scene has is not shown. */
 function showWhatApplies(page: Page): void {
   page.store.subscribe(({ scenes }) => [scenes], ([scenes]) => {
+    page.element("home", HTMLElement).hidden = !scenes.some((scene) => scene);
     (page.input("sh").parentElement as HTMLElement).hidden = !scenes.some((scene) => scene && scene.shDegree > 0);
     page.element("levels", HTMLElement).hidden = !scenes.some((scene) => scene?.hasPages);
   });

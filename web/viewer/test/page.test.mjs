@@ -280,6 +280,7 @@ inBrowser("a scene of another host is said to be that", { address: "?scene=http:
 });
 
 inBrowser("without a scene there is a place to drop one, and a button", { allowed: [k404], panel: "", hasTouch: true }, async ({ page }) => {
+  assert.ok(await page.locator("#home").isHidden());
   const [chooser] = await Promise.all([page.waitForEvent("filechooser"), page.getByRole("button", { name: "Open a scene…" }).click()]);
   assert.ok(chooser.isMultiple());
   for (const id of ["open", "menu", "theme"]) assert.ok((await page.locator(`#${id}`).boundingBox()).width >= 44, id);
