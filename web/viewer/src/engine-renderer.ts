@@ -26,6 +26,13 @@ import { add, pinholeOf, type ViewState } from "./cameras.js";
 import type { Size } from "./picture-size.js";
 import { edgesOf, kBoxColour, type Pixels, Renderer, type RendererEvents, type Shown, type Side, type Splats, splitOf } from "./renderer.js";
 
+/** Sorts the Gaussians of one camera. */
+interface Manager {
+  /** In the next frame. */
+  sortNeeded: boolean;
+  cpuSorter?: { jobsInFlight: number } | null;
+}
+
 export class EngineRenderer extends Renderer {
   readonly api = "WebGL 2";
   readonly isAsDefined: boolean;
@@ -35,6 +42,8 @@ export class EngineRenderer extends Renderer {
   private shown: Shown | undefined;
   /** Frames to draw after this one. */
   private more = 0;
+  /** Gaussians may be in the order of an earlier camera. */
+  private isOrderOld = true;
 
   private constructor(
     readonly app: AppBase,
@@ -68,7 +77,7 @@ export class EngineRenderer extends Renderer {
         this.more -= 1;
         this.request();
       }
-      this.tick(seconds, () => this.more > 0 || this.nSorts() > 0);
+      this.tick(seconds, () => this.more > 0 || this.nSorts() > 0 || this.sortAnew());
     });
     app.on("postrender", () => (this.frames += 1));
     app.autoRender = false;
@@ -126,6 +135,7 @@ export class EngineRenderer extends Renderer {
       if (camera && shown.antiAliasing[side] !== before?.antiAliasing[side]) drawAsDefined(this.app, camera, shown.antiAliasing[side]);
     });
     if (shown.origin !== before?.origin) for (const splats of this.splats) splats.place(shown.origin);
+    this.isOrderOld ||= shown.view !== before?.view || shown.origin !== before?.origin;
     if (this.isCapturing) return;
     const { view, origin, show, background } = shown;
     const { width, height } = this.canvas;
@@ -181,6 +191,7 @@ export class EngineRenderer extends Renderer {
       target.destroy();
       colorBuffer.destroy();
       this.isCapturing = false;
+      this.isOrderOld = true;
       if (this.shown) this.show(this.shown);
     }
   }
@@ -192,7 +203,9 @@ export class EngineRenderer extends Renderer {
 
   /** Resolves after a frame whose Gaussians are sorted for its camera. */
   private async settled(): Promise<void> {
+    this.isOrderOld = true;
     for (let before = -1, i = 0; i < 20; ++i) {
+      this.sortAnew();
       await this.nextFrame();
       const busy = this.nSorts();
       if (before === 0 && busy === 0) return;
@@ -201,17 +214,31 @@ export class EngineRenderer extends Renderer {
     }
   }
 
-  /** Sorts in flight, by the engine's internals; 0 where it has none of these. */
+  /**
+   * The engine does not sort for a camera that moves without a turn, and forgets one that comes while it sorts. Once nothing else
+   * is to come, this sorts for the camera that stays; returns whether it does.
+   */
+  private sortAnew(): boolean {
+    if (!this.isOrderOld || this.nSorts() > 0) return false;
+    this.isOrderOld = false;
+    for (const manager of this.managers()) manager.sortNeeded = true;
+    this.request();
+    return true;
+  }
+
+  /** Sorts in flight. */
   private nSorts(): number {
-    interface Managers {
-      camerasMap?: Map<unknown, { layersMap: Map<unknown, { gsplatManager?: { cpuSorter?: { jobsInFlight: number; pendingSorted: unknown } } }> }>;
+    return this.managers().reduce((sum, { cpuSorter }) => sum + (cpuSorter?.jobsInFlight ?? 0), 0);
+  }
+
+  /** What sorts, by the engine's internals; nothing where it has none of these. */
+  private managers(): Manager[] {
+    interface Director {
+      camerasMap?: Map<unknown, { layersMap: Map<unknown, { gsplatManager?: Manager | null }> }>;
     }
-    const { gsplatDirector } = this.app.renderer as unknown as { gsplatDirector?: Managers };
-    let jobs = 0;
-    for (const { layersMap } of gsplatDirector?.camerasMap?.values() ?? []) {
-      for (const { gsplatManager } of layersMap.values()) jobs += gsplatManager?.cpuSorter?.jobsInFlight ?? 0;
-    }
-    return jobs;
+    const { gsplatDirector } = this.app.renderer as unknown as { gsplatDirector?: Director };
+    const layers = [...(gsplatDirector?.camerasMap?.values() ?? [])].flatMap(({ layersMap }) => [...layersMap.values()]);
+    return layers.flatMap(({ gsplatManager }) => gsplatManager ?? []);
   }
 
   private nextFrame(): Promise<void> {

@@ -763,6 +763,56 @@ inBrowser("a PLY that declares Mip-Splatting is drawn as the .rgs made of it", {
   for (const each of found) assert.ok(each > 48, `${found}`);
 });
 
+/** A link: from 38 units before the scene, or behind it, or a multiple of that. */
+const far = (way, times = 1) => ({ at: [-1, -2, -1 - 38 * way * times], axes: [way, 0, 0, 0, 1, 0, 0, 0, way], lens: [0.866, 1, 0, 0], pivot: [-1, -2, -1] });
+const twice = { view: two.view, files: { ...two.files(), "scenes/1/low.rgs": join(scenes(), "packed.rgs") } };
+
+inBrowser("a camera that moves while the Gaussians are sorted gets an order of its own", twice, async ({ page }) => {
+  await page.addInitScript(() => {
+    const { postMessage } = Worker.prototype;
+    window.sorts = { isHeld: false, held: [] };
+    Worker.prototype.postMessage = function (...asked) {
+      if (sorts.isHeld && asked[0]?.command === "sort") sorts.held.push(() => postMessage.apply(this, asked));
+      else postMessage.apply(this, asked);
+    };
+  });
+  await page.reload();
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+  await follow(page, far(1));
+  const expected = await still(page);
+  /** Away and back, while the order of there is not made. */
+  const away = async (meanwhile) => {
+    await settled(page);
+    await page.evaluate(() => (sorts.isHeld = true));
+    await follow(page, far(-1));
+    await page.waitForFunction(() => sorts.held.length > 0);
+    await follow(page, far(1));
+    await meanwhile();
+    // A frame after the one that is requested already.
+    await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve))));
+    assert.equal(await page.getAttribute("#picture", "aria-busy"), "true");
+    await page.evaluate(() => {
+      sorts.isHeld = false;
+      for (const post of sorts.held.splice(0)) post();
+    });
+  };
+  await away(async () => {});
+  assert.ok((await still(page)) === expected, "the picture is that of the camera");
+  await away(() => page.getByRole("radio", { name: "Difference" }).click());
+  await page.locator("#map").waitFor();
+  assert.equal(await text(page, "#psnr"), "equal");
+});
+
+inBrowser("pictures are compared as they are, wherever the camera came from", twice, async ({ page }) => {
+  await follow(page, far(1));
+  await settled(page);
+  // Nearer, without a turn, for which the engine would sort.
+  await follow(page, far(1, 0.2));
+  await page.getByRole("radio", { name: "Difference" }).click();
+  await page.locator("#map").waitFor();
+  assert.equal(await text(page, "#psnr"), "equal");
+});
+
 /** A zip of one file that is stored as it is. */
 function zipOf(name, contents) {
   const entry = (signature, bytes, at) => {
