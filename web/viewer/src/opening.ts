@@ -129,7 +129,8 @@ export class Opening {
       before?.destroy();
       if (side === 0) store.set({ isComplete: true });
       const home = scene.firstView && homeOf(store.state);
-      if (home && guess === store.state.view) void fly(store, home, performance.now());
+      // What waits for `ready` waits for no flight.
+      if (home && guess === store.state.view) void fly(store, home, performance.now(), store.state.isReady ? undefined : true);
     } catch (error) {
       scene?.destroy();
       if (!scene) closeRead(reading);

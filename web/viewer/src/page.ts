@@ -98,7 +98,8 @@ export function offer(blob: Blob, name: string): void {
   link.href = URL.createObjectURL(blob);
   link.download = name;
   link.click();
-  URL.revokeObjectURL(link.href);
+  // Browsers may begin to read it later.
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
 
 export function beginLoading(store: PageStore, name: string): void {

@@ -15,7 +15,9 @@ const kMostSeconds = 0.1;
 /** An adapter of hardware, or any. */
 export async function findAdapter(isAny: boolean): Promise<GPUAdapter | undefined> {
   const adapter = await navigator.gpu?.requestAdapter({ powerPreference: "high-performance" }).catch(() => null);
-  return adapter && (isAny || !adapter.info?.isFallbackAdapter) ? adapter : undefined;
+  // Browsers had it on the adapter before.
+  const isFallbackAdapter = adapter?.info?.isFallbackAdapter ?? (adapter as { isFallbackAdapter?: boolean } | null)?.isFallbackAdapter;
+  return adapter && (isAny || !isFallbackAdapter) ? adapter : undefined;
 }
 
 export class WebGpuRenderer extends Renderer {
