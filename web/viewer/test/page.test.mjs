@@ -1447,7 +1447,7 @@ inBrowser("a dropped PLY is saved as the .rgs that rgs-convert makes of it", { a
   for (let i = 0; i < 3; ++i) ply.writeFloatLE(NaN, begin + 4 * (names.length * 1000 * i + names.indexOf("opacity")));
   await drop(page, "scene.ply", ply);
   await page.getByRole("button", { name: "Save as .rgs" }).click();
-  const wasm = () => server.requests.filter((line) => /wasm$/.test(line)).length;
+  const wasm = () => server.requests.filter((line) => /rgs-[^/]*wasm$/.test(line)).length;
   assert.equal(wasm(), 1, "the reader's alone");
   for (const [profile, levels] of [["packed", false], ["archive:small", false], ["direct", true]]) {
     await page.locator("#profile").selectOption(profile);
