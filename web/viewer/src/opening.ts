@@ -13,6 +13,28 @@ import type { Scene } from "./scene.js";
 import { homeOf, type PageStore, type State } from "./state.js";
 import type { Stage } from "./stage.js";
 
+/** Calls `open` with what is chosen or dropped, from the first moment on. */
+export function listenForFiles(page: Page, open: (files: readonly File[]) => void): void {
+  const input = page.input("file");
+  for (const id of ["open", "open-first"]) page.onClick(id, () => input.click());
+  input.addEventListener("change", () => {
+    open([...(input.files ?? [])]);
+    input.value = "";
+  });
+  if (!page.isFull) return;
+  const { dataset } = page.host;
+  page.listen("dragover", (event) => {
+    event.preventDefault();
+    dataset["dragged"] = "";
+  });
+  page.listen("dragleave", () => delete dataset["dragged"]);
+  page.listen("drop", (event) => {
+    event.preventDefault();
+    delete dataset["dragged"];
+    open([...(event.dataTransfer?.files ?? [])]);
+  });
+}
+
 export class Opening {
   /** Resolves when all that was requested so far is open; never rejects. */
   private last: Promise<void> = Promise.resolve();
@@ -26,26 +48,8 @@ export class Opening {
     private readonly manifest: Manifest,
   ) {
     this.store = page.store;
-    const input = page.input("file");
-    for (const id of ["open", "open-first"]) page.onClick(id, () => input.click());
     page.onClick("cancel", () => this.cancel());
     page.signal.addEventListener("abort", () => this.cancel());
-    input.addEventListener("change", () => {
-      void this.openFiles([...(input.files ?? [])]);
-      input.value = "";
-    });
-    if (!page.isFull) return;
-    const { dataset } = page.host;
-    page.listen("dragover", (event) => {
-      event.preventDefault();
-      dataset["dragged"] = "";
-    });
-    page.listen("dragleave", () => delete dataset["dragged"]);
-    page.listen("drop", (event) => {
-      event.preventDefault();
-      delete dataset["dragged"];
-      void this.openFiles([...(event.dataTransfer?.files ?? [])]);
-    });
   }
 
   /** `reading`: scenes of the manifest, which are in flight already. `mode`: that of the link. */

@@ -15,7 +15,7 @@ import { nameOf, readManifest } from "./manifest.js";
 import { kLost, kNoGraphics, kNotAsDefined } from "./messages.js";
 import { showNames } from "./names.js";
 import { closeRead, readFile } from "./open-scene.js";
-import { Opening } from "./opening.js";
+import { listenForFiles, Opening } from "./opening.js";
 import { Page, progressOf, showLoading, showPoster } from "./page.js";
 import { showPath } from "./path.js";
 import { watchRest } from "./rest.js";
@@ -44,6 +44,7 @@ export class Viewer {
       this.page.fail("The page", error);
       return undefined;
     });
+    listenForFiles(this.page, (files) => void this.parts.then((parts) => parts?.opening.openFiles(files)));
   }
 
   end(): void {
