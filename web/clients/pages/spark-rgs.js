@@ -4,8 +4,8 @@ import { open } from "@roofgs/reader";
 import { readSplats, rendererOptions } from "@roofgs/spark";
 import { SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
 import { Scene } from "three";
-import { nextFrame, pixels } from "./pixels.js";
-import { newCamera, newRenderer, setCamera } from "./three.js";
+import { pixels } from "./pixels.js";
+import { drawBySpark, newCamera, newRenderer, setCamera } from "./three.js";
 
 window.draw = async (url, pinhole) => {
   const camera = newCamera();
@@ -17,16 +17,7 @@ window.draw = async (url, pinhole) => {
   const scene = new Scene();
   scene.add(spark, new SplatMesh({ extSplats }));
   setCamera(camera, renderer, pinhole);
-  scene.updateMatrixWorld(true);
-  // As in spark.js.
-  const sorted = async () => {
-    while (spark.sorting || spark.sortDirty || spark.sortTimeoutId !== -1) await nextFrame();
-  };
-  renderer.render(scene, camera);
-  await sorted();
-  await spark.update({ scene, camera });
-  await sorted();
-  renderer.render(scene, camera);
+  await drawBySpark(spark, renderer, scene, camera);
   const rgba = pixels(renderer.domElement);
   renderer.dispose();
   return { gaussians: extSplats.numSplats, rgba };

@@ -2,8 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 import { SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
 import { Scene } from "three";
-import { nextFrame, pixels } from "./pixels.js";
-import { newCamera, newRenderer, setCamera } from "./three.js";
+import { pixels } from "./pixels.js";
+import { drawBySpark, newCamera, newRenderer, setCamera } from "./three.js";
 
 const camera = newCamera();
 const renderer = newRenderer({ width: 1, height: 1 });
@@ -25,15 +25,6 @@ window.draw = async (url, pinhole) => {
     drawn = url;
   }
   setCamera(camera, renderer, pinhole);
-  scene.updateMatrixWorld(true);
-  const sorted = async () => {
-    while (spark.sorting || spark.sortDirty || spark.sortTimeoutId !== -1) await nextFrame();
-  };
-  renderer.render(scene, camera);
-  await sorted();
-  // By itself it keeps the order, and the colours, of views that are much alike.
-  await spark.update({ scene, camera });
-  await sorted();
-  renderer.render(scene, camera);
+  await drawBySpark(spark, renderer, scene, camera);
   return { gaussians: mesh.numSplats, rgba: pixels(renderer.domElement) };
 };

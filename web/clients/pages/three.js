@@ -1,7 +1,7 @@
 // three.js - what the pages of clients above three.js share: its renderer as these clients' examples make it, and its camera.
 // SPDX-License-Identifier: Apache-2.0
 import { Matrix4, PerspectiveCamera, WebGLRenderer } from "three";
-import { kFar, newCanvas } from "./pixels.js";
+import { kFar, newCanvas, nextFrame } from "./pixels.js";
 
 export function newRenderer(size) {
   const renderer = new WebGLRenderer({ canvas: newCanvas(size), antialias: false });
@@ -24,3 +24,17 @@ export function setCamera(camera, renderer, { position, rotation, width, height,
 }
 
 export const newCamera = () => new PerspectiveCamera();
+
+/** A picture by Spark, once it has sorted for this camera. */
+export async function drawBySpark(spark, renderer, scene, camera) {
+  const sorted = async () => {
+    while (spark.sorting || spark.sortDirty || spark.sortTimeoutId !== -1) await nextFrame();
+  };
+  scene.updateMatrixWorld(true);
+  renderer.render(scene, camera);
+  await sorted();
+  // By itself it keeps the order, and the colours, of views that are much alike.
+  await spark.update({ scene, camera });
+  await sorted();
+  renderer.render(scene, camera);
+}
