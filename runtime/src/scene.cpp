@@ -15,6 +15,7 @@
 #include <utility>
 #include <vector>
 
+#include "each_gaussian.hpp"
 #include "parallel.hpp"
 #include "rgs/file.hpp"
 #include "rgs/guard_memory.hpp"
@@ -29,7 +30,6 @@ namespace {
 
 constexpr std::uint64_t kMaxGaussians = std::uint64_t{1} << 31;
 constexpr std::uint64_t kGrain = 8192;
-constexpr std::uint64_t kDecodedAtOnce = std::uint64_t{1} << 20;
 
 bool all_finite(const float* values, std::uint64_t n) {
   return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
@@ -558,25 +558,14 @@ Result<SceneBounds> subject_bounds(const Scene& scene) {
     return placed(subject_box(view->mean, view->opacity), view->origin);
   }
   // The FP32 arrays of a file take many times as much as these.
-  const FileView& file = *scene.file();
-  const std::uint64_t n_chunks = file.header().n_chunks;
-  const std::uint64_t at_once = std::max<std::uint64_t>(1, kDecodedAtOnce / file.header().chunk_size);
   std::vector<float> mean, opacity;
   mean.reserve(3 * scene.size());
   opacity.reserve(scene.size());
-  std::array<ActivatedSplat, 64> buffer;
-  for (std::uint64_t chunk = 0; chunk < n_chunks; chunk += at_once) {
-    const auto data = read_chunks(file, chunk, std::min(at_once, n_chunks - chunk), {.validate = false});
-    if (!data) return tl::unexpected(data.error());
-    for (std::uint64_t i = 0; i < data->size(); i += buffer.size()) {
-      const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), data->size() - i));
-      if (const Status s = data->read(data->first() + i, part); !s) return tl::unexpected(s.error());
-      for (const ActivatedSplat& splat : part) {
-        mean.insert(mean.end(), splat.mean, splat.mean + 3);
-        opacity.push_back(splat.opacity);
-      }
-    }
-  }
+  const auto add = [&](const ActivatedSplat& splat) {
+    mean.insert(mean.end(), splat.mean, splat.mean + 3);
+    opacity.push_back(splat.opacity);
+  };
+  if (const Status s = each_gaussian(*scene.file(), add); !s) return tl::unexpected(s.error());
   return placed(subject_box(mean, opacity), scene.origin());
 }
 

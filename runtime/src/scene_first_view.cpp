@@ -7,14 +7,11 @@
 #include <cmath>
 #include <glm/geometric.hpp>
 #include <numbers>
-#include <span>
 
-#include "rgs/decode.hpp"
+#include "each_gaussian.hpp"
 
 namespace rgs {
 namespace {
-
-constexpr std::uint64_t kDecodedAtOnce = std::uint64_t{1} << 18;  // Gaussians
 
 glm::dvec3 vector(const std::array<float, 3>& v) {
   return {v[0], v[1], v[2]};
@@ -26,22 +23,6 @@ glm::dvec3 vector(const Origin& origin) {
   return {origin[0], origin[1], origin[2]};
 }
 
-Status add_file(const FileView& file, FirstViewSample& sample) {
-  const std::uint64_t n_chunks = file.header().n_chunks;
-  const std::uint64_t at_once = std::max<std::uint64_t>(1, kDecodedAtOnce / file.header().chunk_size);
-  std::array<ActivatedSplat, 64> buffer;
-  for (std::uint64_t chunk = 0; chunk < n_chunks; chunk += at_once) {
-    const auto data = read_chunks(file, chunk, std::min(at_once, n_chunks - chunk), {.validate = false});
-    if (!data) return tl::unexpected(data.error());
-    for (std::uint64_t i = 0; i < data->size(); i += buffer.size()) {
-      const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), data->size() - i));
-      if (const Status s = data->read(data->first() + i, part); !s) return s;
-      for (const ActivatedSplat& s : part) sample.add(s.mean, s.scale, s.rotation, s.opacity);
-    }
-  }
-  return {};
-}
-
 }  // namespace
 
 Result<FirstView> first_view(const Scene& scene, const glm::dvec3& up, bool exact_up) {
@@ -50,7 +31,8 @@ Result<FirstView> first_view(const Scene& scene, const glm::dvec3& up, bool exac
   if (!scene.is_streamed()) {
     FirstViewSample sample;
     if (scene.has_file()) {
-      if (const Status s = add_file(*scene.file(), sample); !s) return tl::unexpected(s.error());
+      const auto add = [&sample](const ActivatedSplat& s) { sample.add(s.mean, s.scale, s.rotation, s.opacity); };
+      if (const Status s = each_gaussian(*scene.file(), add); !s) return tl::unexpected(s.error());
     } else {
       const auto arrays = scene.view();
       if (!arrays) return tl::unexpected(arrays.error());
