@@ -55,6 +55,7 @@ test("the package", async (t) => {
     writeFileSync(join(folder, "use.js"), kUse);
     const path = scene("small.ply", "--gaussians", "1000");
     assert.equal(execFileSync(process.execPath, ["use.js", path], { cwd: folder, encoding: "utf8" }), "1000 1000 RgsError\n");
+    assert.match(npm("exec", "--offline", "--", "rgs-convert", path, "small.rgs"), /^small\.rgs: 1000 Gaussians/);
   });
 
   await t.test("has types", () => {
