@@ -61,7 +61,7 @@ SHARED = ["converter/convert", "converter/inspect", "converter/audit", "converte
           "converter/lod", "converter/tool"]
 OUTSIDERS = ["samples/minimal", "samples/consumer"]
 # Programs outside the rooms that feed a room's library.
-FEEDS = {"samples/make_scene": "convert", "web/converter/wasm": "convert"}
+FEEDS = {"samples/make_scene": "convert", "web/convert/wasm": "convert"}
 
 CUDA = r"cuda|cub/|thrust/|cooperative_groups|curand|mma\.h|nv/|device_|vector_types|.*\.cuh?$"
 # What a scheduler without input, output, threads and locks does not need.

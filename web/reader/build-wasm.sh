@@ -1,9 +1,9 @@
 #!/bin/sh
-# build-wasm.sh - builds WebAssembly of a package by Debian's clang-19: sh build-wasm.sh [reader|converter|viewer]; dist/rgs.wasm, and
+# build-wasm.sh - builds WebAssembly of a package by Debian's clang-19: sh build-wasm.sh [reader|convert|viewer]; dist/rgs.wasm, and
 # build/web/first-view.wasm of the viewer.
 # reader: RGS_FORMAT_PORTABLE of format/CMakeLists.txt, the scheduler of pages in runtime/pages, the framing of .spz, the .cpp files in
 # wasm/ and the decoder of Zstandard. Its sources are not in Debian's packages; they come with the npm package zstd-napi.
-# converter: all of the format library, the reader of PLY, levels of detail and the conversion of rgs-convert. converter/wasm replaces
+# convert: all of the format library, the reader of PLY, levels of detail and the conversion of rgs-convert. convert/wasm replaces
 # what these take from the host: files by memory, oneTBB by loops.
 # viewer: what chooses the first view. The reader's size is limited.
 # SPDX-License-Identifier: Apache-2.0
@@ -29,9 +29,9 @@ for header in hwy tl xxhash.h fmt glm nlohmann; do
 done
 mkdir -p "$build/include/tbb"
 for header in blocked_range enumerable_thread_specific parallel_for parallel_pipeline partitioner spin_mutex task_arena task_group; do
-  ln -sfn "$root/web/converter/wasm/tbb.hpp" "$build/include/tbb/$header.h"
+  ln -sfn "$root/web/convert/wasm/tbb.hpp" "$build/include/tbb/$header.h"
 done
-ln -sfn "$root/web/converter/wasm/no_terminal.hpp" "$build/include/console.hpp"
+ln -sfn "$root/web/convert/wasm/no_terminal.hpp" "$build/include/console.hpp"
 
 # The same sources as in CMake.
 portable=$(sed -nE '/^set\(RGS_FORMAT_PORTABLE/,/^\)/s/^ +(src.*\.cpp)$/\1/p' "$root/format/CMakeLists.txt")
@@ -123,12 +123,12 @@ rule link
     converter/formats/ply_header.cpp converter/formats/ply_reader.cpp converter/formats/spool_file.cpp converter/formats/stated_scene.cpp \
     converter/formats/splat_edit.cpp converter/formats/sh_rotation.cpp converter/convert/convert_to_rgs.cpp \
     converter/convert/depth_range.cpp converter/convert/input_declarations.cpp runtime/src/cameras/camera.cpp \
-    web/converter/wasm/converter.cpp web/converter/wasm/memory_files.cpp; do
+    web/convert/wasm/converter.cpp web/convert/wasm/memory_files.cpp; do
     echo "build $build/converter/$source.o: cxx $root/$source"
     echo "  size = -O2"
     echo "  more = \$converter_flags"
     objects="$objects $build/converter/$source.o"
   done
-  echo "build $root/web/converter/dist/rgs.wasm: link $shared $objects"
+  echo "build $root/web/convert/dist/rgs.wasm: link $shared $objects"
 } >"$build/build.ninja"
 ninja -C "$build" --quiet "$out"

@@ -4,7 +4,7 @@
 set -eu
 cd "$(dirname "$0")"
 {
-  cat ../converter/NOTICE
+  cat ../convert/NOTICE
   echo
   echo "The PlayCanvas engine, https://playcanvas.com"
   echo

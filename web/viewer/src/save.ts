@@ -1,6 +1,6 @@
 // save.ts - "Save as .rgs": the converter's worker makes an .rgs of a PLY, which the page offers as a download.
 // SPDX-License-Identifier: Apache-2.0
-import type { Profile, Progress, Report } from "@roofgs/converter";
+import type { Profile, Progress, Report } from "@roofgs/convert";
 import { loadConverter } from "./converter.js";
 import { bytesText, countText } from "./messages.js";
 import { offer, type Page } from "./page.js";

@@ -20,7 +20,7 @@ export abstract class Scene {
   /** The up direction that the file declares, or null. */
   readonly up: readonly number[] | null = null;
   readonly hasPages: boolean = false;
-  /** What @roofgs/converter can convert: a file, or an address. */
+  /** What @roofgs/convert can convert: a file, or an address. */
   readonly source: Blob | string | undefined = undefined;
   /** 0 where setShDegree() changes nothing. */
   readonly shDegree: number = 0;

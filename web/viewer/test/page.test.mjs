@@ -8,7 +8,7 @@ import { basename, dirname, join } from "node:path";
 import test, { after, before } from "node:test";
 import { fileURLToPath, pathToFileURL } from "node:url";
 import { open } from "@roofgs/reader";
-import { byProgramOf } from "../../converter/test/same.mjs";
+import { byProgramOf } from "../../convert/test/same.mjs";
 import { program, readCameras } from "../../playcanvas/test/pictures.mjs";
 import { hasChromium, launch } from "../../reader/test/chromium.mjs";
 import { golden, scenes } from "../../reader/test/dump.mjs";

@@ -14,14 +14,14 @@ const tsc = fileURLToPath(new URL("../../node_modules/typescript/bin/tsc", impor
 
 const kUse = `
 import { readFileSync } from "node:fs";
-import { convert, RgsError } from "@roofgs/converter";
+import { convert, RgsError } from "@roofgs/convert";
 import { open } from "@roofgs/reader";
 const { blob, report } = await convert(readFileSync(process.argv[2]));
 const file = await open(blob);
 console.log(report.nWritten, (await file.read()).n, RgsError.name);
 `;
 const kTypes = `
-import { convert, type Converted, type Profile, RgsError } from "@roofgs/converter";
+import { convert, type Converted, type Profile, RgsError } from "@roofgs/convert";
 const profile: Profile = "archive:small";
 const made: Converted = await convert(new Blob([]), { profile, onProgress: ({ stage, done, total }) => console.log(stage, done / total) });
 const dropped: number = made.report.nSource - made.report.nWritten;

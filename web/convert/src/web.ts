@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /**
  * Converts PLY files to .rgs, in browsers and in Node.
- * @module @roofgs/converter
+ * @module @roofgs/convert
  */
 import type { Answer } from "./conversion.js";
 import { type Converted, convertWith, type ConvertOptions, type Port, type Source } from "./convert.js";

@@ -5,7 +5,7 @@ import { openAsBlob, readFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { basename } from "node:path";
 import test from "node:test";
-import { convert, RgsError } from "@roofgs/converter";
+import { convert, RgsError } from "@roofgs/convert";
 import { open } from "@roofgs/reader";
 import { byProgram, byProgramOf, scene } from "./same.mjs";
 

@@ -1,4 +1,4 @@
-// cli.test.mjs - npx @roofgs/converter: files of rgs-convert, its exit codes, and nothing lost.
+// cli.test.mjs - npx @roofgs/convert: files of rgs-convert, its exit codes, and nothing lost.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";

@@ -21,9 +21,9 @@ export interface ConvertOptions {
   sourceName?: string;
   /** For the provenance: by default "rgs-convert" and its version, whose code this is. */
   tool?: string;
-  /** The compiled `@roofgs/converter/rgs.wasm`, if you load it yourself. */
+  /** The compiled `@roofgs/convert/rgs.wasm`, if you load it yourself. */
   wasm?: WebAssembly.Module;
-  /** Starts a worker of `@roofgs/converter/worker`, in browsers, for instance from a page that is one file. */
+  /** Starts a worker of `@roofgs/convert/worker`, in browsers, for instance from a page that is one file. */
   worker?: () => Worker;
 }
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env node
-// cli.ts - npx @roofgs/converter INPUT.ply OUTPUT.rgs, for machines without rgs-convert: its names of options, messages and exit codes.
+// cli.ts - npx @roofgs/convert INPUT.ply OUTPUT.rgs, for machines without rgs-convert: its names of options, messages and exit codes.
 // SPDX-License-Identifier: Apache-2.0
 import { link, open, readFile, rename, stat, unlink } from "node:fs/promises";
 import { basename, dirname, resolve } from "node:path";
@@ -10,7 +10,7 @@ import { convert, RgsError, type Report } from "./node.js";
 const kProgram = "rgs-convert";
 const kHelp = `Converts a PLY file of 3D Gaussian splats to .rgs.
 
-Usage: npx @roofgs/converter [OPTIONS] INPUT.ply OUTPUT.rgs
+Usage: npx @roofgs/convert [OPTIONS] INPUT.ply OUTPUT.rgs
 
   --profile PROFILE  ${kProfiles.join(", ")} [packed]
   --lod              Add levels of detail
@@ -34,7 +34,7 @@ class End extends Error {
   }
 }
 
-const usage = (message: string): End => new End(`${message}\nRun npx @roofgs/converter --help for usage.`, 2);
+const usage = (message: string): End => new End(`${message}\nRun npx @roofgs/convert --help for usage.`, 2);
 
 /** Of an error of Node. */
 function systemError(file: string, what: string, code: string, error: unknown): End {
