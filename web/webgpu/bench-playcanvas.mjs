@@ -17,6 +17,12 @@ if (!cameras) {
 }
 const [width, height] = (values.size ?? "1920x1080").split("x").map(Number);
 const nFrames = Number(values.frames ?? 50);
+const list = readCameras(cameras);
+const views = values.views?.split(",").map(Number) ?? [...list.keys()];
+if (!views.every((view) => list[view])) {
+  console.error(`--views ${values.views}: the views of ${cameras} are 0 to ${list.length - 1}`);
+  process.exit(2);
+}
 
 async function plyOf(path) {
   const file = await open(new Uint8Array(readFileSync(path)));
@@ -107,8 +113,7 @@ const { queue } = options.graphicsDevice.wgpu;
 
 console.log(`PlayCanvas ${pc.version}; ${asset.resource.numSplats} Gaussians, ${width}x${height}, ${nFrames} frames`);
 console.log("view  frames/s in a row");
-const list = readCameras(cameras);
-for (const view of values.views ? values.views.split(",").map(Number) : list.keys()) {
+for (const view of views) {
   const camera = list[view];
   const [fx, fy] = [camera.fx, camera.fy].map((focal) => (focal * width) / camera.width);
   // Each frame from another place, so that each is sorted.

@@ -22,6 +22,12 @@ if (!cameras) {
 }
 const [width, height] = (values.size ?? "1920x1080").split("x").map(Number);
 const nFrames = Number(values.frames ?? 50);
+const list = readCameras(cameras);
+const views = values.views?.split(",").map(Number) ?? [...list.keys()];
+if (!views.every((view) => list[view])) {
+  console.error(`--views ${values.views}: the views of ${cameras} are 0 to ${list.length - 1}`);
+  process.exit(2);
+}
 
 function png(pixels) {
   const lines = Buffer.alloc((4 * width + 1) * height);
@@ -90,8 +96,7 @@ const { vendor, architecture, description } = adapter.info;
 const clock = hasTimestamps ? "timestamps" : "the queue";
 console.log(`${vendor} ${architecture} ${description}; ${file.header.nGaussians} Gaussians, ${width}x${height}, median of ${nFrames} frames, ms by ${clock}`);
 console.log("view       ms  frames/s in a row     visible     entries");
-const list = readCameras(cameras);
-for (const view of values.views ? values.views.split(",").map(Number) : list.keys()) {
+for (const view of views) {
   renderer.setView(list[view], origin);
   const pixels = await renderer.capture(width, height, options);
   if (values.out) {
