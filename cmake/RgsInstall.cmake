@@ -108,6 +108,12 @@ endif()" COMPONENT programs)
   install(DIRECTORY web/viewer/dist/ DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer COMPONENT programs OPTIONAL)
   install(FILES web/viewer/dist-single/page.html RENAME single.html DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer
     COMPONENT programs OPTIONAL)
+  # The page offers a sample that lies beside it.
+  if(TARGET rgs-make-scene AND NOT CMAKE_CROSSCOMPILING)
+    install(CODE "execute_process(COMMAND sh \"${PROJECT_SOURCE_DIR}/scripts/make_sample.sh\"
+  \"$<TARGET_FILE_DIR:rgs-make-scene>\" \"${PROJECT_BINARY_DIR}/sample.rgs\" COMMAND_ERROR_IS_FATAL ANY)" COMPONENT programs)
+    install(FILES ${PROJECT_BINARY_DIR}/sample.rgs DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer COMPONENT programs)
+  endif()
 endif()
 include(RgsManual)
 

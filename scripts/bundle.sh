@@ -73,6 +73,7 @@ if [ -x "$out/bin/rgs-view" ]; then
   mkdir -p "$out/share/roofgs"
   cp -R "$page" "$out/share/roofgs/viewer"
   cp "$page-single/page.html" "$out/share/roofgs/viewer/single.html"
+  sh "$(dirname "$0")/make_sample.sh" "$build/bin" "$out/share/roofgs/viewer/sample.rgs"
 fi
 # Man pages and completions, where they are built.
 if [ -d "$build/manual" ]; then

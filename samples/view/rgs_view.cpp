@@ -323,7 +323,7 @@ int export_page(const Options& options, Shown& shown) {
 }
 
 void add_options(CLI::App& app, Options& o) {
-  app.add_option("scene", o.scene, "scene: " RGS_PAGE_FORMATS)->required();
+  app.add_option("scene", o.scene, "scene: " RGS_PAGE_FORMATS "; without one the page waits for it");
   app.add_option("other", o.other, "second scene, to compare with the first");
   auto* const cameras = app.add_option("--cameras,-c", o.cameras,
                                        "cameras on the page: camera file or COLMAP folder (docs/user/CAMERAS.md)");
@@ -370,6 +370,8 @@ void add_options(CLI::App& app, Options& o) {
 
 // Contradictory options; empty if there are none.
 std::string contradiction(const Options& o) {
+  if (o.scene.empty() && (!o.cameras.empty() || !o.export_to.empty() || has_frames(o)))
+    return "--cameras, --export, --backend, --host-memory and --device-memory need a scene; name one";
   if (o.host_memory == std::uint64_t{0}) return "--host-memory of 0 bytes holds no scene";
   if (o.device_memory == std::uint64_t{0}) return "--device-memory of 0 bytes holds no scene";
   if (o.backend == rgs::Backend::cpu && o.device_memory)

@@ -21,3 +21,4 @@ test "$(head -c 4 picture.png | tail -c 3)" = PNG
 "$bin/rgs-diff" scene.rgs scene.rgs
 "$bin/rgs-view" scene.rgs --cameras cameras.json --export look.html
 test -f "$bin/../share/roofgs/viewer/index.html"
+"$bin/rgs-info" --verify "$bin/../share/roofgs/viewer/sample.rgs"

@@ -15,6 +15,7 @@ rgs-prune scene.ply small.rgs --cameras cameras.json --size 160x90 --keep 50%
 rgs-diff scene.rgs scene.rgs
 rgs-view scene.rgs --cameras cameras.json --export look.html
 test -f /usr/share/roofgs/viewer/index.html
+rgs-info --verify /usr/share/roofgs/viewer/sample.rgs
 for program in /usr/bin/rgs-*; do
   name=${program##*/}
   for page in share/man/man1/$name.1.gz share/bash-completion/completions/$name share/zsh/vendor-completions/_$name \

@@ -283,12 +283,24 @@ def case_end():
     assert sorted(folder.rglob("*")) == before
 
 
+def case_empty():
+    """Without a scene the page has nothing to show, and its sample lies beside it."""
+    (folder / "page/sample.rgs").write_bytes((source / "tests/golden/two.rgs").read_bytes())
+    with View() as view:
+        assert view.json("view.json")["scenes"] == []
+        head = view.ask("sample.rgs", "HEAD")
+        assert (head.status, head.content) == (200, b"")
+        assert view.ask("sample.rgs").content == (source / "tests/golden/two.rgs").read_bytes()
+        view.end()
+
+
 def case_usage():
     """Unsupported inputs and contradictions are refused before a server starts."""
     two = source / "tests/golden/two.rgs"
     (folder / "text.txt").write_text("no scene")
     for arguments, code, word in (([folder / "nowhere.rgs"], 3, "nowhere.rgs"), ([folder / "text.txt"], 4, "is not a .rgs"),
-                                  ([two, folder / "text.txt"], 4, "text.txt"), ([], 2, "scene"),
+                                  ([two, folder / "text.txt"], 4, "text.txt"),
+                                  (["--export", folder / "out.html"], 2, "need a scene"), (["--backend", "cpu"], 2, "need a scene"),
                                   ([two, "--photos", folder], 2, "--cameras"), ([two, "--port", "70000"], 2, "--port"),
                                   ([two, "--cameras", folder / "text.txt"], 4, "text.txt")):
         got, said = refused(*arguments)

@@ -58,9 +58,21 @@ export class Opening {
     // Files that are dropped meanwhile come after these.
     if (url !== null) this.inTurn(() => this.openCameras("The camera file", async () => (url.startsWith("#") ? new Response(await readInside(url)) : fetch(url))));
     scenes.forEach(({ name }, i) => this.inTurn(() => this.open(name, reading[i] as Promise<Read>, mode, i)));
+    if (scenes.length === 0) await this.offerSample();
     await this.last;
     const { state } = this.store;
     if (mode && !state.scenes[1] && state.mode === "single") this.store.set({ mode });
+  }
+
+  /** Where the whole page has nothing to show, and a scene lies beside it. */
+  private async offerSample(): Promise<void> {
+    const { page } = this;
+    if (!page.isWhole || !page.isFull || location.protocol === "file:") return;
+    const url = "sample.rgs";
+    const answer = await fetch(url, { method: "HEAD" }).catch(() => null);
+    if (!answer?.ok) return;
+    page.element("sample", HTMLButtonElement).hidden = false;
+    page.onClick("sample", () => void this.openUrl({ name: url, url }));
   }
 
   /** Resolves when no scene is being opened any more, including those requested meanwhile. */

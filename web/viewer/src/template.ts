@@ -76,6 +76,7 @@ export const kTemplate = `
       <p><strong>Drop a scene here</strong></p>
       <p>.rgs, .ply, .spz or .sog; a second one is compared with the first. Nothing leaves this computer.</p>
       <button id="open-first" type="button">Open a scene…</button>
+      <button id="sample" type="button" hidden>Look at a sample</button>
     </div>
   </div>
   <div id="loading" hidden>

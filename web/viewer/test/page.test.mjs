@@ -286,6 +286,23 @@ inBrowser("without a scene there is a place to drop one, and a button", { allowe
   for (const id of ["open", "menu", "theme"]) assert.ok((await page.locator(`#${id}`).boundingBox()).width >= 44, id);
 });
 
+inBrowser("without a sample beside the page none is offered, after one request", { allowed: [k404] }, async ({ page, server }) => {
+  assert.ok(await page.locator("#sample").isHidden());
+  assert.deepEqual(server.requests.filter((request) => request.includes("sample")), ["HEAD sample.rgs"]);
+});
+
+inBrowser("a sample beside the page is offered where there is no scene", { files: { "sample.rgs": join(golden, "first_view.rgs") }, allowed: [k404] }, async ({ page, server }) => {
+  await page.getByRole("button", { name: "Look at a sample" }).click();
+  await page.waitForFunction(() => byId("title").textContent === "sample.rgs");
+  await untilDrawn(page, 30);
+  assert.ok(await page.locator("#welcome").isHidden());
+  // With a scene there is nothing to offer.
+  const before = server.requests.length;
+  await page.goto(`${server.url}?scene=sample.rgs`);
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+  assert.ok(!server.requests.slice(before).includes("HEAD sample.rgs"));
+});
+
 inBrowser("the page's address chooses how much is around the picture", { ...one, files: one.files(), address: "?chrome=none" }, async ({ page }) => {
   assert.ok(await page.locator("header").isHidden());
   assert.ok(await page.locator("#panel").isHidden());
