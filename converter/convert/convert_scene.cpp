@@ -156,6 +156,7 @@ std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptio
   if (declared.cutoff_sigma != usual.cutoff_sigma || declared.alpha_threshold != usual.alpha_threshold ||
       declared.alpha_max != usual.alpha_max || declared.transmittance_min != usual.transmittance_min)
     lost.push_back("thresholds of cutoff, alpha and transmittance");
+  if (declared.first_view != FirstView()) lost.emplace_back("first view");
   return lost;
 }
 

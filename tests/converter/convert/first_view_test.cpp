@@ -72,6 +72,18 @@ TEST_CASE("a view is chosen anew where Gaussians are moved, merged, cropped or t
   CHECK(cropped == chosen_for(decode(read_bytes(out)).value()));
 }
 
+TEST_CASE("other formats say that they lose the first view") {
+  const TemporaryFolder folder;
+  EncodeOptions options;
+  options.first_view = {ViewKind::inside, {1, 2, 3}, {4, 5, 6}, {0, -1, 0}, 75};
+  const std::string rgs = folder.file("a.rgs");
+  write_bytes(rgs, encode(ordinary_cloud(500, 0, 1).view(), options).value());
+  const nlohmann::json lost{"first view"};
+  for (const std::string to : {"ply", "spz", "npz"}) CHECK(converted({rgs, folder.file("a." + to)})["lost"] == lost);
+  CHECK(converted({"--max-count", "500", rgs, folder.file("b.ply")})["lost"] == lost);
+  CHECK(converted({folder.file("a.ply"), folder.file("b.npz")})["lost"].empty());
+}
+
 TEST_CASE("with cameras the view is the best of them") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 0, 1)),
