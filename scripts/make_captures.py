@@ -141,7 +141,8 @@ def drone(height=1.0, far=0):
              ((0.35, 0.55, 0.25), (0.6, 0.6, 0.3), (0.45, 0.5, 0.25))[int(at[0] // 33 + 2 * (at[2] // 40)) % 3])
     for _ in range(24):
         x, z, h, w, d = c.between(-85, 85), c.between(-85, 85), height * c.between(2, 7), c.between(4, 7), c.between(4, 7)
-        c.box((x, -h, z), (w, h, d), 0.5, int(600 + 300 * height), lambda k, at: (0.7, 0.3, 0.22) if k == 1 else (0.9, 0.86, 0.78), without=[(1, 1)])
+        c.box((x, -h, z), (w, h, d), 0.5, int(600 + 300 * height), lambda k, _: (0.7, 0.3, 0.22) if k == 1 else (0.9, 0.86, 0.78),
+              without=[(1, 1)])
     for _ in range(60):
         x, z = c.between(-95, 95), c.between(-95, 95)
         c.ball((x, -4, z), (2.5, 3.5, 2.5), 0.5, 150, (0.2, 0.42, 0.18))
