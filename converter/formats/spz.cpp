@@ -1,8 +1,5 @@
 // spz.cpp - Niantic's .spz: six arrays of codes, in one gzip stream (versions 2, 3) or in a zstd stream each (4). Where
-// they are: spz_header.cpp.
-//
-// Streams: means 3 x i24 fixed point; alpha u8; colour 3 x u8; log-scale 3 x u8; rotation u32 (version 2: 3 x u8);
-// SH u8 [coefficients - 1, 3].
+// they are: spz_header.cpp; what they mean: spz_codes.cpp.
 // SPDX-License-Identifier: Apache-2.0
 #include "spz.hpp"
 
@@ -22,6 +19,7 @@
 #include "quantised.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/quantize.hpp"
+#include "spz_codes.hpp"
 #include "spz_georeference.hpp"
 #include "spz_header.hpp"
 
@@ -29,7 +27,6 @@ namespace rgs::detail {
 namespace {
 
 constexpr std::size_t kShStream = 5;
-using Streams = std::array<std::span<const std::byte>, kSpzStreams>;
 
 struct SpzContent {
   SpzHeader header;
@@ -183,48 +180,11 @@ Result<SpzContent> unpack_zstd(std::span<const std::byte> bytes, const ReadOptio
 
 // ---- codes ----------------------------------------------------------------------------------------------------------
 
-double fixed24(std::span<const std::byte> bytes, std::uint64_t offset) {
-  const std::uint32_t code = load_u8(bytes, offset) | static_cast<std::uint32_t>(load_u8(bytes, offset + 1)) << 8 |
-                             static_cast<std::uint32_t>(load_u8(bytes, offset + 2)) << 16;
-  return static_cast<double>(static_cast<std::int32_t>(code << 8) >> 8);  // sign-extended
-}
-
-// Quaternion codes are in the order x, y, z, w; a Splat has w first.
-void put_xyzw(const float (&xyzw)[4], float (&rotation)[4]) {
-  rotation[0] = xyzw[3];
-  std::copy_n(xyzw, 3, rotation + 1);
-}
-
-void decode_rotation_v2(std::span<const std::byte> code, float (&rotation)[4]) {
-  SmallestThree s;
-  s.largest = 3;
-  for (std::uint64_t i = 0; i < 3; ++i) s.rest[i] = load_u8(code, i) / 127.5 - 1;
-  float xyzw[4];
-  from_smallest_three(s, xyzw);
-  put_xyzw(xyzw, rotation);
-}
-
-// 2 bits: index of the largest; then, from the top, sign and 9 bits of magnitude of each of the others in order.
-constexpr std::uint32_t kMagnitudeMax = 511;
-
-void decode_rotation(std::uint32_t code, float (&rotation)[4]) {
-  SmallestThree s;
-  s.largest = code >> 30;
-  for (unsigned i = 0; i < 3; ++i) {
-    const std::uint32_t bits = code >> (20 - 10 * i);
-    const double magnitude = kRootHalf * (bits & kMagnitudeMax) / kMagnitudeMax;
-    s.rest[i] = (bits >> 9 & 1) != 0 ? -magnitude : magnitude;
-  }
-  float xyzw[4];
-  from_smallest_three(s, xyzw);
-  put_xyzw(xyzw, rotation);
-}
-
 std::uint32_t encode_rotation(const float (&rotation)[4]) {
   const SmallestThree s = smallest_three({rotation[1], rotation[2], rotation[3], rotation[0]});
   std::uint32_t code = s.largest;
   for (const double value : s.rest) {
-    const std::uint32_t magnitude = unit_code(std::abs(value) / kRootHalf, kMagnitudeMax);
+    const std::uint32_t magnitude = unit_code(std::abs(value) / kRootHalf, kSpzMagnitudeMax);
     code = code << 10 | (value < 0 && magnitude != 0 ? 512u : 0u) | magnitude;
   }
   return code;
@@ -246,7 +206,7 @@ void encode_rotation_v2(const float (&rotation)[4], std::span<std::byte> code) {
       tried[i] = static_cast<std::byte>(std::min(static_cast<int>(below) + static_cast<int>(choice >> i & 1), 255));
     }
     float decoded[4];
-    decode_rotation_v2(tried, decoded);
+    decode_spz_rotation_v2(tried, decoded);
     double dot = 0, length = 0;
     for (unsigned i = 0; i < 4; ++i) {
       dot += unit[i] * static_cast<double>(decoded[i]);
@@ -282,35 +242,6 @@ class ShDiffusion {
   static constexpr double kShare = 0.12, kMemory = 0.97;
   std::vector<double> carry_;
 };
-
-SplatCloud decode_streams(const SpzHeader& header, const Streams& in) {
-  SplatCloud cloud;
-  cloud.resize(header.n, header.sh_degree);
-  const double unit = std::ldexp(1.0, -header.fractional_bits);
-  for (std::uint64_t i = 0; i < 3 * cloud.size(); ++i) {
-    cloud.mean[i] = static_cast<float>(fixed24(in[0], 3 * i) * unit);
-    cloud.log_scale[i] = static_cast<float>(load_u8(in[3], i) / 16.0 - 10);
-  }
-  const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(header.sh_degree));
-  for (std::uint64_t i = 0; i < cloud.size(); ++i) {
-    cloud.opacity_logit[i] = logit_from_opacity(static_cast<float>(load_u8(in[1], i)) / 255.F);
-    float rotation[4];
-    if (header.version == 2) {
-      decode_rotation_v2(in[4].subspan(3 * i, 3), rotation);
-    } else {
-      decode_rotation(load<std::uint32_t>(in[4], 4 * i), rotation);
-    }
-    std::copy_n(rotation, 4, &cloud.rotation[4 * i]);
-    float* sh = &cloud.sh[floats * i];
-    for (std::uint64_t c = 0; c < 3; ++c) {
-      sh[c] = static_cast<float>((load_u8(in[2], 3 * i + c) / 255.0 - 0.5) / kSpzColourScale);
-    }
-    for (std::uint64_t k = 3; k < floats; ++k) {
-      sh[k] = static_cast<float>((load_u8(in[5], (floats - 3) * i + k - 3) - 128) / 128.0);
-    }
-  }
-  return cloud;
-}
 
 using CodedStreams = std::array<std::vector<std::byte>, kSpzStreams>;
 
@@ -501,7 +432,7 @@ Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions
   if (!content) return tl::unexpected(content.error());
   const SpzExtensions& extensions = content->extensions;
   const SpzHeader& header = content->header;
-  Streams streams;
+  SpzStreams streams;
   std::uint64_t at = 0;
   const auto sizes = header.sizes();
   for (std::size_t i = 0; i < kSpzStreams; at += sizes[i++])
@@ -512,7 +443,7 @@ Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const ReadOptions
   file.axes = extensions.axes.value_or(options.spz_axes);
   file.axes_assumed = !extensions.axes;
   file.aa_mode = header.is_antialiased() ? AaMode::mip_splatting : AaMode::classic;
-  file.cloud = decode_streams(header, streams);
+  file.cloud = decode_spz_streams(header, streams);
   for (const auto& record : extensions.unused) {
     const auto payload = std::span(content->records).subspan(record.at, record.bytes);
     const bool applied = placed && record.type == kSpzGeoreference && apply_georeference(payload, file);

@@ -10,8 +10,6 @@
 
 namespace rgs::detail {
 
-/// A colour code is 255 (1/2 + this * coefficient).
-inline constexpr double kSpzColourScale = 0.15;
 /// Default fractional bits of means; fewer if one is far out.
 inline constexpr int kSpzFractionalBits = 12;
 

@@ -16,6 +16,7 @@
 #include "rgs/quantize.hpp"
 #include "sog.hpp"
 #include "spz.hpp"
+#include "spz_codes.hpp"
 
 namespace rgs::detail {
 namespace {

@@ -17,6 +17,7 @@
 
 #include "each_gaussian.hpp"
 #include "parallel.hpp"
+#include "rgs/activate.hpp"
 #include "rgs/file.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/paged_file.hpp"
@@ -31,23 +32,12 @@ namespace {
 constexpr std::uint64_t kMaxGaussians = std::uint64_t{1} << 31;
 constexpr std::uint64_t kGrain = 8192;
 
-bool all_finite(const float* values, std::uint64_t n) {
-  return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
-}
-
-// Infinite logits are opacities of 1 and 0, and a log-scale of -inf is a scale of 0.
-bool drawable(const SplatView& s, std::uint64_t i, std::uint64_t floats) {
-  const auto scaled = [](float log_scale) { return log_scale < std::numeric_limits<float>::infinity(); };
-  return all_finite(&s.mean[3 * i], 3) && std::all_of(&s.log_scale[3 * i], &s.log_scale[3 * i] + 3, scaled) &&
-         all_finite(&s.rotation[4 * i], 4) && !std::isnan(s.opacity_logit[i]) && all_finite(&s.sh[floats * i], floats);
-}
-
-// The same for activated attributes; log_scale holds scales, opacity_logit opacities.
+// Of activated attributes; log_scale holds scales, opacity_logit opacities.
 bool activated_drawable(const SplatView& s, std::uint64_t i, std::uint64_t floats) {
   const auto legal = [](float scale) { return scale >= 0 && std::isfinite(scale); };
-  return all_finite(&s.mean[3 * i], 3) && std::all_of(&s.log_scale[3 * i], &s.log_scale[3 * i] + 3, legal) &&
-         all_finite(&s.rotation[4 * i], 4) && s.opacity_logit[i] >= 0 && s.opacity_logit[i] <= 1 &&
-         all_finite(&s.sh[floats * i], floats);
+  return detail::all_finite(&s.mean[3 * i], 3) && std::all_of(&s.log_scale[3 * i], &s.log_scale[3 * i] + 3, legal) &&
+         detail::all_finite(&s.rotation[4 * i], 4) && s.opacity_logit[i] >= 0 && s.opacity_logit[i] <= 1 &&
+         detail::all_finite(&s.sh[floats * i], floats);
 }
 
 using Drawable = bool(const SplatView& s, std::uint64_t i, std::uint64_t floats);
@@ -75,8 +65,7 @@ Status check(const SplatView& s, Drawable& is_drawable, const char* damage) {
 }
 
 Status check(const SplatView& s) {
-  return check(s, drawable,
-               "a Gaussian is damaged (NaN, or an infinity other than an opacity): convert with a repair policy first");
+  return check(s, detail::is_drawable, detail::kNotDrawable);
 }
 
 // What a picture uses of them; a file's have been checked by its reader.
@@ -90,15 +79,6 @@ Status check(const std::optional<Declarations>& declared) {
   if (!std::all_of(d.origin.begin(), d.origin.end(), [](double x) { return std::fabs(x) <= kMaxOrigin; }))
     return make_error(Errc::bad_argument, Error::kNone, "a declared origin is not finite or beyond 10^12");
   return {};
-}
-
-void normalize(float* q) {
-  const float length = std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
-  if (length > 0 && std::isfinite(length)) {
-    for (int k = 0; k < 4; ++k) q[k] /= length;
-  } else {
-    q[0] = 1, q[1] = q[2] = q[3] = 0;
-  }
 }
 
 // FP16 in a file changes the norm as much.
@@ -116,11 +96,7 @@ std::uint64_t next_identity() {
 // Training parameters to activated ones, in place.
 void activate(SplatCloud& s) {
   detail::parallel_ranges(s.size(), kGrain, [&](std::uint64_t begin, std::uint64_t end) {
-    for (std::uint64_t i = begin; i < end; ++i) {
-      for (std::uint64_t k = 3 * i; k < 3 * i + 3; ++k) s.log_scale[k] = scale_from_log(s.log_scale[k]);
-      normalize(&s.rotation[4 * i]);
-      s.opacity_logit[i] = opacity_from_logit(s.opacity_logit[i]);
-    }
+    for (std::uint64_t i = begin; i < end; ++i) detail::activate(s, i);
   });
 }
 
@@ -349,7 +325,7 @@ Result<Scene> Scene::load(const SceneView& activated, const std::optional<Declar
     SplatCloud cloud{splats.sh_degree,      copy(splats.mean),          copy(splats.log_scale),
                      copy(splats.rotation), copy(splats.opacity_logit), copy(splats.sh)};
     for (std::size_t i = 0; i < cloud.rotation.size(); i += 4) {
-      if (!is_unit(&cloud.rotation[i])) normalize(&cloud.rotation[i]);
+      if (!is_unit(&cloud.rotation[i])) detail::normalize_rotation(&cloud.rotation[i]);
     }
     return adopt(std::move(cloud), declared);
   });
