@@ -1,14 +1,28 @@
-// memory.ts - Gaussians in buffers, as they lie in files: a block has the means and geometry of its rows in one buffer, SH in another.
+// memory.ts - Gaussians in buffers, as they lie in files or as FP32 arrays: a block has means and shapes of its rows in one buffer, SH in
+// another.
 // SPDX-License-Identifier: Apache-2.0
-import type { StoredGaussians } from "@roofgs/reader";
+import type { Gaussians, StoredGaussians } from "@roofgs/reader";
+import type { Layout } from "./shaders/math.js";
 import { kShWords } from "./shaders/project.js";
 
-/** 32-bit words of a row: mean and geometry. */
-const kRowWords = 7;
 /** Words of `Group` in shaders/math.ts, and Gaussians of one. */
 export const kGroupWords = 28;
 const kGroupRows = 256;
 const kLeastRows = 1 << 16;
+/** Of a box that is always in view: what writes arrays seldom orders them in space. */
+const kFar = 1e37;
+
+/** An attribute, and 32-bit words of it in a row. */
+type Column = readonly [values: ArrayBufferView, words: number];
+
+/** In the order of the buffers. */
+function columnsOf(part: StoredGaussians | Gaussians): { rows: readonly Column[]; sh: readonly Column[] } {
+  const { means, shDegree } = part;
+  if ("geometry" in part) return { rows: [[means, 3], [part.geometry, 4]], sh: [[part.sh, kShWords[shDegree] as number]] };
+  const { rotations, scales, opacities, sh0, shN } = part;
+  return { rows: [[means, 3], [rotations, 4], [scales, 3], [opacities, 1]], sh: [[sh0, 3], [shN, 3 * ((shDegree + 1) ** 2 - 1)]] };
+}
+const wordsOf = (columns: readonly Column[]): number => columns.reduce((sum, [, words]) => sum + words, 0);
 
 /** Buffers for rows of parts; free ranges [begin, end) in order. */
 export class Block {
@@ -19,11 +33,12 @@ export class Block {
   constructor(
     device: GPUDevice,
     readonly nRows: number,
-    shDegree: number,
+    rowWords: number,
+    shWords: number,
   ) {
     const buffer = (words: number): GPUBuffer => device.createBuffer({ size: 4 * words * nRows, usage: GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST });
-    this.rows = buffer(kRowWords);
-    this.sh = buffer(kShWords[shDegree] as number);
+    this.rows = buffer(rowWords);
+    this.sh = buffer(shWords);
     this.free = [[0, nRows]];
   }
 
@@ -67,27 +82,31 @@ export interface Part {
   readonly pieces: readonly Piece[];
 }
 
-/** All parts of a renderer. They have one SH degree. */
+/** All parts of a renderer. They have one layout and one SH degree. */
 export class Memory {
   readonly blocks: Block[] = [];
+  layout: Layout = "stored";
   shDegree = -1;
   private nRows = 0;
 
   constructor(private readonly device: GPUDevice) {}
 
-  /** Rows of one block at most. */
-  private get mostRows(): number {
+  /** Rows of one block at most, of so many words in one buffer. */
+  private mostRows(words: number): number {
     const { maxStorageBufferBindingSize, maxBufferSize } = this.device.limits;
-    const words = Math.max(kRowWords, kShWords[this.shDegree] as number);
     return Math.floor(Math.min(maxStorageBufferBindingSize, maxBufferSize) / 4 / words / kGroupRows) * kGroupRows;
   }
 
-  add(part: StoredGaussians): Part {
-    if (this.shDegree >= 0 && this.shDegree !== part.shDegree) throw new RangeError("parts of different SH degrees");
+  add(part: StoredGaussians | Gaussians): Part {
+    const layout = "geometry" in part ? "stored" : "arrays";
+    if (this.shDegree >= 0 && (this.shDegree !== part.shDegree || this.layout !== layout)) throw new RangeError("parts of different kinds or SH degrees");
     this.shDegree = part.shDegree;
-    const most = this.mostRows - (this.mostRows % part.chunkSize);
+    this.layout = layout;
+    const { rows, sh } = columnsOf(part);
+    const mostRows = this.mostRows(Math.max(wordsOf(rows), wordsOf(sh)));
+    const most = mostRows - (mostRows % ("geometry" in part ? part.chunkSize : kGroupRows));
     const pieces: Piece[] = [];
-    for (let begin = 0; begin < part.n; begin += most) pieces.push(this.addRows(part, begin, Math.min(most, part.n - begin)));
+    for (let begin = 0; begin < part.n; begin += most) pieces.push(this.addRows(part, begin, Math.min(most, part.n - begin), mostRows));
     return { n: part.n, pieces };
   }
 
@@ -100,25 +119,36 @@ export class Memory {
   }
 
   /** `begin` is a chunk's. */
-  private addRows(part: StoredGaussians, begin: number, n: number): Piece {
+  private addRows(part: StoredGaussians | Gaussians, begin: number, n: number, mostRows: number): Piece {
+    const { rows, sh } = columnsOf(part);
     let row = -1;
     let block = this.blocks.find((each) => (row = each.take(n)) >= 0);
     if (!block) {
       // As many again, so that there are few blocks.
-      block = new Block(this.device, Math.max(n, Math.min(this.mostRows, Math.max(kLeastRows, this.nRows))), this.shDegree);
+      block = new Block(this.device, Math.max(n, Math.min(mostRows, Math.max(kLeastRows, this.nRows))), wordsOf(rows), wordsOf(sh));
       row = block.take(n);
       this.nRows += block.nRows;
       this.blocks.push(block);
     }
-    const shBytes = 4 * (kShWords[this.shDegree] as number);
-    const { queue } = this.device;
-    const write = (to: GPUBuffer, at: number, from: ArrayBufferView, rowBytes: number): void =>
-      queue.writeBuffer(to, at, from.buffer as ArrayBuffer, from.byteOffset + rowBytes * begin, rowBytes * n);
-    write(block.rows, 12 * row, part.means, 12);
-    write(block.rows, 12 * block.nRows + 16 * row, part.geometry, 16);
-    write(block.sh, shBytes * row, part.sh, shBytes);
-    return { n, block, row, groups: groupsOf(part, begin, n, row) };
+    for (const [to, columns] of [[block.rows, rows], [block.sh, sh]] as const) {
+      let before = 0;
+      for (const [values, words] of columns) {
+        this.device.queue.writeBuffer(to, 4 * (before * block.nRows + words * row), values.buffer as ArrayBuffer, values.byteOffset + 4 * words * begin, 4 * words * n);
+        before += words;
+      }
+    }
+    return { n, block, row, groups: "geometry" in part ? groupsOf(part, begin, n, row) : groupsOfArrays(n, row) };
   }
+}
+
+function groupsOfArrays(n: number, row: number): Uint32Array {
+  const groups = new Uint32Array(kGroupWords * Math.ceil(n / kGroupRows));
+  const floats = new Float32Array(groups.buffer);
+  for (let at = 0, begin = 0; begin < n; begin += kGroupRows, at += kGroupWords) {
+    groups.set([row + begin, Math.min(kGroupRows, n - begin)], at);
+    floats.set([-kFar, -kFar, -kFar, 0, kFar, kFar, kFar], at + 16);
+  }
+  return groups;
 }
 
 function groupsOf(part: StoredGaussians, begin: number, n: number, row: number): Uint32Array {

@@ -1,11 +1,9 @@
 // renderer.ts - draws parts of files by compute kernels: project, sort by depth, list by tile, blend. docs/develop/WEBGPU.md.
 // SPDX-License-Identifier: Apache-2.0
-import type { Pinhole, StoredGaussians } from "@roofgs/reader";
+import type { Gaussians, Pinhole, StoredGaussians } from "@roofgs/reader";
 import { type Block, kGroupWords, Memory, type Part } from "./memory.js";
-import { kShow } from "./shaders/blend.js";
-import { projectOf } from "./shaders/project.js";
 import { kCounter, kCounters, kDispatch, kSortItems } from "./shaders/scan.js";
-import { bind, kDispatchBytes, Kernels, pipelineOf, run, type Step, Steps } from "./steps.js";
+import { bind, kDispatchBytes, Kernels, run, type Step, Steps } from "./steps.js";
 import { kViewBytes, type RenderOptions, tileGrid, viewBytes } from "./view.js";
 
 /** Red, green, blue, 0 to 1. */
@@ -44,8 +42,6 @@ const isSame = (a: readonly unknown[], b: readonly unknown[]): boolean => a.leng
 
 export class SplatRenderer {
   private readonly memory: Memory;
-  private readonly projects = new Map<number, GPUComputePipeline>();
-  private readonly shows = new Map<GPUTextureFormat, GPURenderPipeline>();
   private readonly view: GPUBuffer;
   private readonly capacity: GPUBuffer;
   private readonly counters: GPUBuffer;
@@ -84,8 +80,11 @@ export class SplatRenderer {
     return new SplatRenderer(this.device, this.kernels, kLeastRoom);
   }
 
-  /** Copies Gaussians to the device: of readStored(), storedParts() or readPageStored(), all of one SH degree. */
-  add(part: StoredGaussians): Part {
+  /**
+   * Copies Gaussians to the device, all of one SH degree: of readStored(), storedParts() or readPageStored(), or all FP32 arrays, of
+   * read() or from elsewhere, whose rotations need not be normalised.
+   */
+  add(part: StoredGaussians | Gaussians): Part {
     return this.memory.add(part);
   }
 
@@ -147,7 +146,7 @@ export class SplatRenderer {
     const { width, height, format } = target;
     const encoder = this.device.createCommandEncoder();
     const picture = this.encode(encoder, width, height, options, timestampWrites);
-    const pipeline = this.showOf(format);
+    const pipeline = this.kernels.show(format);
     const { firstColumn = 0 } = options;
     const loadOp = options.firstColumn === undefined ? "clear" : "load";
     const pass = encoder.beginRenderPass({ colorAttachments: [{ view: target.createView(), loadOp, storeOp: "store" }] });
@@ -255,16 +254,6 @@ export class SplatRenderer {
     return buffer;
   }
 
-  private showOf(format: GPUTextureFormat): GPURenderPipeline {
-    let pipeline = this.shows.get(format);
-    if (!pipeline) {
-      const module = this.device.createShaderModule({ label: "show", code: kShow });
-      pipeline = this.device.createRenderPipeline({ layout: "auto", vertex: { module }, fragment: { module, targets: [{ format }] } });
-      this.shows.set(format, pipeline);
-    }
-    return pipeline;
-  }
-
   /** The kernels of a frame, in order. */
   private plan(picture: GPUTexture): readonly Step[] {
     const { kernels: k, view, counters, workgroups } = this;
@@ -289,11 +278,12 @@ export class SplatRenderer {
 
     const steps = new Steps(k, { counters, totals, histogram });
     const grid = (n: number): number[] => [Math.min(n, kGridColumns), Math.ceil(n / kGridColumns)];
-    for (const [block, { n, uniform }] of this.ranges) steps.add(k.cull, grid(n), view, uniform, block.rows, groups, counts, flags);
+    const { layout, shDegree } = this.memory;
+    for (const [block, { n, uniform }] of this.ranges) steps.add(k.cull(layout), grid(n), view, uniform, block.rows, groups, counts, flags);
     steps.sums(kCounter.groups, 1, counts);
     steps.add(k.planVisible, [1], this.capacity, totals, counters, workgroups);
     for (const [block, { n, uniform }] of this.ranges) {
-      steps.add(this.project(), grid(n), view, uniform, block.rows, groups, counts, flags, block.sh, splats, depths[0], tileCounts);
+      steps.add(k.project(layout, shDegree), grid(n), view, uniform, block.rows, groups, counts, flags, block.sh, splats, depths[0], tileCounts);
     }
     // Positive floats have 31 bits.
     const inOrder = order[steps.sort(kCounter.drawnVisible, kDispatch.sortVisible, 31, depths, order, true)];
@@ -305,15 +295,5 @@ export class SplatRenderer {
     steps.add(k.ranges, [Math.ceil(ranges.size / 4 / 256)], counters, tiles[listed], ranges);
     steps.add(k.blend, [columns, rows], view, counters, ranges, entries[listed], splats, picture.createView());
     return steps.list;
-  }
-
-  private project(): GPUComputePipeline {
-    const { shDegree } = this.memory;
-    let pipeline = this.projects.get(shDegree);
-    if (!pipeline) {
-      pipeline = this.device.createComputePipeline(pipelineOf(this.device, "project", projectOf(shDegree)));
-      this.projects.set(shDegree, pipeline);
-    }
-    return pipeline;
   }
 }

@@ -1,8 +1,10 @@
 // steps.ts - kernels with what they read and write, in the order in which a frame runs them.
 // SPDX-License-Identifier: Apache-2.0
-import { kBlend } from "./shaders/blend.js";
-import { kCull } from "./shaders/cull.js";
+import { kBlend, kShow } from "./shaders/blend.js";
+import { cullOf } from "./shaders/cull.js";
 import { kCount, kEmit, kRanges } from "./shaders/lists.js";
+import type { Layout } from "./shaders/math.js";
+import { projectOf } from "./shaders/project.js";
 import { kScan, kSortItems, planOf } from "./shaders/scan.js";
 import { kHistogram, kScatter } from "./shaders/sort.js";
 
@@ -19,7 +21,7 @@ export interface Step {
 type Resource = GPUBuffer | GPUTextureView;
 export type Pair = readonly [GPUBuffer, GPUBuffer];
 
-export function pipelineOf(device: GPUDevice, label: string, code: string): GPUComputePipelineDescriptor {
+function pipelineOf(device: GPUDevice, label: string, code: string): GPUComputePipelineDescriptor {
   return { label, layout: "auto", compute: { module: device.createShaderModule({ label, code }) } };
 }
 
@@ -40,10 +42,13 @@ export function run(pass: GPUComputePassEncoder, steps: readonly Step[], indirec
 
 export class Kernels {
   private readonly passes = new Map<string, GPUBuffer>();
+  /** Those that depend on what is drawn, made when they are first needed. */
+  private readonly computes = new Map<string, GPUComputePipeline>();
+  private readonly shows = new Map<GPUTextureFormat, GPURenderPipeline>();
 
   private constructor(
     readonly device: GPUDevice,
-    readonly cull: GPUComputePipeline,
+    private readonly cullStored: GPUComputePipeline,
     readonly scan: GPUComputePipeline,
     readonly planVisible: GPUComputePipeline,
     readonly planEntries: GPUComputePipeline,
@@ -60,7 +65,7 @@ export class Kernels {
     return new Kernels(
       device,
       ...(await Promise.all([
-        make("cull", kCull),
+        make("cull", cullOf("stored")),
         make("scan", kScan),
         make("plan", planOf(0)),
         make("plan", planOf(1)),
@@ -72,6 +77,33 @@ export class Kernels {
         make("blend", kBlend),
       ])),
     );
+  }
+
+  cull(layout: Layout): GPUComputePipeline {
+    return layout === "stored" ? this.cullStored : this.compute(`cull ${layout}`, () => cullOf(layout));
+  }
+
+  project(layout: Layout, shDegree: number): GPUComputePipeline {
+    return this.compute(`project ${layout} ${shDegree}`, () => projectOf(layout, shDegree));
+  }
+
+  show(format: GPUTextureFormat): GPURenderPipeline {
+    let pipeline = this.shows.get(format);
+    if (!pipeline) {
+      const module = this.device.createShaderModule({ label: "show", code: kShow });
+      pipeline = this.device.createRenderPipeline({ layout: "auto", vertex: { module }, fragment: { module, targets: [{ format }] } });
+      this.shows.set(format, pipeline);
+    }
+    return pipeline;
+  }
+
+  private compute(label: string, code: () => string): GPUComputePipeline {
+    let pipeline = this.computes.get(label);
+    if (!pipeline) {
+      pipeline = this.device.createComputePipeline(pipelineOf(this.device, label, code()));
+      this.computes.set(label, pipeline);
+    }
+    return pipeline;
   }
 
   /** `Pass` in shaders/scan.ts. */

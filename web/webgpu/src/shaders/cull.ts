@@ -3,11 +3,11 @@
 //
 // Math    kernels/src/common/cull_chunk.cuh, rgs/math/projection.hpp; docs/format/RENDERING.md "A Gaussian on the image"
 // In/Out  chunks in the order that is drawn, rows -> a bit a Gaussian, their number a chunk
-// Cost    112 B a chunk; 28 B a Gaussian of chunks in view
+// Cost    112 B a chunk; 28 B a Gaussian of chunks in view, 44 B of arrays
 // Order   deterministic
-import { kConstants, kCoverage, kProjection, kSplatWgsl, kViewWgsl } from "./math.js";
+import { kConstants, kCoverage, kSplatWgsl, kViewWgsl, type Layout, projectionOf } from "./math.js";
 
-export const kCull = /* wgsl */ `
+export const cullOf = (layout: Layout): string => /* wgsl */ `
 ${kViewWgsl}${kConstants}${kSplatWgsl}${kCoverage}
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> block: Block;
@@ -15,7 +15,7 @@ ${kViewWgsl}${kConstants}${kSplatWgsl}${kCoverage}
 @group(0) @binding(3) var<storage, read> groups: array<Group>;
 @group(0) @binding(4) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(5) var<storage, read_write> flags: array<u32>;
-${kProjection}
+${projectionOf(layout)}
 
 // False only if no tile can list a Gaussian of the chunk.
 fn chunk_in_view(g: Group) -> bool {

@@ -106,8 +106,25 @@ fn tiles_in_row(e: Ellipse, row: u32, grid: vec2u) -> vec2u {
 }
 `;
 
-/** camera.hpp, covariance.hpp and projection.hpp, of rows as they lie in files. Needs `view`, `rows` and `block`. */
-export const kProjection = /* wgsl */ `
+/** How rows lie in buffers: as in files, or as FP32 arrays one after the other. */
+export type Layout = "stored" | "arrays";
+
+const kLoad: Readonly<Record<Layout, string>> = {
+  stored: `
+  let at = 3u * block.n_rows + 4u * row;
+  let scale_xy = unpack2x16float(rows[at + 2u]);
+  let scale_z_opacity = unpack2x16float(rows[at + 3u]);
+  let rotation = vec4f(unpack2x16float(rows[at]), unpack2x16float(rows[at + 1u]));
+  return Shape(rotation, vec3f(scale_xy, scale_z_opacity.x) * scale_unit, scale_z_opacity.y);`,
+  arrays: `
+  let q = 3u * block.n_rows + 4u * row;
+  let s = 7u * block.n_rows + 3u * row;
+  let rotation = vec4f(load(q), load(q + 1u), load(q + 2u), load(q + 3u));
+  return Shape(rotation, vec3f(load(s), load(s + 1u), load(s + 2u)), load(10u * block.n_rows + row));`,
+};
+
+/** camera.hpp, covariance.hpp and projection.hpp. Needs `view`, `rows` and `block`. */
+export const projectionOf = (layout: Layout): string => /* wgsl */ `
 // Chunks in the order that is drawn.
 struct Group {
   row: u32,
@@ -152,9 +169,19 @@ struct Projected {
   valid: bool,
 }
 
+fn load(at: u32) -> f32 {
+  return bitcast<f32>(rows[at]);
+}
 fn load_mean(row: u32) -> vec3f {
   let at = 3u * row;
-  return vec3f(bitcast<f32>(rows[at]), bitcast<f32>(rows[at + 1u]), bitcast<f32>(rows[at + 2u]));
+  return vec3f(load(at), load(at + 1u), load(at + 2u));
+}
+struct Shape {
+  rotation: vec4f,  // w, x, y, z
+  scale: vec3f,
+  opacity: f32,
+}
+fn load_shape(row: u32, scale_unit: f32) -> Shape {${kLoad[layout]}
 }
 
 // EWA (Zwicker et al. 2001, eq. 31) as M M^T with M = J W R S, which stays positive semi-definite under rounding.
@@ -181,16 +208,13 @@ fn project_row(row: u32, scale_unit: f32) -> Projected {
   var result: Projected;
   let p = to_camera(from_camera(load_mean(row)));
   if (!(p.z > view.near_plane && p.z <= view.far_plane)) { return result; }
-  let at = 3u * block.n_rows + 4u * row;
-  let stored = vec4f(unpack2x16float(rows[at]), unpack2x16float(rows[at + 1u]));  // w, x, y, z
-  let scale_xy = unpack2x16float(rows[at + 2u]);
-  let scale_z_opacity = unpack2x16float(rows[at + 3u]);
-  let norm2 = dot(stored, stored);
-  let q = select(vec4f(1.0, 0.0, 0.0, 0.0), stored / sqrt(norm2), norm2 > 0.0);
-  let before = project_covariance(p, q, vec3f(scale_xy, scale_z_opacity.x) * scale_unit);
+  let shape = load_shape(row, scale_unit);
+  let norm2 = dot(shape.rotation, shape.rotation);
+  let q = select(vec4f(1.0, 0.0, 0.0, 0.0), shape.rotation / sqrt(norm2), norm2 > 0.0);
+  let before = project_covariance(p, q, shape.scale);
   let cov = before + vec3f(view.low_pass, 0.0, view.low_pass);
   let det = determinant_of(cov);
-  result.opacity = scale_z_opacity.y;
+  result.opacity = shape.opacity;
   if (view.compensated != 0u) { result.opacity *= sqrt(max(kMipRatioMin, determinant_of(before) / det)); }
   let inverse_det = 1.0 / det;
   result.conic = vec3f(cov.z * inverse_det, -cov.y * inverse_det, cov.x * inverse_det);

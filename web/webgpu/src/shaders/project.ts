@@ -2,10 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; docs/format/RENDERING.md "A Gaussian on the image"
-// In/Out  chunks, bits of cull.ts and their sums, rows, SH codes -> splats, depth keys, tile counts [visible]
-// Cost    76 B a Gaussian in view read, 56 B written
+// In/Out  chunks, bits of cull.ts and their sums, rows, SH -> splats, depth keys, tile counts [visible]
+// Cost    76 B a Gaussian in view read, of arrays 236 B, 56 B written
 // Order   deterministic: splats lie in the order of the scene, which the stable sort keeps for equal depths
-import { kConstants, kCoverage, kProjection, kSplatWgsl, kViewWgsl } from "./math.js";
+import { kConstants, kCoverage, kSplatWgsl, kViewWgsl, type Layout, projectionOf } from "./math.js";
 
 /** 32-bit words of SH codes of a Gaussian, by degree. */
 export const kShWords = [1, 3, 7, 12] as const;
@@ -33,7 +33,7 @@ const kBasis = [
 ] as const;
 
 /** sh_color() from codes: a degree's codes are summed before they are scaled. Straight code, so that no array is indexed. */
-function shColor(degree: number): string {
+function shColorOfCodes(degree: number): string {
   const code = (i: number): string => `f32(extractBits(bitcast<i32>(w${i >> 2}), ${8 * (i & 3)}u, 8u))`;
   const band = (l: number): string => {
     const sum = kBasis[l as 0].map((y: string, m: number) => {
@@ -55,8 +55,31 @@ fn sh_color(row: u32, g: Group, d: vec3f) -> vec3f {
 }`;
 }
 
-/** Of files of an SH degree. */
-export const projectOf = (degree: number): string => /* wgsl */ `
+/** sh_color() from FP32: degree 0 of all rows, then the other degrees of each. */
+function shColor(degree: number): string {
+  const band = (l: number): string => {
+    const terms = kBasis[l as 0].map((y: string, m: number) => {
+      const at = l === 0 ? "first" : `rest + ${3 * (l * l + m - 1)}u`;
+      return `c += (${y}) * vec3f(coefficient(${at}), coefficient(${at} + 1u), coefficient(${at} + 2u));`;
+    });
+    return `if (view.sh_degree >= ${l}u) { ${terms.join(" ")} }`;
+  };
+  return `
+fn coefficient(at: u32) -> f32 {
+  return bitcast<f32>(sh[at]);
+}
+fn sh_color(row: u32, g: Group, d: vec3f) -> vec3f {
+  let first = 3u * row;
+  let rest = 3u * block.n_rows + ${3 * ((degree + 1) ** 2 - 1)}u * row;
+  let xx = d.x * d.x; let yy = d.y * d.y; let zz = d.z * d.z;
+  var c = vec3f();
+  ${Array.from({ length: degree + 1 }, (_, l) => band(l)).join("\n  ")}
+  return max(c + 0.5, vec3f());
+}`;
+}
+
+/** Of Gaussians of an SH degree. */
+export const projectOf = (layout: Layout, degree: number): string => /* wgsl */ `
 ${kViewWgsl}${kConstants}${kSplatWgsl}${kCoverage}
 @group(0) @binding(0) var<uniform> view: View;
 @group(0) @binding(1) var<uniform> block: Block;
@@ -68,8 +91,8 @@ ${kViewWgsl}${kConstants}${kSplatWgsl}${kCoverage}
 @group(0) @binding(7) var<storage, read_write> splats: array<array<vec4f, 3>>;
 @group(0) @binding(8) var<storage, read_write> keys: array<u32>;
 @group(0) @binding(9) var<storage, read_write> tiles: array<u32>;
-${kProjection}
-${shColor(degree)}
+${projectionOf(layout)}
+${layout === "stored" ? shColorOfCodes(degree) : shColor(degree)}
 
 @compute @workgroup_size(256)
 fn project(@builtin(workgroup_id) workgroup: vec3u, @builtin(local_invocation_index) thread: u32) {
