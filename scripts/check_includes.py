@@ -54,7 +54,7 @@ PRIVATE = {
                     "tests/samples/bench"],
     "runtime": ["runtime/src", "tests/runtime", "web/reader/wasm"],  # pages/
     "runtime/src": ["tests/runtime", "tests/kernels", "samples/bench"],
-    "converter/formats": ["tests/converter/formats", "web/reader/wasm"],  # spz_header.hpp
+    "converter/formats": ["tests/converter/formats", "web/reader/wasm", "web/viewer/wasm"],  # spz_header.hpp, spz_codes.hpp
 }
 # Further include folders. A header outside all of them has its own folder's.
 SHARED = ["converter/convert", "converter/inspect", "converter/audit", "converter/judge", "converter/prune",

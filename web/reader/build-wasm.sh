@@ -1,11 +1,11 @@
 #!/bin/sh
 # build-wasm.sh - builds WebAssembly of a package by Debian's clang-19: sh build-wasm.sh [reader|convert|viewer]; dist/rgs.wasm, and
-# build/web/first-view.wasm of the viewer.
+# build/web/first-view.wasm and splats.wasm of the viewer.
 # reader: RGS_FORMAT_PORTABLE of format/CMakeLists.txt, the scheduler of pages in runtime/pages, the framing of .spz, the .cpp files in
 # wasm/ and the decoder of Zstandard. Its sources are not in Debian's packages; they come with the npm package zstd-napi.
 # convert: all of the format library, the reader of PLY, levels of detail and the conversion of rgs-convert. convert/wasm replaces
 # what these take from the host: files by memory, oneTBB by loops.
-# viewer: what chooses the first view. The reader's size is limited.
+# viewer: what chooses the first view; what reads PLY and the codes of SPZ. The reader's size is limited.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
@@ -13,10 +13,10 @@ root=$(cd "$here/../.." && pwd)
 build=$root/build/web
 package=${1:-reader}
 out=$root/web/$package/dist/rgs.wasm
-[ "$package" != viewer ] || out=$build/first-view.wasm
+[ "$package" != viewer ] || out="$build/first-view.wasm $build/splats.wasm"
 zstd=$root/web/node_modules/zstd-napi/deps/zstd/lib
 llvm=/usr/lib/llvm-19
-mkdir -p "$build/include" "$(dirname "$out")"
+mkdir -p "$build/include" "$root/web/$package/dist"
 
 for needed in clang-19 clang++-19 wasm-ld-19 wasm-opt ninja; do
   command -v $needed >/dev/null || { echo "build-wasm.sh: no $needed: sh scripts/install-deps.sh page" >&2; exit 1; }
@@ -113,6 +113,14 @@ rule link
   done
   echo "build $build/first-view.wasm: link $build/viewer/format/src/file/first_view.cpp.o $build/viewer/web/viewer/wasm/first_view.cpp.o $
     $build/src/file/subject_box.cpp.o $build/no_console.o"
+  objects="$shared $build/no_console.o"
+  for source in converter/formats/ply_header.cpp converter/formats/ply_reader.cpp converter/formats/spool_file.cpp \
+    converter/formats/stated_scene.cpp converter/formats/splat_edit.cpp converter/formats/sh_rotation.cpp converter/formats/spz_codes.cpp \
+    converter/formats/spz_header.cpp web/converter/wasm/memory_files.cpp web/viewer/wasm/splats.cpp; do
+    echo "build $build/viewer/$source.o: cxx $root/$source"
+    objects="$objects $build/viewer/$source.o"
+  done
+  echo "build $build/splats.wasm: link $objects"
   objects="$build/no_console.o $inflater"
   for source in $compressor; do
     echo "build $build/zstd/$source.o: c $zstd/$source.c"
@@ -131,4 +139,5 @@ rule link
   done
   echo "build $root/web/convert/dist/rgs.wasm: link $shared $objects"
 } >"$build/build.ninja"
-ninja -C "$build" --quiet "$out"
+# shellcheck disable=SC2086 # a list
+ninja -C "$build" --quiet $out

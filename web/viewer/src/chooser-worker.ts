@@ -7,5 +7,5 @@ let chooser: Chooser;
 onmessage = ({ data }: MessageEvent<{ module: WebAssembly.Module } | { part: Seen } | { up: Vector3 }>): void => {
   if ("module" in data) chooser = new Chooser(data.module);
   else if ("part" in data) chooser.add(data.part);
-  postMessage("up" in data ? chooser.choose(data.up) : null);
+  postMessage({ result: "up" in data ? chooser.choose(data.up) : null });
 };

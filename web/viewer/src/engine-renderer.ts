@@ -1,7 +1,7 @@
 // engine-renderer.ts - the PlayCanvas engine by WebGL 2: two cameras in one place, each with a scene of its own.
 // SPDX-License-Identifier: Apache-2.0
 import { drawAsDefined, RgsResource, setPinhole } from "@roofgs/playcanvas";
-import type { StoredGaussians } from "@roofgs/reader";
+import type { Gaussians, StoredGaussians } from "@roofgs/reader";
 import type { Colour } from "@roofgs/webgpu";
 import {
   AppBase,
@@ -11,7 +11,9 @@ import {
   createGraphicsDevice,
   Entity,
   GSplatComponentSystem,
+  GSplatData,
   GSplatHandler,
+  GSplatResource,
   type GSplatResourceBase,
   Layer,
   LAYERID_IMMEDIATE,
@@ -24,7 +26,7 @@ import {
 } from "playcanvas";
 import { add, pinholeOf, type ViewState } from "./cameras.js";
 import type { Size } from "./picture-size.js";
-import { edgesOf, kBoxColour, type Pixels, Renderer, type RendererEvents, type Shown, type Side, type Splats, splitOf } from "./renderer.js";
+import { edgesOf, kBoxColour, type Part, type Pixels, Renderer, type RendererEvents, type Shown, type Side, type Splats, splitOf } from "./renderer.js";
 
 /** Sorts the Gaussians of one camera. */
 interface Manager {
@@ -259,8 +261,8 @@ interface Piece {
 export class EngineSplats implements Splats {
   private readonly entity: Entity;
   private pieces: Piece[] = [];
-  private parts: readonly StoredGaussians[] = [];
-  private look: { shDegree: number; tints: readonly Colour[] } = { shDegree: 3, tints: [] };
+  private parts: readonly Part[] = [];
+  private shDegree = 3;
 
   constructor(
     private readonly renderer: EngineRenderer,
@@ -278,11 +280,6 @@ export class EngineSplats implements Splats {
     this.entity.setLocalPosition(x, y, z);
   }
 
-  /** Half a turn around the x axis. */
-  turnOver(): void {
-    this.entity.setLocalEulerAngles(180, 0, 0);
-  }
-
   get isHidden(): boolean {
     return !this.entity.enabled;
   }
@@ -292,18 +289,24 @@ export class EngineSplats implements Splats {
     this.renderer.request();
   }
 
-  setParts(parts: readonly StoredGaussians[]): void {
+  set(parts: readonly Part[], shDegree: number, tints: readonly Colour[]): void {
     const before = this.parts;
-    this.parts = parts;
+    // Of arrays the engine draws all SH.
+    const isAsBefore = shDegree === this.shDegree || parts.every((part) => "geometry" in part);
+    this.shDegree = shDegree;
     // Parts that come later are resources of their own, so that those before stay as they are.
-    const isMore = before.length > 0 && before.every((part, i) => part === parts[i]);
+    const isMore = isAsBefore && before.length > 0 && before.every((part, i) => part === parts[i]);
     const more = isMore ? parts.slice(before.length) : parts;
-    if (more.every(({ n }) => n === 0)) {
-      // The engine has no resource of nothing.
-      this.parts = before;
-      return;
-    }
-    const resource = new RgsResource(this.renderer.app.graphicsDevice, more);
+    // The engine has no resource of nothing.
+    if (more.some(({ n }) => n > 0)) this.draw(parts, more, isMore);
+    this.setTables(tints);
+  }
+
+  private draw(parts: readonly Part[], more: readonly Part[], isMore: boolean): void {
+    this.parts = parts;
+    const { graphicsDevice } = this.renderer.app;
+    const isStored = more.every((part) => "geometry" in part);
+    const resource = isStored ? new RgsResource(graphicsDevice, more as StoredGaussians[]) : new GSplatResource(graphicsDevice, dataOf(more as Gaussians[], this.shDegree));
     const [first, ...others] = this.pieces;
     if (!first || isMore) {
       this.add(resource, more.length);
@@ -313,12 +316,6 @@ export class EngineSplats implements Splats {
       for (const piece of this.pieces) piece.resource.destroy();
       this.pieces = [{ ...first, resource, nParts: more.length }];
     }
-    this.setTables();
-  }
-
-  setLook(shDegree: number, tints: readonly Colour[]): void {
-    this.look = { shDegree, tints };
-    this.setTables();
   }
 
   /** Draws one more resource of the engine. */
@@ -333,20 +330,46 @@ export class EngineSplats implements Splats {
   destroy(): void {
     this.gone();
     this.entity.destroy();
-    for (const { resource } of this.pieces) if (resource instanceof RgsResource) resource.destroy();
+    for (const { resource, nParts } of this.pieces) if (nParts > 0) resource.destroy();
     this.renderer.request();
   }
 
-  private setTables(): void {
-    const { shDegree, tints } = this.look;
+  private setTables(tints: readonly Colour[]): void {
     let at = 0;
     for (const { resource, entity, nParts } of this.pieces) {
-      if (resource instanceof RgsResource) resource.setTable(shDegree, tints.length > 0 ? tints.slice(at, at + nParts) : undefined);
+      if (resource instanceof RgsResource) resource.setTable(this.shDegree, tints.length > 0 ? tints.slice(at, at + nParts) : undefined);
       if (entity.gsplat) entity.gsplat.workBufferUpdate = WORKBUFFER_UPDATE_ONCE;
       at += nParts;
     }
     this.renderer.request();
   }
+}
+
+/** What the engine keeps of a PLY. */
+function dataOf(parts: readonly Gaussians[], shDegree: number): GSplatData {
+  const count = parts.reduce((sum, { n }) => sum + n, 0);
+  const nAll = ((parts[0]?.shDegree ?? 0) + 1) ** 2 - 1;
+  const nRest = Math.min(nAll, (shDegree + 1) ** 2 - 1);
+  const properties: { name: string; type: string; storage: Float32Array; byteSize: number }[] = [];
+  /** Column `at` of `of` columns. */
+  const add = (name: string, values: (part: Gaussians) => Float32Array, at: number, of: number): void => {
+    const storage = new Float32Array(count);
+    let next = 0;
+    for (const part of parts) {
+      const from = values(part);
+      for (let i = at; i < from.length; i += of) storage[next++] = from[i] as number;
+    }
+    properties.push({ name, type: "float", storage, byteSize: 4 });
+  };
+  ["x", "y", "z"].forEach((name, i) => add(name, ({ means }) => means, i, 3));
+  for (let i = 0; i < 3; ++i) add(`f_dc_${i}`, ({ sh0 }) => sh0, i, 3);
+  for (let i = 0; i < 3 * nRest; ++i) add(`f_rest_${i}`, ({ shN }) => shN, 3 * (i % nRest) + Math.floor(i / nRest), 3 * nAll);
+  add("opacity", ({ opacities }) => opacities, 0, 1);
+  for (let i = 0; i < 3; ++i) add(`scale_${i}`, ({ scales }) => scales, i, 3);
+  for (let i = 0; i < 4; ++i) add(`rot_${i}`, ({ rotations }) => rotations, i, 4);
+  const data = new GSplatData([{ name: "vertex", count, properties }]);
+  data.activated = true;
+  return data;
 }
 
 function flipRows(pixels: Uint8ClampedArray, width: number): void {

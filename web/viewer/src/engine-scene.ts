@@ -1,49 +1,31 @@
-// engine-scene.ts - PLY, compressed PLY, SOG and SPZ, loaded by the engine.
+// engine-scene.ts - compressed PLY and SOG, loaded by the engine.
 // SPDX-License-Identifier: Apache-2.0
 import { type AntiAliasing, antiAliasingOf, type FirstView, subjectBox } from "@roofgs/reader";
 import { Asset, type GSplatData, type GSplatResourceBase } from "playcanvas";
 import { antiAliasingOfComments, antiAliasingOfMeta } from "./declared.js";
 import { firstView } from "./first-view.js";
-import type { OpenScene } from "./open-scene.js";
+import type { OpenOther } from "./open-scene.js";
 import type { EngineRenderer, EngineSplats } from "./engine-renderer.js";
 import type { EngineKind } from "./kind.js";
 import { worker } from "./reader-worker.js";
-import type { Side } from "./renderer.js";
 import { type Box, Scene } from "./scene.js";
 import { type Part, seenOf } from "./seen.js";
-import { readSpz } from "./spz-resource.js";
 import type { Stage } from "./stage.js";
-
-export interface OpenEngineScene extends Omit<OpenScene, "read" | "on"> {
-  kind: EngineKind;
-  answer: Response;
-  source: Blob | string | undefined;
-}
 
 /** A resource of the engine, and how to release it. */
 interface Made {
   resource: GSplatResourceBase;
   end(): void;
-  /** Turned. */
-  seen: Iterable<Part>;
-  /** Axes are right, up, backward; the scene is turned to right, down, forward. */
-  isYUp?: boolean;
   antiAliasing: AntiAliasing;
 }
 
 /** Counts assets, for their names. */
 let nAssets = 0;
 
-async function makeSpz({ app }: EngineRenderer, { answer, spzAxes }: OpenEngineScene): Promise<Made> {
-  const { antialiased, ...made } = await readSpz(app.graphicsDevice, await answer.arrayBuffer(), spzAxes);
-  const antiAliasing = antiAliasingOf({ aaMode: antialiased ? "mip_splatting" : "classic" });
-  return { ...made, end: () => made.resource.destroy(), antiAliasing };
-}
-
-async function makeAsset({ app }: EngineRenderer, { name, kind, answer, onProgress }: OpenEngineScene): Promise<Made> {
-  const contents = kind === "ply" ? answer : await answer.arrayBuffer();
+async function makeAsset({ app }: EngineRenderer, kind: EngineKind, { name, answer, onProgress }: OpenOther): Promise<Made> {
+  const contents = kind !== "sog" ? answer : await answer.arrayBuffer();
   // The engine takes assets of the same address for the same scene.
-  const filename = `scene${(nAssets += 1)}.${kind}`;
+  const filename = `scene${(nAssets += 1)}.${kind === "sog" ? kind : "ply"}`;
   const asset = new Asset(name, "gsplat", { url: filename, filename, contents } as object);
   const { assets } = app;
   // Without this the engine would request images that a SOG lacks from the page's server.
@@ -83,7 +65,7 @@ async function makeAsset({ app }: EngineRenderer, { name, kind, answer, onProgre
   const { comments = [], meta } = resource.gsplatData as { comments?: string[]; meta?: object };
   try {
     const antiAliasing = antiAliasingOf(meta ? antiAliasingOfMeta(meta) : antiAliasingOfComments(comments));
-    return { resource, end, seen: await seenOf(resource.gsplatData as GSplatData), antiAliasing };
+    return { resource, end, antiAliasing };
   } catch (error) {
     end();
     throw error;
@@ -110,31 +92,28 @@ function asSentence(kind: EngineKind, error: unknown): Error {
 export class EngineScene extends Scene {
   readonly nGaussians: number;
 
-  static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
+  static async open(stage: Stage, kind: EngineKind, options: OpenOther): Promise<Scene> {
     const bytes = Number(options.answer.headers.get("content-length") ?? 0);
-    const engine = await stage.useEngine();
-    const { seen, ...made } = await (options.kind === "spz" ? makeSpz(engine, options) : makeAsset(engine, options));
+    // Images of a SOG are textures of the engine from the first on.
+    const made = await makeAsset(await stage.useEngine(), kind, options);
     if (!((made.resource.numSplats as number) > 0)) {
       made.end();
       throw new Error("it holds no Gaussians");
     }
-    const { centers } = made.resource;
-    const means = (made.isYUp ? centers?.map((value, i) => (i % 3 === 0 ? value : -value)) : centers) ?? new Float32Array();
+    const means = made.resource.centers ?? new Float32Array();
     try {
       const opacities = new Float32Array(made.resource.numSplats as number);
       let n = 0;
-      const parts = function* (): Generator<Part> {
-        for (const part of seen) {
+      const parts = async function* (): AsyncGenerator<Part> {
+        for await (const part of seenOf(made.resource.gsplatData as GSplatData)) {
           opacities.set(part.opacities, n);
           n += part.opacities.length;
           yield part;
         }
       };
-      const first = await firstView(parts());
+      const first = await firstView(parts(), options.signal);
       const box = await subjectBox(means, opacities, worker ? { worker } : {});
-      // The converter takes no compressed PLY.
-      const source = options.kind === "ply" && !(made.resource.gsplatData as GSplatData).isCompressed ? options.source : undefined;
-      return new EngineScene(options.name, bytes, source, made, means, box, first, stage, options.side);
+      return new EngineScene(options.name, bytes, made, means, box, first, stage, options.side);
     } catch (error) {
       made.end();
       throw error;
@@ -144,14 +123,13 @@ export class EngineScene extends Scene {
   private constructor(
     name: string,
     bytes: number,
-    override readonly source: Blob | string | undefined,
-    private readonly made: Omit<Made, "seen">,
-    /** [n, 3], turned. */
+    private readonly made: Made,
+    /** [n, 3] */
     private readonly means: Float32Array,
     readonly box: Box,
     override readonly firstView: FirstView | null,
     stage: Stage,
-    side: Side,
+    side: OpenOther["side"],
   ) {
     super(name, bytes, stage, side, [0, 0, 0]);
     this.nGaussians = made.resource.numSplats as number;
@@ -180,9 +158,7 @@ export class EngineScene extends Scene {
 
   protected draw(): void {
     // The engine stays.
-    const splats = this.splats as EngineSplats;
-    if (this.made.isYUp) splats.turnOver();
-    splats.add(this.made.resource);
+    (this.splats as EngineSplats).add(this.made.resource);
     this.hasChanged();
   }
 }

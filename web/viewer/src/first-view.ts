@@ -1,28 +1,21 @@
 // first-view.ts - the view from which a scene is seen first, where its file states none.
 // SPDX-License-Identifier: Apache-2.0
 import type { FirstView, Vector3 } from "@roofgs/reader";
+import { withWorker } from "./ask.js";
 import type { Seen } from "./chooser.js";
 import { startChooser } from "./reader-worker.js";
 
 /** Of all Gaussians of a scene, in any order, relative to their origin. Null if none is visible. `up`: floors and ground correct it. */
-export async function firstView(parts: Iterable<Seen>, up: Vector3 = [0, -1, 0]): Promise<FirstView | null> {
-  const answer = await fetch(new URL("../../../build/web/first-view.wasm", import.meta.url));
-  const module = await WebAssembly.compile(await answer.arrayBuffer());
-  const worker = startChooser();
-  const ask = (message: object): Promise<FirstView | null> =>
-    new Promise((resolve, reject) => {
-      worker.onmessage = ({ data }: MessageEvent<FirstView | null>) => resolve(data);
-      worker.onerror = ({ message }) => reject(new Error(message));
-      worker.postMessage(message);
-    });
-  try {
-    await ask({ module });
-    for (const part of parts) {
+export function firstView(parts: Iterable<Seen> | AsyncIterable<Seen>, signal?: AbortSignal, up: Vector3 = [0, -1, 0]): Promise<FirstView | null> {
+  return withWorker(startChooser, signal, async (ask) => {
+    const answer = await fetch(new URL("../../../build/web/first-view.wasm", import.meta.url), signal ? { signal } : {});
+    await ask({ module: await WebAssembly.compile(await answer.arrayBuffer()) });
+    for await (const part of parts) {
+      const { means } = part;
       // The worker gets a copy, which needs no SH.
-      await ask({ part: "geometry" in part ? { means: part.means, geometry: part.geometry, scaleExponent: part.scaleExponent } : part });
+      const shapes = "geometry" in part ? { geometry: part.geometry, scaleExponent: part.scaleExponent } : { rotations: part.rotations, scales: part.scales, opacities: part.opacities };
+      await ask({ part: { means, ...shapes } });
     }
-    return await ask({ up });
-  } finally {
-    worker.terminate();
-  }
+    return ask<FirstView | null>({ up });
+  });
 }

@@ -2,11 +2,11 @@
 // SPDX-License-Identifier: Apache-2.0
 
 /** Scenes that the engine loads. */
-export type EngineKind = "ply" | "sog" | "spz";
-export type Kind = "rgs" | EngineKind | "cameras";
+export type EngineKind = "compressed ply" | "sog";
+export type Kind = "rgs" | "ply" | "spz" | EngineKind | "cameras";
 
-/** Bytes that kindOf() and otherArchive() need. */
-export const kBeginningBytes = 128;
+/** Bytes that kindOf() and otherArchive() need; the header of a compressed PLY has some 1,200. */
+export const kBeginningBytes = 4096;
 
 /** Zip archives that are no SOG, by the name of their first file. */
 const kOtherArchives: [RegExp, string][] = [
@@ -20,7 +20,7 @@ const kOtherArchives: [RegExp, string][] = [
 export function kindOf(beginning: Uint8Array): Kind | null {
   const begins = (...bytes: number[]): boolean => bytes.every((byte, i) => beginning[i] === byte);
   if (begins(0x89, 0x52, 0x47, 0x53)) return "rgs";
-  if (begins(0x70, 0x6c, 0x79)) return "ply";
+  if (begins(0x70, 0x6c, 0x79)) return /\bpacked_position\b/.test(new TextDecoder("latin1").decode(beginning)) ? "compressed ply" : "ply";
   if (begins(0x50, 0x4b, 0x03, 0x04)) return otherArchive(beginning) ? null : "sog";
   // Versions 2 and 3 are gzip streams, 4 is not.
   if (begins(0x1f, 0x8b) || begins(0x4e, 0x47, 0x53, 0x50)) return "spz";

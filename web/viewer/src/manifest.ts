@@ -1,7 +1,8 @@
 // manifest.ts - what the page is to show: from view.json beside it or inside it, or from its own address.
 // SPDX-License-Identifier: Apache-2.0
 
-import type { SpzAxes } from "./spz.js";
+/** Of an SPZ that declares none: right, down, forward as in PLY, or right, up, backward. */
+export type SpzAxes = "ply" | "opengl";
 
 export interface SceneEntry {
   name: string;

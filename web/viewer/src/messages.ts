@@ -19,6 +19,7 @@ const kAdvice: Record<string, string> = {
   limit_exceeded: "exceeds the limits of this page",
   unavailable: "could not be read: the worker for it does not start. The server's content security policy or a browser extension may block it",
   host_out_of_memory: "does not fit into this browser's memory. Convert it with rgs-convert --lod, so that it is read page by page",
+  gaussians_damaged: "has damaged Gaussians, with NaN or infinity, which are left out",
   pages_missing: "is incomplete: its end is missing. What is there is drawn; copy the file again for the rest",
 };
 
@@ -59,6 +60,7 @@ export function waitingSentence(name: string, error: unknown): string {
 }
 
 export const kNoGraphics = "This browser has neither WebGPU nor WebGL 2, of which this page needs one. Update it, or enable hardware acceleration in its settings.";
+export const kNoRoom = "The graphics device has no room for this picture, so the one before stays. Choose a coarser detail, a smaller budget or a smaller window, or add &renderer=webgl2 to the page's address.";
 export const kNotAsDefined = "This page does not know its engine's shaders, so the picture differs slightly from what the files define.";
 export const kLost = "The graphics device was lost, perhaps because its driver restarted. If the picture does not come back, reload the page.";
 

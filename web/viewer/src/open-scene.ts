@@ -1,15 +1,16 @@
 // open-scene.ts - recognises a file by its first bytes and opens it as a scene.
 // SPDX-License-Identifier: Apache-2.0
 import { open } from "@roofgs/reader";
-import { type EngineKind, kBeginningBytes, kindOf, otherArchive } from "./kind.js";
+import { kBeginningBytes, type Kind, kindOf, otherArchive } from "./kind.js";
 import { loadEngine } from "./load-engine.js";
-import { readInside, type SceneEntry } from "./manifest.js";
+import { readInside, type SceneEntry, type SpzAxes } from "./manifest.js";
 import type { Trouble } from "./page-driver.js";
 import { worker } from "./reader-worker.js";
 import type { Side } from "./renderer.js";
 import { beginFile, type OpenedFile, RgsScene } from "./rgs-scene.js";
 import type { Scene } from "./scene.js";
-import type { SpzAxes } from "./spz.js";
+import { SplatScene } from "./splat-scene.js";
+import type { Axes } from "./splats.js";
 import type { Stage } from "./stage.js";
 
 /** Bytes read; `total` is 0 where it is not known. */
@@ -19,13 +20,20 @@ export type OnProgress = (done: number, total: number) => void;
  * A file whose kind is known. The beginning of an .rgs is already in flight; other files are requested when they are read, because a
  * server need not keep a connection open that nobody reads from.
  */
-export type Read = { kind: "rgs"; opened: OpenedFile } | { kind: EngineKind | "cameras"; answer(): Promise<Response>; source: Blob | string | undefined };
+export type Read = { kind: "rgs"; opened: OpenedFile } | { kind: Exclude<Kind, "rgs">; answer(signal?: AbortSignal): Promise<Response>; source: Blob | string | undefined };
 
 async function beginningOf(answer: Response): Promise<Uint8Array> {
   const reader = answer.body?.getReader();
-  const { value } = (await reader?.read()) ?? {};
+  const beginning = new Uint8Array(kBeginningBytes);
+  let n = 0;
+  while (n < kBeginningBytes) {
+    const { value } = (await reader?.read()) ?? {};
+    if (!value) break;
+    beginning.set(value.subarray(0, kBeginningBytes - n), n);
+    n += Math.min(value.length, kBeginningBytes - n);
+  }
   await reader?.cancel();
-  return value?.subarray(0, kBeginningBytes) ?? new Uint8Array(0);
+  return beginning.subarray(0, n);
 }
 
 interface Asked {
@@ -62,9 +70,9 @@ async function recognise({ entry, file, onProgress }: Asked): Promise<Read> {
     if (archive) throw Object.assign(new Error(), { code: "bad_magic", text: `it is ${archive}` });
     const kind = kindOf(beginning);
     if (kind === null || kind === "rgs") return null;
-    const answer = async (): Promise<Response> => {
+    const answer = async (signal?: AbortSignal): Promise<Response> => {
       if (blob) return new Response(blob, { headers: { "content-length": String(blob.size) } });
-      const found = await fetch(entry.url);
+      const found = await fetch(entry.url, signal ? { signal } : {});
       if (!found.ok) throw Object.assign(new Error(`HTTP ${found.status}`), { code: "open_failed" });
       return found;
     };
@@ -96,20 +104,32 @@ export interface OpenScene {
   read: Read;
   /** Of an SPZ that declares none. */
   spzAxes: SpzAxes;
+  /** To which others are turned that declare theirs. */
+  axes: Axes;
   side: Side;
   onProgress: OnProgress;
-  /** In pages that are read later. */
+  /** In pages that are read later, and of single Gaussians. */
   on: Trouble;
+  signal: AbortSignal;
+}
+
+/** A file that is no .rgs. */
+export interface OpenOther extends Omit<OpenScene, "read"> {
+  answer: Response;
+  source: Blob | string | undefined;
 }
 
 /** Resolves with the first part of the scene; complete() reads the rest. */
-export async function openScene(stage: Stage, { name, read, spzAxes, side, onProgress, on }: OpenScene): Promise<Scene> {
+export async function openScene(stage: Stage, { read, ...options }: OpenScene): Promise<Scene> {
   if (read.kind === "cameras") throw new Error("it is a camera file, not a scene");
   if (read.kind !== "rgs") {
-    const { EngineScene } = await loadEngine();
-    return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), source: read.source, spzAxes, side, onProgress });
+    const { kind, source } = read;
+    const other = { ...options, answer: await read.answer(options.signal), source };
+    if (kind === "ply" || kind === "spz") return SplatScene.open(stage, kind, other);
+    return (await loadEngine()).EngineScene.open(stage, kind, other);
   }
   const { opened } = read;
+  const { name, side, on } = options;
   try {
     const first = await opened.first;
     if (first.done || (first.value.n === 0 && opened.file.header.nGaussians === 0)) throw new Error("it holds no Gaussians");

@@ -10,6 +10,7 @@ import { beginLoading, type Page, progressOf } from "./page.js";
 import type { Trouble } from "./page-driver.js";
 import type { Side } from "./renderer.js";
 import type { Scene } from "./scene.js";
+import { kPlyAxes } from "./splats.js";
 import { homeOf, type PageStore, type State } from "./state.js";
 import type { Stage } from "./stage.js";
 
@@ -126,12 +127,14 @@ export class Opening {
     const before = scenesBefore[side];
     let scene: Scene | undefined;
     beginLoading(store, name);
-    const cancelled = new Promise<never>((_, reject) => (this.cancel = () => reject(new DOMException("cancelled", "AbortError"))));
+    const stop = new AbortController();
+    this.cancel = () => stop.abort();
+    const cancelled = new Promise<never>((_, reject) => stop.signal.addEventListener("abort", () => reject(stop.signal.reason)));
     cancelled.catch(() => undefined);
     try {
       page.signal.throwIfAborted();
       const read = await Promise.race([reading, cancelled]);
-      const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(page.search, this.manifest), side, onProgress: progressOf(store), on: this.troubleOf(name) });
+      const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(page.search, this.manifest), axes: scenesBefore[0]?.axes ?? kPlyAxes, side, onProgress: progressOf(store), on: this.troubleOf(name), signal: stop.signal });
       scene = await Promise.race([opened, cancelled]).catch((error: unknown) => {
         // One that comes too late goes again.
         void opened.then((late) => late.destroy(), () => undefined);

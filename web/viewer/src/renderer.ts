@@ -1,6 +1,6 @@
 // renderer.ts - what draws the picture into a canvas, only after a change: webgpu-renderer.ts or engine-renderer.ts.
 // SPDX-License-Identifier: Apache-2.0
-import type { AntiAliasing, StoredGaussians } from "@roofgs/reader";
+import type { AntiAliasing, Gaussians, StoredGaussians } from "@roofgs/reader";
 import type { Colour } from "@roofgs/webgpu";
 import type { ViewState } from "./cameras.js";
 import { pictureSize, type Size } from "./picture-size.js";
@@ -26,13 +26,14 @@ export const splitOf = (show: Show): number => ("split" in show ? show.split : s
 
 export type Pixels = Uint8ClampedArray<ArrayBuffer>;
 
+/** Gaussians as files store them, or as arrays. */
+export type Part = StoredGaussians | Gaussians;
+
 /** The Gaussians of one scene on the device. */
 export interface Splats {
   isHidden: boolean;
-  /** What is drawn, of files or pages of one SH degree; equal depths in this order. */
-  setParts(parts: readonly StoredGaussians[]): void;
-  /** SH of higher degrees are ignored. `tints`: of parts, or none. */
-  setLook(shDegree: number, tints: readonly Colour[]): void;
+  /** What is drawn, of one kind and SH degree; equal depths in this order. SH above `shDegree` are ignored. `tints`: of parts, or none. */
+  set(parts: readonly Part[], shDegree: number, tints: readonly Colour[]): void;
   destroy(): void;
 }
 
@@ -40,6 +41,8 @@ export interface RendererEvents {
   /** Before each frame; returns whether it waits for something that changes the picture. */
   frame(seconds: number): boolean;
   resized(size: Size): void;
+  /** Whether the device has room for the picture; without, the one before stays. */
+  fits(isSo: boolean): void;
   /** The device is gone, and comes back by itself or not. */
   lost(): void;
   restored(): void;

@@ -7,6 +7,7 @@ import { firstView } from "./first-view.js";
 import { kSchedule, PageDriver, type Trouble } from "./page-driver.js";
 import type { Side } from "./renderer.js";
 import { type Box, Scene, type Tint } from "./scene.js";
+import { type Axes, upOf } from "./splats.js";
 import type { Stage } from "./stage.js";
 
 /** Least time between two uploads to the GPU. */
@@ -43,15 +44,10 @@ export function beginFile(file: RgsFile, onProgress: (done: number, total: numbe
   return opened;
 }
 
-function upOf(file: RgsFile): Vector3 | null {
-  const { axes } = file.declarations;
-  const i = axes.findIndex((axis) => axis === "up" || axis === "down");
-  return i < 0 ? null : ([0, 1, 2].map((k) => (k === i ? (axes[i] === "up" ? 1 : -1) : 0)) as unknown as Vector3);
-}
-
 export class RgsScene extends Scene {
   readonly nGaussians: number;
   readonly box: Box;
+  override readonly axes: Axes;
   override readonly up: Vector3 | null;
   override firstView: FirstView | null;
   override readonly hasPages: boolean;
@@ -86,7 +82,8 @@ export class RgsScene extends Scene {
     const box = file.subjectBox as Box;
     this.box = { min: box.min.map((v, i) => v + (origin[i] as number)), max: box.max.map((v, i) => v + (origin[i] as number)) };
     this.nGaussians = file.header.nGaussians;
-    this.up = upOf(file);
+    this.axes = file.declarations.axes;
+    this.up = upOf(this.axes);
     this.firstView = file.firstView;
     this.hasPages = file.levels !== null;
     this.shDegree = file.header.shDegree;
@@ -122,7 +119,7 @@ export class RgsScene extends Scene {
     this.file.close();
     if (this.stop.signal.aborted) return;
     // A scene whose view cannot be chosen is seen as its box tells.
-    this.firstView ??= await firstView(this.parts, this.up ?? undefined).catch(() => null);
+    this.firstView ??= await firstView(this.parts, this.stop.signal, this.up ?? undefined).catch(() => null);
   }
 
   get nDrawn(): number {
@@ -149,13 +146,13 @@ export class RgsScene extends Scene {
   setShDegree(shDegree: number): void {
     if (shDegree === this.shown.shDegree) return;
     this.shown = { ...this.shown, shDegree };
-    this.setLook();
+    this.draw();
   }
 
   override setTint(tint: Tint): void {
     if (tint === this.shown.tint) return;
     this.shown = { ...this.shown, tint };
-    this.setLook();
+    this.draw();
   }
 
   override antiAliasing(detailPx: number): AntiAliasing {
@@ -193,7 +190,7 @@ export class RgsScene extends Scene {
     }
     this.tinted = view;
     this.rebuilt = now;
-    this.setLook();
+    this.draw();
   }
 
   override destroy(): void {
@@ -204,8 +201,9 @@ export class RgsScene extends Scene {
   }
 
   protected draw(): void {
-    this.setLook();
-    this.splats.setParts(this.parts);
+    const { shDegree, tint } = this.shown;
+    this.splats.set(this.parts, shDegree, tint === "none" || !this.hasPages ? [] : this.drawn.map((index) => this.colourOf(index, tint)));
+    this.hasChanged();
   }
 
   private addPart(part: StoredGaussians): void {
@@ -218,12 +216,6 @@ export class RgsScene extends Scene {
     this.drawn = draw;
     this.parts = draw.map((index) => driver.page(index));
     this.draw();
-  }
-
-  private setLook(): void {
-    const { shDegree, tint } = this.shown;
-    this.splats.setLook(shDegree, tint === "none" || !this.hasPages ? [] : this.drawn.map((index) => this.colourOf(index, tint)));
-    this.hasChanged();
   }
 
   private colourOf(index: number, tint: Tint): Colour {

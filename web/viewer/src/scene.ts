@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { AntiAliasing, FirstView, Look } from "@roofgs/reader";
 import type { Side, Splats } from "./renderer.js";
+import { type Axes, kPlyAxes } from "./splats.js";
 import type { Stage } from "./stage.js";
 
 export interface Box {
@@ -17,6 +18,7 @@ export abstract class Scene {
   abstract readonly box: Box;
   /** From where it is seen first, relative to `origin` (docs/user/CAMERAS.md). Null: not known, or not yet; then the box counts. */
   readonly firstView: FirstView | null = null;
+  readonly axes: Axes = kPlyAxes;
   /** The up direction that the file declares, or null. */
   readonly up: readonly number[] | null = null;
   readonly hasPages: boolean = false;

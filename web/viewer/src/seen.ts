@@ -1,8 +1,7 @@
 // seen.ts - Gaussians that the engine loaded, as first-view.ts takes them.
 // SPDX-License-Identifier: Apache-2.0
-import type { Gaussians, Spz } from "@roofgs/reader";
-import { GSplatData, Quat, type Texture, Vec3, Vec4 } from "playcanvas";
-import { rotationOf } from "./spz.js";
+import type { Gaussians } from "@roofgs/reader";
+import { type GSplatData, Quat, type Texture, Vec3, Vec4 } from "playcanvas";
 
 export type Part = Pick<Gaussians, "means" | "rotations" | "scales" | "opacities">;
 
@@ -28,30 +27,21 @@ function* partsOf(total: number, row: (i: number) => Row): Generator<Part> {
   }
 }
 
-/** Of a PLY, a compressed one, or an SOG. */
-export async function seenOf(data: GSplatData): Promise<Iterable<Part>> {
-  const images = data as unknown as Partial<Record<string, Texture & { _levels: unknown[] }>>;
-  for (const name of kImages) {
-    const image = images[name];
-    if (image) image._levels[0] = await image.read(0, 0, image.width, image.height, { immediate: true });
-  }
+/** Of a compressed PLY, or an SOG, whose images are in memory until all parts are taken. */
+export async function* seenOf(data: GSplatData): AsyncGenerator<Part> {
+  const all = data as unknown as Partial<Record<string, Omit<Texture, "_levels"> & { _levels: unknown[] }>>;
+  const images = kImages.flatMap((name) => all[name] ?? []);
+  const before = images.map(({ _levels }) => _levels[0]);
+  for (const image of images) image._levels[0] = await image.read(0, 0, image.width, image.height, { immediate: true });
   const [mean, turn, scale, colour] = [new Vec3(), new Quat(), new Vec3(), new Vec4()];
   const rows = data.createIter(mean, turn, scale, colour);
-  // Only a PLY's are no logarithms here.
-  const activated = data instanceof GSplatData ? (value: number): number => value : Math.exp;
-  return partsOf(data.numSplats, (i) => {
+  const parts = partsOf(data.numSplats, (i) => {
     rows.read(i);
-    return [[mean.x, mean.y, mean.z], [turn.w, turn.x, turn.y, turn.z], [activated(scale.x), activated(scale.y), activated(scale.z)], colour.w];
+    return [[mean.x, mean.y, mean.z], [turn.w, turn.x, turn.y, turn.z], [Math.exp(scale.x), Math.exp(scale.y), Math.exp(scale.z)], colour.w];
   });
-}
-
-/** Of an .spz, whose `rotations` have 4 bytes; with `isYUp` turned half around x. */
-export function seenOfSpz({ n, streams: { scales, alphas } }: Spz, rotations: Uint8Array, centers: Float32Array, isYUp: boolean): Iterable<Part> {
-  const words = new DataView(rotations.buffer, rotations.byteOffset, rotations.byteLength);
-  return partsOf(n, (i) => {
-    const [x, y, z, w] = rotationOf(words.getUint32(4 * i, true)) as [number, number, number, number];
-    const [a, b, c] = centers.subarray(3 * i, 3 * i + 3) as unknown as [number, number, number];
-    const scale = [0, 1, 2].map((k) => Math.exp((scales[3 * i + k] as number) / 16 - 10));
-    return [isYUp ? [a, -b, -c] : [a, b, c], isYUp ? [-x, w, -z, y] : [w, x, y, z], scale, (alphas[i] as number) / 255];
-  });
+  try {
+    yield* parts;
+  } finally {
+    images.forEach(({ _levels }, i) => (_levels[0] = before[i]));
+  }
 }

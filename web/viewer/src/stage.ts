@@ -1,10 +1,9 @@
-// stage.ts - the picture: what it shows, and by what. WebGPU draws .rgs files; the engine draws where there is no WebGPU,
-// and all from the first file of another format on. What is shown and the scenes outlive a renderer.
+// stage.ts - the picture: what it shows, and by what. WebGPU draws; the engine does where there is no WebGPU, and all from the first file
+// on that it alone reads. What is shown and the scenes outlive a renderer.
 // SPDX-License-Identifier: Apache-2.0
 import type { ViewState } from "./cameras.js";
 import type { EngineRenderer } from "./engine-renderer.js";
 import { loadEngine } from "./load-engine.js";
-import type { SceneEntry } from "./manifest.js";
 import type { Pixels, Renderer, RendererEvents, Shown, Side, Splats } from "./renderer.js";
 import { findAdapter, WebGpuRenderer } from "./webgpu-renderer.js";
 
@@ -12,11 +11,14 @@ export interface StageEvents extends Omit<RendererEvents, "failed"> {
   /** Another renderer draws, into another canvas. */
   replaced(): void;
   /** Nothing draws any more. */
-  ended(): void;
+  ended(error: unknown): void;
 }
 
 async function startEngine(canvas: HTMLCanvasElement, on: RendererEvents): Promise<EngineRenderer> {
-  return (await loadEngine()).EngineRenderer.start(canvas, on);
+  const { EngineRenderer } = await loadEngine().catch((error: unknown) => {
+    throw Object.assign(new Error(), { code: "open_failed", text: String(error) });
+  });
+  return EngineRenderer.start(canvas, on);
 }
 
 export class Stage {
@@ -39,14 +41,12 @@ export class Stage {
   }
 
   /**
-   * `asked`: "webgl2", or "webgpu" for one in software, too. `entries`: the scenes that are opened first. Rejects where
-   * nothing can draw.
+   * `asked`: "webgl2", or "webgpu" for one in software, too. Rejects where nothing can draw, or the engine cannot be fetched.
    */
-  static async start(canvas: HTMLCanvasElement, asked: string | null, entries: Promise<readonly SceneEntry[]>, on: StageEvents): Promise<Stage> {
+  static async start(canvas: HTMLCanvasElement, asked: string | null, on: StageEvents): Promise<Stage> {
     const stage = new Stage(asked === "webgpu", on);
     const adapter = asked === "webgl2" ? undefined : await findAdapter(stage.isAnyAdapter);
-    const isOther = adapter && (await entries.catch(() => [])).some(({ name }) => !/\.rgs$/i.test(name));
-    const first = adapter && !isOther && (await WebGpuRenderer.start(adapter, canvas, stage.events).catch(() => undefined));
+    const first = adapter && (await WebGpuRenderer.start(adapter, canvas, stage.events).catch(() => undefined));
     stage.renderer = first || (stage.engine = await startEngine(canvas, stage.events));
     stage.renderer.begin();
     return stage;
@@ -132,9 +132,9 @@ export class Stage {
     return (this.engine ??= await this.change(startEngine));
   }
 
-  /** After one loss WebGPU is tried again; after another one, and where the device has no room, the engine draws. */
+  /** After one loss WebGPU is tried again; after another one, and where the device's memory ends, the engine draws. */
   private replace(failed: Renderer, error: unknown): void {
-    const isLost = !(error instanceof RangeError || error instanceof GPUError);
+    const isLost = !(error instanceof GPUError);
     const isTriedAgain = isLost && !this.hasLost;
     this.hasLost ||= isLost;
     if (isLost) this.on.lost();
@@ -146,28 +146,39 @@ export class Stage {
     };
     this.inTurn(work).then(
       () => isLost && this.on.restored(),
-      () => this.hasEnded || this.on.ended(),
+      (why: unknown) => this.hasEnded || this.on.ended(why),
     );
   }
 
   private async change<T extends Renderer>(start: (canvas: HTMLCanvasElement, on: RendererEvents) => Promise<T>): Promise<T> {
+    this.throwIfEnded();
     const { renderer: before } = this;
     // A canvas has one API for ever.
     const canvas = before.canvas.cloneNode() as HTMLCanvasElement;
     const next = await start(canvas, this.events);
-    if (this.hasEnded) {
+    try {
+      this.throwIfEnded();
+      this.renderer = next;
+      for (const scene of this.scenes) scene.drawAnew();
+    } catch (error) {
+      if (this.renderer === next) {
+        this.renderer = before;
+        for (const scene of this.scenes) scene.drawAnew();
+      }
       next.end();
-      throw new DOMException("the viewer has ended", "AbortError");
+      throw error;
     }
     const isFocused = before.canvas.matches(":focus");
     before.canvas.replaceWith(canvas);
-    this.renderer = next;
-    for (const scene of this.scenes) scene.drawAnew();
     before.end();
     next.begin();
     next.show(this.shown);
     if (isFocused) canvas.focus({ preventScroll: true });
     this.on.replaced();
     return next;
+  }
+
+  private throwIfEnded(): void {
+    if (this.hasEnded) throw new DOMException("the viewer has ended", "AbortError");
   }
 }

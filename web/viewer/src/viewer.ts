@@ -12,7 +12,7 @@ import { goHome, goTo } from "./home.js";
 import { connectKeys } from "./keys.js";
 import { readLink } from "./link.js";
 import { nameOf, readManifest } from "./manifest.js";
-import { kLost, kNoGraphics, kNotAsDefined } from "./messages.js";
+import { kLost, kNoGraphics, kNoRoom, kNotAsDefined } from "./messages.js";
 import { showNames } from "./names.js";
 import { closeRead, readFile } from "./open-scene.js";
 import { listenForFiles, Opening } from "./opening.js";
@@ -93,17 +93,19 @@ export class Viewer {
     let frame = (_seconds: number): boolean => false;
     const asked = host.getAttribute("renderer") ?? new URLSearchParams(page.search).get("renderer");
     let replaced = (): void => undefined;
-    const stage = await Stage.start(canvas, asked, manifest.then(({ scenes }) => scenes), {
+    const fail = (error: unknown): void => (typeof (error as { code?: unknown }).code === "string" ? page.fail("The PlayCanvas engine", error) : page.showError(kNoGraphics));
+    const stage = await Stage.start(canvas, asked, {
       frame: (seconds) => frame(seconds),
       resized: (size) => store.set({ size }),
+      fits: (isSo) => (isSo ? page.withdrawError(kNoRoom) : page.showError(kNoRoom)),
       lost: () => page.showError(kLost),
       restored: () => {
         page.withdrawError(kLost);
         page.say("The graphics device is back");
       },
       replaced: () => replaced(),
-      ended: () => page.showError(kNoGraphics),
-    }).catch(() => page.showError(kNoGraphics));
+      ended: fail,
+    }).catch(fail);
     if (!stage) return leave();
     if (signal.aborted) stage.end();
     else signal.addEventListener("abort", () => stage.end());

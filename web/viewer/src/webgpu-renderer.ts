@@ -1,11 +1,10 @@
 // webgpu-renderer.ts - draws by @roofgs/webgpu: a renderer a scene, all of one device.
 // SPDX-License-Identifier: Apache-2.0
-import type { StoredGaussians } from "@roofgs/reader";
-import { type Colour, type Part, type RenderOptions, requestDevice, SplatRenderer } from "@roofgs/webgpu";
+import { type Colour, type Part as PartOnDevice, type RenderOptions, requestDevice, SplatRenderer } from "@roofgs/webgpu";
 import { pinholeOf, type ViewState } from "./cameras.js";
 import { Lines } from "./lines.js";
 import type { Size } from "./picture-size.js";
-import { edgesOf, type Pixels, Renderer, type RendererEvents, type Shown, type Side, type Splats, splitOf } from "./renderer.js";
+import { edgesOf, type Part, type Pixels, Renderer, type RendererEvents, type Shown, type Side, type Splats, splitOf } from "./renderer.js";
 
 /** Frames that the device may have before it, so that it is never idle, and what is shown is not old. */
 const kMostInFlight = 2;
@@ -116,7 +115,7 @@ export class WebGpuRenderer extends Renderer {
       return pixels;
     } catch (error) {
       // A scene that goes meanwhile takes its buffers with it.
-      if (this.splats.has(splats)) this.fail(error);
+      if (this.splats.has(splats) && !(error instanceof RangeError)) this.fail(error);
       throw error;
     } finally {
       this.isCapturing = false;
@@ -172,11 +171,13 @@ export class WebGpuRenderer extends Renderer {
       const all = await Promise.all(frames);
       if (all.some(({ isComplete }) => !isComplete)) return this.request();
       this.frames += 1;
+      this.on.fits(true);
       const isDrawn = (splats: WebGpuSplats | undefined): boolean => !splats || (splats.nParts > 0 && drawn.includes(splats));
       for (const { resolve } of this.waiting.filter((each) => isDrawn(each.for))) resolve();
       this.waiting = this.waiting.filter((each) => !isDrawn(each.for));
     } catch (error) {
-      this.fail(error);
+      if (error instanceof RangeError) this.on.fits(false);
+      else this.fail(error);
     } finally {
       this.nInFlight -= 1;
     }
@@ -191,9 +192,8 @@ export class WebGpuRenderer extends Renderer {
 }
 
 class WebGpuSplats implements Splats {
-  private parts = new Map<StoredGaussians, Part>();
+  private parts = new Map<Part, PartOnDevice>();
   private shDegree = 3;
-  private tints: readonly Colour[] = [];
   private hidden = false;
 
   constructor(
@@ -216,19 +216,15 @@ class WebGpuSplats implements Splats {
     this.on.changed();
   }
 
-  setParts(parts: readonly StoredGaussians[]): void {
+  set(parts: readonly Part[], shDegree: number, tints: readonly Colour[]): void {
     const { renderer } = this;
     const wanted = new Set(parts);
     // First, so that others have their room.
-    for (const [stored, part] of this.parts) if (!wanted.has(stored)) renderer.remove(part);
-    this.parts = new Map(parts.map((stored) => [stored, this.parts.get(stored) ?? renderer.add(stored)]));
-    this.apply();
-  }
-
-  setLook(shDegree: number, tints: readonly Colour[]): void {
+    for (const [part, onDevice] of this.parts) if (!wanted.has(part)) renderer.remove(onDevice);
+    this.parts = new Map(parts.map((part) => [part, this.parts.get(part) ?? renderer.add(part)]));
     this.shDegree = shDegree;
-    this.tints = tints;
-    this.apply();
+    renderer.setParts([...this.parts.values()], tints);
+    this.on.changed();
   }
 
   destroy(): void {
@@ -245,10 +241,5 @@ class WebGpuSplats implements Splats {
   capture(view: ViewState, width: number, height: number, options: RenderOptions): ReturnType<SplatRenderer["capture"]> {
     this.renderer.setView(pinholeOf(view, width, height), this.origin);
     return this.renderer.capture(width, height, { ...options, shDegree: this.shDegree });
-  }
-
-  private apply(): void {
-    this.renderer.setParts([...this.parts.values()], this.tints);
-    this.on.changed();
   }
 }

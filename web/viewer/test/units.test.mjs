@@ -18,7 +18,7 @@ let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "chooser", "controls", "declared", "difference", "first-picture", "flight", "flip", "keys", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "rgs-scene", "spz", "store"];
+  const names = ["cameras", "chooser", "controls", "declared", "difference", "first-picture", "flight", "flip", "keys", "kind", "link", "manifest", "messages", "page-driver", "picking", "picture-size", "rgs-scene", "splats", "store"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -294,7 +294,7 @@ test("a first picture is shown once it is within 64 px, or nothing more is to co
 
 test("a scene with levels shows its first picture when that is worth showing", () => {
   const file = { declarations: { origin: [0, 0, 0], axes: [] }, subjectBox: { min: [], max: [] }, header: {}, levels: { page: () => ({}) } };
-  const splats = { setLook: () => undefined, setParts: () => undefined };
+  const splats = { set: () => undefined };
   const stage = { scenes: new Set(), addSplats: () => splats, request: () => undefined };
   /** Whether a view is drawn so many ms after the first, by its coarsest page. */
   const isDrawn = (errorPx, nWanted, ms) => {
@@ -309,7 +309,7 @@ test("a scene with levels shows its first picture when that is worth showing", (
 
 test("a scene stays where its first view cannot be chosen", async () => {
   const file = { declarations: { origin: [0, 0, 0], axes: [] }, subjectBox: { min: [], max: [] }, header: {}, levels: null, firstView: null, close: () => undefined };
-  const splats = { setLook: () => undefined, setParts: () => undefined };
+  const splats = { set: () => undefined };
   const stage = { scenes: new Set(), addSplats: () => splats };
   const scene = new modules["rgs-scene"].RgsScene("a.rgs", { file, parts: [] }, { n: 1 }, null, stage, 0, {});
   // Node has no Worker.
@@ -724,16 +724,89 @@ test("a stream of an SPZ is frames that unfold to its size, and nothing else", a
   }
 });
 
-test("a rotation of three bytes is the one of four", () => {
-  const three = [[0.1, -0.2, 0.3], [-0.9, 0.1, 0.2], [0, 0, 0]];
-  const codes = Uint8Array.from(three.flat().map((value) => Math.round((value + 1) * 127.5)));
-  const words = new Uint32Array(modules.spz.smallestThree(codes).buffer);
-  three.forEach((xyz, i) => {
-    const found = modules.spz.rotationOf(words[i]);
-    const expected = [...xyz, Math.sqrt(1 - xyz.reduce((total, value) => total + value * value, 0))];
-    const dot = expected.reduce((total, value, c) => total + value * found[c], 0);
-    assert.ok(Math.abs(dot) > 0.999, `${found} for ${expected}`);
+/** A PLY or an SPZ as the page's worker reads it: {head, arrays}. */
+async function splatsOf(bytes, axes = ["right", "down", "forward"]) {
+  const splats = new modules.splats.Splats(await WebAssembly.compile(readFileSync(new URL("../../../build/web/splats.wasm", import.meta.url))));
+  if (bytes.subarray(0, 3).toString() === "ply") {
+    for (let at = 0; at < bytes.length; at += 100_000) splats.append(bytes.subarray(at, at + 100_000), at === 0 ? bytes.length : 0);
+    const head = splats.openPly(axes);
+    return { head, arrays: splats.read(0, head.n) };
+  }
+  const head = await unfold(bytes);
+  splats.openSpz(head, axes, axes);
+  const half = head.n >> 1;
+  const [first, second] = [splats.read(0, half), splats.read(half, head.n - half)];
+  return { head, arrays: Object.fromEntries(Object.entries(first).map(([name, values]) => [name, values instanceof Float32Array ? Float32Array.of(...values, ...second[name]) : head[name]])) };
+}
+const kBegin = "end_header\n";
+/** The first Gaussians of a generated PLY: its names, and a row each. */
+function rowsOf(ply, n) {
+  const begin = ply.indexOf(kBegin) + kBegin.length;
+  const names = [...ply.toString("latin1", 0, begin).matchAll(/^property float (\w+)/gm)].map(([, name]) => name);
+  return { names, rows: Array.from({ length: n }, (_, i) => names.map((_, k) => ply.readFloatLE(begin + 4 * (i * names.length + k)))) };
+}
+const headerOf = (format, n, names, more = "") => `ply\nformat ${format} 1.0\n${more}element vertex ${n}\n${names.map((name) => `property float ${name}\n`).join("")}${kBegin}`;
+function plyOf({ names, rows }, more = "") {
+  const values = rows.flat();
+  const body = Buffer.alloc(4 * values.length);
+  values.forEach((value, i) => body.writeFloatLE(value, 4 * i));
+  return Buffer.concat([Buffer.from(headerOf("binary_little_endian", rows.length, names, more)), body]);
+}
+
+test("an SPZ of each version has the values of the PLY that rgs-convert makes of it", async () => {
+  const path = (name) => join(folder, name);
+  const convert = (...args) => execFileSync(program("rgs-convert"), ["--quiet", "--overwrite", ...args]);
+  for (const version of ["2", "3", "4"]) {
+    convert("--spz-version", version, "--crop=-1,-1,-1,0,0,0", join(scenes(), "scene.ply"), path("a.spz"));
+    convert(path("a.spz"), path("a.ply"));
+    const [spz, ply] = [await splatsOf(readFileSync(path("a.spz"))), await splatsOf(readFileSync(path("a.ply")))];
+    assert.ok(spz.head.n > 100);
+    assert.deepEqual(spz.arrays, ply.arrays, `version ${version}`);
+  }
+});
+
+test("a PLY is read in any order, encoding and frame", async () => {
+  const few = rowsOf(readFileSync(join(scenes(), "scene.ply")), 7);
+  const { arrays } = await splatsOf(plyOf(few));
+  const at = (name) => few.names.indexOf(name);
+  few.rows.forEach((row, i) => {
+    const near = (found, expected) => assert.ok(Math.abs(found - expected) <= 1e-6 * Math.abs(expected), `${found}, not ${expected}`);
+    const norm = Math.hypot(...[0, 1, 2, 3].map((k) => row[at(`rot_${k}`)]));
+    for (let k = 0; k < 4; ++k) near(arrays.rotations[4 * i + k], row[at(`rot_${k}`)] / norm);
+    for (let k = 0; k < 3; ++k) near(arrays.scales[3 * i + k], Math.exp(row[at(`scale_${k}`)]));
+    near(arrays.opacities[i], 1 / (1 + Math.exp(-row[at("opacity")])));
+    for (const [k, name] of ["x", "y", "z"].entries()) assert.equal(arrays.means[3 * i + k], row[at(name)]);
+    for (let k = 0; k < 3; ++k) assert.equal(arrays.sh0[3 * i + k], row[at(`f_dc_${k}`)]);
+    // 15 of a channel, one channel after the other.
+    for (let k = 0; k < 45; ++k) assert.equal(arrays.shN[45 * i + 3 * (k % 15) + Math.floor(k / 15)], row[at(`f_rest_${k}`)]);
   });
+  const backward = { names: [...few.names].reverse(), rows: few.rows.map((row) => [...row].reverse()) };
+  assert.deepEqual((await splatsOf(plyOf(backward))).arrays, arrays);
+  const swapped = plyOf(few);
+  const big = Buffer.concat([Buffer.from(headerOf("binary_big_endian", 7, few.names)), Buffer.from(swapped.subarray(swapped.indexOf(kBegin) + kBegin.length)).swap32()]);
+  assert.deepEqual((await splatsOf(big)).arrays, arrays);
+  const text = Buffer.from(`${headerOf("ascii", 7, few.names)}${few.rows.map((row) => `${row.map((value) => (Object.is(value, -0) ? "-0" : value)).join(" ")}\n`).join("")}`);
+  assert.deepEqual((await splatsOf(text)).arrays, arrays);
+
+  const { head, arrays: turned } = await splatsOf(plyOf(few, "comment rgs_axes: right,up,backward\ncomment SplatRenderMode: mip\n"));
+  assert.deepEqual([head.n, head.shDegree, head.aaMode, head.origin], [7, 3, "mip_splatting", [0, 0, 0]]);
+  assert.deepEqual([...turned.means], [...arrays.means].map((value, i) => (i % 3 === 0 ? value : -value)));
+  assert.deepEqual([...turned.sh0], [...arrays.sh0]);
+});
+
+test("a PLY says what is wrong with it, and damaged Gaussians are left out", async () => {
+  const few = rowsOf(readFileSync(join(scenes(), "scene.ply")), 3);
+  const whole = plyOf(few);
+  const refused = { truncated: whole.subarray(0, whole.length - 1), trailing_bytes: Buffer.concat([whole, Buffer.alloc(1)]), not_gaussian_splats: Buffer.from(whole.toString("latin1").replace("rot_3", "rot_x"), "latin1"), bad_value: plyOf(few, "comment rgs_low_pass_px2: much\n") };
+  for (const [code, bytes] of Object.entries(refused)) {
+    await assert.rejects(splatsOf(bytes), (error) => error.code === code && error.text.length > 10, code);
+  }
+  const { arrays } = await splatsOf(whole);
+  few.rows[1][few.names.indexOf("scale_1")] = NaN;
+  const { head, arrays: kept } = await splatsOf(plyOf(few));
+  assert.deepEqual([head.n, kept.n], [3, 2]);
+  assert.deepEqual([...kept.means], [...arrays.means.subarray(0, 3), ...arrays.means.subarray(6)]);
+  assert.deepEqual([...kept.shN], [...arrays.shN.subarray(0, 45), ...arrays.shN.subarray(90)]);
 });
 
 test("an SPZ declares its axes by a record, and other records change nothing", async () => {
@@ -746,15 +819,11 @@ test("an SPZ declares its axes by a record, and other records change nothing", a
     gzipSync(Buffer.concat([kSpzHeader(3, 1, { flags: 2 }), Buffer.alloc(20), records])),
     Buffer.concat([kSpzHeader(4, 1, { streams: 5, flags: 2, table: 32 + records.length }), records, streams]),
   ];
-  const declared = [[axes(6), "ply"], [axes(4), "opengl"], [axes(0), null], [orbit, null], [Buffer.alloc(0), null],
-    [Buffer.concat([georeference, axes(4), orbit]), "opengl"], [Buffer.concat([words(0xadbe0002), words(0, 0, 0)]), null]];
+  const [ply, openGl] = [["right", "down", "forward"], ["right", "up", "backward"]];
+  const declared = [[axes(6), ply], [axes(4), openGl], [axes(5), ["left", "down", "forward"]], [axes(0), null], [orbit, null], [Buffer.alloc(0), null],
+    [Buffer.concat([georeference, axes(4), orbit]), openGl], [Buffer.concat([words(0xadbe0002), words(0, 0, 0)]), null]];
   for (const [records, expected] of declared) {
-    for (const file of files(records)) assert.equal(modules.spz.axesOf(await unfold(file)), expected, records.toString("hex"));
-  }
-  for (const file of files(axes(5))) {
-    const turned = await unfold(file);
-    assert.deepEqual(turned.axes, ["left", "down", "forward"]);
-    assert.throws(() => modules.spz.axesOf(turned), { code: "unsupported_feature" });
+    for (const file of files(records)) assert.deepEqual((await unfold(file)).axes, expected, records.toString("hex"));
   }
   const refused = [[Buffer.concat([axes(6), axes(6)]), "bad_header", 12], [words(0xadbe0002, 16, 0, 0, 0, 0), "bad_header", 4], [axes(17), "bad_value", 8], [words(0x12340001, 0), "unsupported_feature", 0], [words(0xadbe0003, 8, 6, 0), "bad_header", 4],
     [words(0x4e530001, 5, 0), "truncated", 4], [words(0x4e530001), "truncated", 0]];

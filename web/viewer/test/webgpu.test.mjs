@@ -1,11 +1,12 @@
 // webgpu.test.mjs - the page by WebGPU: beside the CPU renderer, and the engine, which takes over where WebGPU cannot draw.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { execFileSync } from "node:child_process";
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import test from "node:test";
-import { psnr, readCameras, renderAll } from "../../playcanvas/test/pictures.mjs";
+import { program, psnr, readCameras, renderAll } from "../../playcanvas/test/pictures.mjs";
 import { hasChromium, launch } from "../../reader/test/chromium.mjs";
 import { scenes } from "../../reader/test/dump.mjs";
 import { skip } from "../../reader/test/servers.mjs";
@@ -15,7 +16,7 @@ const kSize = { width: 240, height: 180 };
 const kLeastDb = 50;
 /** The engine blends in 8 bits. */
 const kLeastEngineDb = 35;
-const kNames = ["packed.rgs", "levels.rgs", "scene.ply"];
+const kNames = ["packed.rgs", "levels.rgs", "wide.rgs", "scene.ply"];
 
 test("by WebGPU", async (t) => {
   if (!hasChromium) return skip(t, "chromium is not installed");
@@ -29,9 +30,9 @@ test("by WebGPU", async (t) => {
   });
 
   /** A page with scenes by their names; `isAsked`: also by WebGPU in software. */
-  const begin = async (t, names, { isAsked = true, allowed = [] } = {}) => {
+  const begin = async (t, names, { isAsked = true, allowed = [], more = {}, limits, before = () => undefined } = {}) => {
     const view = { version: 1, scenes: names.map((name) => ({ name, url: `scenes/0/${name}`, bytes: 1 })), cameras: "cameras.json", photos: [], frames: null };
-    const files = { ...Object.fromEntries(kNames.map((name) => [`scenes/0/${name}`, join(scenes(), name)])), "cameras.json": cameras };
+    const files = { ...Object.fromEntries(kNames.map((name) => [`scenes/0/${name}`, join(scenes(), name)])), ...more, "cameras.json": cameras };
     const server = await startServer({ view, files });
     const page = await newPage(browser, { viewport: kSize });
     const problems = [];
@@ -42,16 +43,18 @@ test("by WebGPU", async (t) => {
       await server.end();
       assert.deepEqual(problems.filter((text) => !allowed.some((pattern) => pattern.test(text))), []);
     });
-    await page.addInitScript(() => {
+    await page.addInitScript((limits) => {
       window.devices = [];
       const { requestDevice } = GPUAdapter.prototype;
       GPUAdapter.prototype.requestDevice = async function (...asked) {
         window.devices.push(await requestDevice.apply(this, asked));
+        if (limits) Object.defineProperty(window.devices.at(-1), "limits", { value: limits });
         return window.devices.at(-1);
       };
-    });
+    }, limits);
+    await before(page);
     await page.goto(`${server.url}?chrome=none${isAsked ? "&renderer=webgpu" : ""}`);
-    await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+    await page.waitForFunction(() => document.querySelector("rgs-view[data-ready]") || byId("errors")?.children.length > 0);
     return { page, server, hasEngine: () => server.requests.some((line) => /engine-/.test(line)) };
   };
   const apiOf = (page) => page.evaluate(() => (byId("picture").getContext("webgpu") ? "webgpu" : byId("picture").getContext("webgl2") ? "webgl2" : "none"));
@@ -85,7 +88,7 @@ test("by WebGPU", async (t) => {
     return btoa(Array.from(new Uint8Array(await blob.arrayBuffer()), (byte) => String.fromCharCode(byte)).join(""));
   }));
   const expected = async (page, name, i, ...more) => {
-    const [path] = renderAll(join(scenes(), name), cameras, [i], [kSize.width, kSize.height], folder, more);
+    const [path] = renderAll(name.includes("/") ? name : join(scenes(), name), cameras, [i], [kSize.width, kSize.height], folder, more);
     return decode(page, readFileSync(path).toString("base64"));
   };
 
@@ -134,8 +137,10 @@ test("by WebGPU", async (t) => {
     assert.deepEqual(await shown(page), before);
   });
 
-  await t.test("two scenes, their difference, and a PLY, for which the engine draws both", async (t) => {
-    const { page, hasEngine } = await begin(t, ["packed.rgs", "levels.rgs"]);
+  await t.test("two scenes, their difference, and a compressed PLY, for which the engine draws both", async (t) => {
+    const compressed = join(folder, "c.compressed.ply");
+    execFileSync(program("rgs-convert"), ["--quiet", join(scenes(), "scene.ply"), compressed]);
+    const { page, hasEngine } = await begin(t, ["packed.rgs", "levels.rgs"], { more: { "c.compressed.ply": compressed } });
     await choose(page, "detail", "8");
     await fly(page, 1);
     const whole = [];
@@ -164,12 +169,69 @@ test("by WebGPU", async (t) => {
     const db = psnr(await expected(page, "packed.rgs", 1), await expected(page, "levels.rgs", 1, "--detail", "8"));
     assert.ok(Math.abs(parseFloat(await page.locator("#psnr").textContent()) - db) < 0.2, `${await page.locator("#psnr").textContent()}, not ${db} dB`);
     assert.ok(!hasEngine());
-    await page.evaluate(() => document.querySelector("rgs-view").compare("scenes/0/scene.ply"));
+    await page.evaluate(() => document.querySelector("rgs-view").compare("c.compressed.ply"));
     assert.equal(await apiOf(page), "webgl2");
     assert.ok(hasEngine());
     await page.evaluate(() => byId("modes").querySelector("[value=single]").click());
     const left = psnr(await shown(page), await expected(page, "packed.rgs", 1));
     assert.ok(left > kLeastEngineDb, `${left} dB of the left scene`);
+  });
+
+  await t.test("a PLY and its .rgs are compared without the engine, and a broken one changes nothing", async (t) => {
+    const broken = join(folder, "broken.ply");
+    writeFileSync(broken, readFileSync(join(scenes(), "scene.ply")).subarray(0, -1));
+    const { page, hasEngine } = await begin(t, ["scene.ply", "packed.rgs"], { more: { "broken.ply": broken } });
+    await fly(page, 1);
+    await page.evaluate(() => byId("modes").querySelector("[value=difference]").click());
+    await page.waitForFunction(() => !byId("map").hidden);
+    const db = psnr(await expected(page, "scene.ply", 1), await expected(page, "packed.rgs", 1));
+    assert.ok(Math.abs(parseFloat(await page.locator("#psnr").textContent()) - db) < 0.2, `${await page.locator("#psnr").textContent()}, not ${db} dB`);
+    await page.evaluate(() => byId("modes").querySelector("[value=single]").click());
+    const before = await shown(page);
+    const found = psnr(before, await expected(page, "scene.ply", 1));
+    t.diagnostic(`${found.toFixed(1)} dB`);
+    assert.ok(found >= kLeastDb, `${found} dB`);
+    await choose(page, "sh", "0");
+    assert.ok(psnr(await shown(page), await expected(page, "scene.ply", 1, "--sh-degree", "0")) >= kLeastDb);
+    await choose(page, "sh", "3");
+    await page.evaluate(() => document.querySelector("rgs-view").compare("broken.ply"));
+    assert.match(await page.locator("#errors p").first().textContent(), /^broken\.ply is damaged: .*\(truncated/);
+    assert.deepEqual(await shown(page), before);
+    assert.equal(await apiOf(page), "webgpu");
+    assert.ok(!hasEngine());
+  });
+
+  await t.test("a PLY is drawn in the axes that it declares", async (t) => {
+    const turned = join(folder, "turned.ply");
+    execFileSync(program("rgs-convert"), ["--quiet", "--to-axes", "left,up,forward", join(scenes(), "scene.ply"), turned]);
+    const { page } = await begin(t, ["turned.ply"], { more: { "scenes/0/turned.ply": turned } });
+    await fly(page, 2);
+    const db = psnr(await shown(page), await expected(page, turned, 2));
+    t.diagnostic(`${db.toFixed(1)} dB`);
+    assert.ok(db >= kLeastDb, `${db} dB`);
+    assert.ok(psnr(await shown(page), await expected(page, "scene.ply", 2)) >= kLeastDb, "as it was before");
+    const kept = join(folder, "turned.rgs");
+    execFileSync(program("rgs-convert"), ["--quiet", turned, kept]);
+    const both = await begin(t, ["turned.rgs", "turned.ply"], { more: { "scenes/0/turned.rgs": kept, "scenes/0/turned.ply": turned } });
+    await both.page.evaluate(() => byId("modes").querySelector("[value=difference]").click());
+    await both.page.waitForFunction(() => !byId("map").hidden);
+    const equal = parseFloat(await both.page.locator("#psnr").textContent());
+    assert.ok(equal > 40, `${equal} dB`);
+  });
+
+  await t.test("without room for a picture the page says so, and draws the next one that has room", async (t) => {
+    const limits = { maxStorageBufferBindingSize: 2 ** 22, maxBufferSize: 2 ** 22, maxTextureDimension2D: 8192 };
+    const { page, hasEngine } = await begin(t, ["wide.rgs"], { limits });
+    await choose(page, "detail", "16");
+    await fly(page, 0);
+    assert.equal(await page.locator("#errors p").count(), 0);
+    await choose(page, "detail", "0.25");
+    await page.locator("#errors p").waitFor({ state: "attached" });
+    assert.match(await page.locator("#errors p").textContent(), /no room for this picture.*coarser detail/);
+    await choose(page, "detail", "16");
+    await page.locator("#errors p").waitFor({ state: "detached" });
+    assert.equal(await apiOf(page), "webgpu");
+    assert.ok(!hasEngine());
   });
 
   await t.test("after a loss WebGPU draws again, after another one the engine", async (t) => {
@@ -194,7 +256,32 @@ test("by WebGPU", async (t) => {
     assert.ok(psnr(await shown(page), before) < 30, "another view");
   });
 
-  await t.test("where the device has no room the engine draws", async (t) => {
+  await t.test("a viewer that ends while WebGPU is tried again starts no engine", async (t) => {
+    const { page, server, hasEngine } = await begin(t, ["packed.rgs"], { allowed: [/device|lost|404/i] });
+    await page.evaluate(async () => {
+      let answer;
+      const asked = new Promise((resolve) => {
+        navigator.gpu.requestAdapter = () => {
+          resolve();
+          return new Promise((done) => (answer = done));
+        };
+      });
+      window.devices.at(-1).destroy();
+      await asked;
+      document.querySelector("rgs-view").remove();
+      answer(null);
+    });
+    await page.evaluate(() => fetch("last"));
+    assert.ok(server.requests.some((line) => /last/.test(line)));
+    assert.ok(!hasEngine());
+  });
+
+  await t.test("an engine that cannot be fetched is said to be what is missing", async (t) => {
+    const { page } = await begin(t, ["packed.rgs"], { isAsked: false, allowed: [/Failed to load|ERR_FAILED/], before: (page) => page.route(/engine-/, (route) => route.abort()) });
+    assert.match(await page.locator("#errors p").textContent(), /^The PlayCanvas engine could not be fetched/);
+  });
+
+  await t.test("where the device's memory ends the engine draws", async (t) => {
     const { page } = await begin(t, ["packed.rgs"], { allowed: [/size|buffer|WebGPU/i] });
     const before = await shown(page);
     await page.evaluate(() => {

@@ -2,6 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 import { type Declarations, open, type PageAction, type RgsFile, type StoredGaussians } from "@roofgs/reader";
 import { antiAliasingOf, type Part, type Pinhole, type RenderOptions, requestDevice, SplatRenderer } from "@roofgs/webgpu";
+import { readSplats } from "../../viewer/src/read-splats.js";
+import type { Axes } from "../../viewer/src/splats.js";
 import { kCounter, kCounters, kDispatch, kSortItems } from "../src/shaders/scan.js";
 import { kDispatchBytes, Kernels, type Pair, run, Steps } from "../src/steps.js";
 
@@ -42,6 +44,18 @@ async function load(url: string, room?: [number, number], shift?: number): Promi
     renderer.setParts(parts);
   }
   return file.header.nGaussians;
+}
+
+/** The same of a PLY or an SPZ, as arrays. */
+async function loadArrays(url: string, room?: [number, number]): Promise<number> {
+  renderer?.destroy();
+  renderer = await SplatRenderer.create(device, room);
+  const axes: Axes = ["right", "down", "forward"];
+  const { parts: arrays, n, origin, antiAliasing } = await readSplats(url.endsWith(".ply") ? "ply" : "spz", await fetch(url), axes, axes, () => undefined);
+  declarations = { origin, aaMode: antiAliasing.compensated ? "mip_splatting" : "classic", lowPassPx2: antiAliasing.lowPassPx2 } as unknown as Declarations;
+  parts = arrays.map((part) => renderer.add(part));
+  renderer.setParts(parts);
+  return n;
 }
 
 /**
@@ -186,4 +200,4 @@ async function sort(keys: number[], bits: number): Promise<[number[], number[]]>
   return [(sorted as number[]).slice(0, keys.length), (places as number[]).slice(0, keys.length)];
 }
 
-Object.assign(window, { splats: { start, load, loadTwice, loadCut, picture, rendered, decode, sums, sort, problems: () => problems } });
+Object.assign(window, { splats: { start, load, loadArrays, loadTwice, loadCut, picture, rendered, decode, sums, sort, problems: () => problems } });

@@ -14,6 +14,8 @@ import { hasNginx, skip, startNginx } from "../../reader/test/servers.mjs";
 
 const kSize = [240, 180];
 const kLeastDb = 50;
+/** Of arrays, whose values are those that the CPU renderer draws. */
+const kLeastArraysDb = 90;
 const bytes = (base64) => Buffer.from(base64, "base64");
 
 test("pictures", async (t) => {
@@ -47,7 +49,7 @@ test("pictures", async (t) => {
   const call = (name, ...args) => page.evaluate(([name, args]) => window.splats[name](...args), [name, args]);
   const load = (scene, ...how) => {
     cpSync(scene, join(server.files, basename(scene)));
-    return call("load", `/${basename(scene)}`, ...how);
+    return call(scene.endsWith(".rgs") ? "load" : "loadArrays", `/${basename(scene)}`, ...how);
   };
   const convert = (from, name, ...more) => {
     const to = join(made, name);
@@ -57,7 +59,7 @@ test("pictures", async (t) => {
   const generated = readCameras(join(scenes(), "cameras.json"));
   const draw = async (camera, [width, height] = kSize, options = {}) => bytes(await call("picture", camera, width, height, options));
   /** Least PSNR over some views of what is loaded, and that no channel is off by more. */
-  const compare = async (t, scene, cameras, views, { size = kSize, options = {}, more = [], most = 255 } = {}) => {
+  const compare = async (t, scene, cameras, views, { size = kSize, options = {}, more = [], most = 255, least = kLeastDb } = {}) => {
     const list = readCameras(cameras);
     const found = [];
     for (const [i, path] of renderAll(scene, cameras, views, size, join(server.files, "pictures"), more).entries()) {
@@ -67,7 +69,7 @@ test("pictures", async (t) => {
       for (let k = 0; k < drawn.length; ++k) if (k % 4 !== 3) assert.ok(Math.abs(drawn[k] - expected[k]) <= most, `pixel ${k >> 2}: ${drawn[k]}, not ${expected[k]}`);
     }
     t.diagnostic(`${[basename(scene), size.join("x"), ...more].join(" ")}: ${found.map((db) => db.toFixed(1)).join(" ")} dB`);
-    assert.ok(Math.min(...found) >= kLeastDb, `${found} dB`);
+    assert.ok(Math.min(...found) >= least, `${found} dB`);
   };
   const packed = join(scenes(), "packed.rgs");
   const cameras = join(scenes(), "cameras.json");
@@ -106,10 +108,14 @@ test("pictures", async (t) => {
     execFileSync(program("rgs-make-scene"), ["--conformance", folder, "--quiet"]);
     for (const { folder: name, scene, cameras_file, near_plane, cameras } of JSON.parse(readFileSync(join(folder, "conformance.json"), "utf8")).scenes) {
       const rgs = convert(join(folder, name, scene), `${name}.rgs`);
-      await load(rgs);
       const near = near_plane === undefined ? [] : ["--near", String(near_plane)];
       const { width, height } = cameras[0];
-      await compare(t, rgs, join(folder, name, cameras_file), [...cameras.keys()], { size: [width, height], options: { near: near_plane }, more: near, most: 1 });
+      const how = { size: [width, height], options: { near: near_plane }, more: near, most: 1 };
+      const views = [join(folder, name, cameras_file), [...cameras.keys()]];
+      await load(rgs);
+      await compare(t, rgs, ...views, how);
+      await load(join(folder, name, scene));
+      await compare(t, join(folder, name, scene), ...views, { ...how, size: kSize, least: kLeastArraysDb });
     }
   });
 
@@ -195,6 +201,27 @@ test("pictures", async (t) => {
     }
   });
 
+  await t.test("arrays of PLY and SPZ, of each degree and in other axes", async (t) => {
+    const ply = join(scenes(), "scene.ply");
+    const to = (name, ...more) => convert(ply, name, "--crop=-2,-3,-2,2,3,2", ...more);
+    for (const scene of [
+      to("degree-0.ply", "--sh-degree", "0"),
+      to("degree-1.ply", "--sh-degree", "1"),
+      to("degree-2.ply", "--sh-degree", "2"),
+      to("turned.ply", "--to-axes", "left,up,forward"),
+      to("mip.ply", "--aa", "mip"),
+      to("two.spz", "--spz-version", "2"),
+      to("three.spz", "--spz-version", "3"),
+      to("four.spz", "--spz-version", "4", "--sh-degree", "1"),
+    ]) {
+      await load(scene);
+      await compare(t, scene, cameras, [2], { most: 1, least: kLeastArraysDb });
+    }
+    await load(ply);
+    await compare(t, ply, cameras, [0, 5], { most: 1, least: kLeastArraysDb });
+    await compare(t, ply, cameras, [0], { size: [120, 90], options: { shDegree: 1 }, more: ["--sh-degree", "1"], most: 1, least: kLeastArraysDb });
+  });
+
   await t.test("levels of detail", async (t) => {
     const levels = join(scenes(), "levels.rgs");
     await load(levels);
@@ -216,6 +243,14 @@ test("pictures", async (t) => {
     }
     await load(scene);
     await compare(t, scene, join(data, "south", "cameras.json"), Array.from({ length: 12 }, (_, i) => 10 * i));
+  });
+
+  await t.test("a crop of a trained scene as PLY", async (t) => {
+    const data = process.env.RGS_DATA_DIR;
+    if (!data) return t.skip("RGS_DATA_DIR names no data");
+    const crop = join(data, "formats", "crop.ply");
+    await load(crop);
+    await compare(t, crop, join(data, "south", "cameras.json"), [0, 40, 80], { most: 1, least: kLeastArraysDb });
   });
 
   await t.test("a device with larger buffers draws the same", async () => {
