@@ -134,7 +134,9 @@ export class Opening {
     try {
       page.signal.throwIfAborted();
       const read = await Promise.race([reading, cancelled]);
-      const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(page.search, this.manifest), axes: scenesBefore[0]?.axes ?? kPlyAxes, side, onProgress: progressOf(store), on: this.troubleOf(name), signal: stop.signal });
+      const axes = scenesBefore[0]?.axes ?? kPlyAxes;
+      const how = { onProgress: progressOf(store), on: this.troubleOf(name), signal: stop.signal };
+      const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(page.search, this.manifest), axes, side, ...how });
       scene = await Promise.race([opened, cancelled]).catch((error: unknown) => {
         // One that comes too late goes again.
         void opened.then((late) => late.destroy(), () => undefined);
