@@ -1,6 +1,6 @@
 # Install rules, the CMake package rgs with the components format, interchange, cuda and runtime, and for pkg-config
-# rgs-format, rgs-interchange, rgs-cameras and rgs-runtime. `cmake --install BUILD --component programs`, libraries (shared ones) or
-# development installs a part; packages are made of these.
+# rgs-format, rgs-interchange, rgs-cameras and rgs-runtime. `cmake --install BUILD --component programs`, pictures,
+# libraries (shared ones) or development installs a part; packages are made of these.
 # SPDX-License-Identifier: Apache-2.0
 include(CMakePackageConfigHelpers)
 set(rgs_package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/rgs)
@@ -98,7 +98,7 @@ foreach(program rgs-convert rgs-info rgs-audit rgs-diff rgs-judge rgs-make-scene
   endif()
 endforeach()
 if(TARGET rgs_pictures)
-  install(TARGETS rgs_pictures LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR}/roofgs COMPONENT programs)
+  install(TARGETS rgs_pictures LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR}/roofgs COMPONENT pictures)
 endif()
 # The page that rgs-view serves, which scripts/build_page.sh builds.
 if(TARGET rgs-view)

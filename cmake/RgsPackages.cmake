@@ -1,5 +1,5 @@
-# RGS_DEBIAN: `cpack -G DEB` makes the Debian packages roofgs, libroofgs and libroofgs-dev, or, where the Python module is built, which
-# holds its libraries, python3-roofgs. packaging/deb.sh configures all that belongs to it.
+# RGS_DEBIAN: `cpack -G DEB` makes the Debian packages roofgs, roofgs-pictures, libroofgs and libroofgs-dev, or, where the Python
+# module is built, which holds its libraries, python3-roofgs. packaging/deb.sh configures all that belongs to it.
 # SPDX-License-Identifier: Apache-2.0
 option(RGS_DEBIAN "Prepare Debian packages; see packaging/deb.sh" OFF)
 if(NOT RGS_DEBIAN)
@@ -82,4 +82,10 @@ rgs_debian_package(development libroofgs-dev libdevel "3D Gaussian splat scenes:
 rgs_debian_package(programs roofgs graphics "3D Gaussian splat scenes: converter, audit and renderer"
   "${rgs_about}\n.\nThis package has the programs: rgs-convert, rgs-info, rgs-audit, rgs-diff,\nrgs-judge, rgs-prune, rgs-render, rgs-view and rgs-make-scene."
   "libroofgs (= ${rgs_debian_version})")
+set(CPACK_DEBIAN_PROGRAMS_PACKAGE_SUGGESTS roofgs-pictures)
+if(TARGET rgs_pictures)
+  rgs_debian_package(pictures roofgs-pictures graphics "3D Gaussian splat scenes: pictures in more formats"
+    "${rgs_about}\n.\nThis package lets the programs read and write OpenEXR, TIFF and other pictures\nthan PNG and JPEG, through OpenImageIO."
+    "roofgs (= ${rgs_debian_version})")
+endif()
 include(CPack)

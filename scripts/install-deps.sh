@@ -11,8 +11,8 @@ set -eu
 
 packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-build ccache git ca-certificates
   libexpected-dev libfmt-dev libcli11-dev nlohmann-json3-dev libxxhash-dev libzstd-dev libdraco-dev libglm-dev
-  zlib1g-dev libwebp-dev libzip-dev libopenimageio-dev libtbb-dev libhwy-dev
-  libcurl4-openssl-dev libssl-dev pkgconf libboost-dev libturbojpeg0-dev doctest-dev libbenchmark-dev
+  zlib1g-dev libwebp-dev libzip-dev libpng-dev libturbojpeg0-dev libopenimageio-dev libtbb-dev libhwy-dev
+  libcurl4-openssl-dev libssl-dev libboost-dev doctest-dev libbenchmark-dev
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
 
 [ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf

@@ -45,7 +45,6 @@ Outcome<std::vector<DiffView>> draw_differences(const std::string& folder, const
                                                 bool overwrite) {
   const auto views = choose_views(options, {}, kNoOrigin);
   if (!views) return tl::unexpected(views.error());
-  if (const Status ok = load_image_formats(); !ok) return make_error(folder, ok.error());
   std::error_code failed;
   std::filesystem::create_directories(folder, failed);
   if (failed)

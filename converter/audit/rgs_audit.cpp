@@ -21,7 +21,6 @@
 #include "audit_text.hpp"
 #include "command_line.hpp"
 #include "console.hpp"
-#include "image_file.hpp"
 #include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/file.hpp"
@@ -159,13 +158,6 @@ tool::InputFiles common_inputs(const Arguments& a) {
   return inputs;
 }
 
-// A report holds pictures.
-int check_pictures(const Arguments& a) {
-  if (!a.audit.render || a.report.empty()) return tool::kSuccess;
-  const auto loaded = rgs::load_image_formats();
-  return loaded ? tool::kSuccess : fail(a, {a.report, loaded.error()});
-}
-
 int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
   tool::InputFiles inputs = common_inputs(a);
   inputs.add_scene(a.audit.source);
@@ -180,7 +172,6 @@ int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
   const bool replaces_page = may_replace_page(a);
   if (const auto free = is_free(a.report, replaces_page); !free) return fail(a, {a.report, free.error()});
   if (const auto free = is_free(a.json, a.overwrite); !free) return fail(a, {a.json, free.error()});
-  if (const int code = check_pictures(a); code != tool::kSuccess) return code;
   audit::Outcome<audit::Report> report;
   {
     tool::Progress progress(a.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
@@ -237,7 +228,6 @@ int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
     return tool::report(a.report, {rgs::Errc::write_failed, rgs::Error::kNone, "cannot create the folder",
                                    rgs::Error::kNone, rgs::Error::kNone, failed.value()});
   if (const int code = check_free(a.junit, may_replace_junit(a)); code != tool::kSuccess) return code;
-  if (const int code = check_pictures(a); code != tool::kSuccess) return code;
   const auto rows = audit::audit_folder({a.audit, std::move(conditions), a.report, a.junit, a.overwrite, a.quiet});
   if (!rows) return fail(a, rows.error());
   for (const audit::FolderRow& row : *rows)

@@ -22,7 +22,6 @@
 #include "camera_choice.hpp"
 #include "command_line.hpp"
 #include "console.hpp"
-#include "image_file.hpp"
 #include "input_files.hpp"
 #include "judge_report.hpp"
 #include "max_expansion.hpp"
@@ -212,7 +211,6 @@ int run(Arguments& a) {
   tool::InputFiles inputs;
   inputs.add_scene(a.scene);
   inputs.add_cameras(a.views.cameras);
-  if (const auto ok = rgs::load_image_formats(); !ok) return tool::report("", ok.error());
   auto views = views_of(a, is_folder ? a.against : "");
   if (!views) return tool::report(views.error().subject, views.error().error);
   for (const audit::View& view : *views) inputs.add(view.photo);

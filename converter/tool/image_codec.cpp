@@ -1,5 +1,5 @@
-// image_codec.cpp - encodes and decodes pictures through OpenImageIO: a module that image_file.cpp loads when a picture
-// is read or written. The library brings 260 others along, and starting with them takes a third of a second.
+// image_codec.cpp - pictures that are neither PNG nor JPEG, by OpenImageIO: a module that image_file.cpp loads with the
+// first of them. The library brings 260 others along, and starting with them takes a third of a second.
 // SPDX-License-Identifier: Apache-2.0
 #include "image_codec.hpp"
 
@@ -13,9 +13,6 @@
 
 namespace rgs {
 namespace {
-
-constexpr const char* kDescription =
-    "Display-referred sRGB values as trained by 3D Gaussian splatting; show without another transfer curve";
 
 // A file in memory that can be read back, as libtiff requires; OpenImageIO's own memory output cannot.
 class MemoryFile final : public OIIO::Filesystem::IOProxy {
@@ -52,15 +49,6 @@ class MemoryFile final : public OIIO::Filesystem::IOProxy {
   std::vector<std::byte> bytes_;
 };
 
-// Colour divided by alpha before rounding: dividing 8-bit codes would lose precision where alpha is small.
-std::vector<float> unassociated(const Image& image) {
-  std::vector<float> pixels = image.pixels;
-  for (std::size_t i = 0; i + 3 < pixels.size(); i += 4)
-    if (pixels[i + 3] > 0)
-      for (std::size_t c = 0; c < 3; ++c) pixels[i + c] /= pixels[i + 3];
-  return pixels;
-}
-
 OIIO::ImageSpec specification(const Image& image, ImageFormat format, const ImageFileOptions& options) {
   const bool floating = format == ImageFormat::exr || options.depth;
   OIIO::ImageSpec spec(image.width, image.height, image.channels,
@@ -73,53 +61,27 @@ OIIO::ImageSpec specification(const Image& image, ImageFormat format, const Imag
   } else {
     // In TIFF the tag would become an Exif directory, which the library writes over the picture's own in memory files.
     if (format != ImageFormat::tiff) spec.attribute("oiio:ColorSpace", "sRGB");
-    spec.attribute("ImageDescription", kDescription);
+    spec.attribute("ImageDescription", kPictureDescription);
   }
-  switch (format) {
-    case ImageFormat::png:
-      spec.attribute("oiio:UnassociatedAlpha", 1);
-      spec.attribute("png:compressionLevel", options.png_level);
-      break;
-    case ImageFormat::jpeg:
-      spec.attribute("Compression", "jpeg:" + std::to_string(options.jpeg_quality));
-      spec.attribute("jpeg:subsampling", "4:4:4");
-      break;
-    case ImageFormat::tiff:
-    case ImageFormat::exr:
-      spec.attribute("compression", "zip");
-      spec.attribute("DateTime", "    :  :     :  :  ");  // "unknown" in TIFF; the default is the current time, so
-                                                          // bytes would differ
-      break;
-  }
+  spec.attribute("compression", "zip");
+  // "Unknown" in TIFF; the default is the current time, so bytes would differ.
+  spec.attribute("DateTime", "    :  :     :  :  ");
   return spec;
-}
-
-const char* extension(ImageFormat format) {
-  switch (format) {
-    case ImageFormat::png: return "png";
-    case ImageFormat::jpeg: return "jpg";
-    case ImageFormat::tiff: return "tif";
-    case ImageFormat::exr: return "exr";
-  }
-  return "";
 }
 
 class OpenImageIoCodec final : public ImageCodec {
  public:
   bool encode(const Image& image, ImageFormat format, const ImageFileOptions& options,
               std::vector<std::byte>& bytes) const override {
-    const std::string name = extension(format);
+    const std::string name = format == ImageFormat::tiff ? "tif" : "exr";
     const auto output = OIIO::ImageOutput::create(name);
     if (!output) return false;
     MemoryFile memory;
     bool written =
         output->set_ioproxy(&memory) && output->open("picture." + name, specification(image, format, options));
     if (written && format != ImageFormat::exr && !options.depth) {
-      const bool divide = format == ImageFormat::png && image.channels == 4;
-      const std::vector<float> straight = divide ? unassociated(image) : std::vector<float>();
-      const std::vector<float>& source = divide ? straight : image.pixels;
-      std::vector<std::uint8_t> codes(source.size());
-      std::transform(source.begin(), source.end(), codes.begin(), to_8bit);
+      std::vector<std::uint8_t> codes(image.pixels.size());
+      std::transform(image.pixels.begin(), image.pixels.end(), codes.begin(), to_8bit);
       written = output->write_image(OIIO::TypeDesc::UINT8, codes.data());
     } else if (written) {
       written = output->write_image(OIIO::TypeDesc::FLOAT, image.pixels.data());

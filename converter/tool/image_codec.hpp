@@ -1,4 +1,4 @@
-// image_codec.hpp - what image_file.cpp asks of the module that knows the pictures' formats.
+// image_codec.hpp - what image_file.cpp asks of the module that knows other formats than PNG and JPEG.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -11,11 +11,15 @@
 
 namespace rgs {
 
+/// What every picture of colours says about itself.
+inline constexpr const char* kPictureDescription =
+    "Display-referred sRGB values as trained by 3D Gaussian splatting; show without another transfer curve";
+
 /// Arguments are valid: image_file.cpp has checked them. Calls may run in several threads.
 class ImageCodec {
  public:
   virtual ~ImageCodec() = default;
-  /// A whole file's bytes; false if the format cannot be written.
+  /// A whole TIFF or OpenEXR file's bytes; false if the format cannot be written.
   virtual bool encode(const Image& image, ImageFormat format, const ImageFileOptions& options,
                       std::vector<std::byte>& bytes) const = 0;
   /// nullopt for a file that is no picture.

@@ -1,4 +1,4 @@
-// image_file.cpp - pictures are encoded in memory by a module and then written atomically.
+// image_file.cpp - pictures are encoded in memory, what is neither PNG nor JPEG by a module, and written atomically.
 // SPDX-License-Identifier: Apache-2.0
 #include "image_file.hpp"
 
@@ -13,6 +13,8 @@
 #include <vector>
 
 #include "image_codec.hpp"
+#include "jpeg_file.hpp"
+#include "png_file.hpp"
 #include "startable_threads.hpp"
 
 namespace rgs {
@@ -28,11 +30,13 @@ constexpr const char* kModuleFolders[] = {"$ORIGIN/../lib/roofgs", "$ORIGIN/../"
 #endif
 };
 
-Result<const ImageCodec*> load_codec() {
+Result<const ImageCodec*> load_module() {
   if (tool::startable_threads(kLoadingThreads) < kLoadingThreads)
     return tl::unexpected(
         Error{.code = Errc::host_out_of_memory, .what = "cannot start the threads of OpenImageIO", .system = EAGAIN});
-  static std::string why = "pictures cannot be read or written";
+  static std::string why =
+      "OpenEXR, TIFF and all formats but PNG and JPEG need lib/roofgs/librgs-pictures.so, which cannot be loaded: "
+      "install the package roofgs-pictures, or use PNG";
   for (const char* const place : kModuleFolders) {
     void* const module = ::dlopen((std::string(place) + "/librgs-pictures.so").c_str(), RTLD_LAZY | RTLD_LOCAL);
     void* const entry = module == nullptr ? nullptr : ::dlsym(module, "rgs_image_codec");
@@ -40,12 +44,12 @@ Result<const ImageCodec*> load_codec() {
     why += std::string("; ") + ::dlerror();
   }
   const bool lacks_memory = why.find("annot allocate memory") != why.npos;
-  return make_error(lacks_memory ? Errc::host_out_of_memory : Errc::open_failed, Error::kNone, why.c_str());
+  return make_error(lacks_memory ? Errc::host_out_of_memory : Errc::unavailable, Error::kNone, why.c_str());
 }
 
-// Loaded at the first picture and kept.
-const Result<const ImageCodec*>& image_codec() {
-  static const Result<const ImageCodec*> codec = load_codec();
+// Loaded at the first picture that needs it and kept.
+const Result<const ImageCodec*>& module_codec() {
+  static const Result<const ImageCodec*> codec = load_module();
   return codec;
 }
 
@@ -64,19 +68,23 @@ Status check(const Image& image, ImageFormat format, const ImageFileOptions& opt
 }
 
 Result<std::vector<std::byte>> encode(const Image& image, ImageFormat format, const ImageFileOptions& options) {
-  if (!image_codec()) return tl::unexpected(image_codec().error());
+  if (format == ImageFormat::png) return encode_png(image, options);
+  if (format == ImageFormat::jpeg) return encode_jpeg(image, options);
+  if (!module_codec()) return tl::unexpected(module_codec().error());
   std::vector<std::byte> bytes;
-  if ((*image_codec())->encode(image, format, options, bytes)) return bytes;
+  if ((*module_codec())->encode(image, format, options, bytes)) return bytes;
   return make_error(Errc::write_failed, Error::kNone, "the picture cannot be encoded");
 }
 
-// Finds out why a file cannot be opened; the module does not say.
-Status check_picture(const std::string& path) {
-  if (const auto mapped = MappedFile::open(path); !mapped) return tl::unexpected(mapped.error());
-  return load_image_formats();
-}
-
-tl::unexpected<Error> no_picture() {
+// What a file holds, by `png` or `jpeg` of its bytes or by the module's `other` of its path.
+template <class Png, class Jpeg, class Other>
+auto read(const std::string& path, Png png, Jpeg jpeg, Other other) -> decltype(png({})) {
+  const auto file = MappedFile::open(path);
+  if (!file) return tl::unexpected(file.error());
+  if (is_png(file->bytes())) return png(file->bytes());
+  if (is_jpeg(file->bytes())) return jpeg(file->bytes());
+  if (!module_codec()) return tl::unexpected(module_codec().error());
+  if (auto found = (**module_codec().*other)(path)) return *std::move(found);
   return make_error(Errc::bad_syntax, Error::kNone, "not a picture format that OpenImageIO reads, or damaged");
 }
 
@@ -127,20 +135,17 @@ Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat form
   return encode(image, format, colour);
 }
 
-Status load_image_formats() {
-  return image_codec().map([](const ImageCodec*) {});
+Status load_image_format(ImageFormat format) {
+  if (format == ImageFormat::png || format == ImageFormat::jpeg) return {};
+  return module_codec().map([](const ImageCodec*) {});
 }
 
 Result<ImageExtent> read_image_extent(const std::string& path) {
-  if (Status ok = check_picture(path); !ok) return tl::unexpected(ok.error());
-  if (const auto extent = (*image_codec())->extent(path)) return *extent;
-  return no_picture();
+  return read(path, png_extent, jpeg_extent, &ImageCodec::extent);
 }
 
 Result<Image> read_image(const std::string& path) {
-  if (Status ok = check_picture(path); !ok) return tl::unexpected(ok.error());
-  if (auto image = (*image_codec())->decode(path)) return *std::move(image);
-  return no_picture();
+  return read(path, decode_png, decode_jpeg, &ImageCodec::decode);
 }
 
 }  // namespace rgs

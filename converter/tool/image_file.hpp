@@ -17,16 +17,16 @@
 
 namespace rgs {
 
-// The formats are known to a module beside the program, which the first picture loads. So all functions that read,
-// write or encode may fail with open_failed (it is not there, or a library that it needs) and host_out_of_memory.
-
-/// Loads the module now: what cannot be written later is then refused before the work.
-Status load_image_formats();
-
 enum class ImageFormat { png, jpeg, tiff, exr };
 
 /// From the name's extension, any case: png, jpg, jpeg, tif, tiff, exr. bad_argument for others.
 Result<ImageFormat> image_format(const std::string& path);
+
+// The program itself knows PNG and JPEG; a module beside it, which is loaded when it is needed, knows other formats.
+// Functions that meet one may fail with unavailable (the module or a library of it is not there), host_out_of_memory.
+
+/// Loads what `format` needs now: what cannot be written later is then refused before the work.
+Status load_image_format(ImageFormat format);
 
 struct ImageFileOptions {
   AtomicFile::Options file{.overwrite = false, .sync = false};
@@ -41,7 +41,7 @@ struct ImageFileOptions {
 /// codes, OpenEXR the FP32 values; PNG holds colour divided by alpha, as its definition asks. Depth is FP32 in TIFF or
 /// OpenEXR, where its channel is called Z. Equal images give equal bytes. Errors: bad_argument (extension; alpha or
 /// more than 65,500 pixels a side in JPEG; depth in PNG or JPEG; channels), output_exists, output_unusable,
-/// open_failed, write_failed.
+/// unavailable, write_failed.
 Status write_image(const std::string& path, const Image& image, const ImageFileOptions& options = {});
 
 /// An RGB picture with its alpha [height, width], as RGBA.
@@ -55,11 +55,11 @@ Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat form
 struct ImageExtent {
   int width = 0, height = 0, channels = 0;
 };
-/// Size of a picture without reading its pixels. Errors: open_failed, bad_syntax.
+/// Size of a picture without reading its pixels. Errors: open_failed, bad_syntax, corrupt_data, unavailable.
 Result<ImageExtent> read_image_extent(const std::string& path);
 
 /// Reads any picture as FP32, integer codes divided by their maximum: inverts write_image(), with 8-bit codes c as c /
-/// 255. Colour is premultiplied by alpha, if there is any. Errors: open_failed, bad_syntax.
+/// 255. Colour is premultiplied by alpha, if there is any. Errors: open_failed, bad_syntax, corrupt_data, unavailable.
 Result<Image> read_image(const std::string& path);
 
 }  // namespace rgs

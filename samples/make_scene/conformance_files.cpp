@@ -254,7 +254,8 @@ Json document(Json scenes) {
 }
 
 Outcome<void> write_all(const std::string& folder, const AtomicFile::Options& options) {
-  if (const Status loaded = load_image_formats(); !loaded) return tl::unexpected(Failure{"", loaded.error()});
+  if (const Status loaded = load_image_format(ImageFormat::exr); !loaded)
+    return tl::unexpected(Failure{"", loaded.error()});
   auto renderer = Renderer::create({.backend = Backend::cpu, .simd = false});
   if (!renderer) return tl::unexpected(Failure{"", renderer.error()});
   const std::vector<MicroScene> micro = micro_scenes();

@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <future>
 #include <map>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
@@ -132,6 +133,8 @@ int name_files(std::vector<Shot>& shots, const Options& options) {
     // Reported before the first frame is rendered, not after the last.
     for (const Shot& shot : shots) {
       std::error_code ignored;
+      if (const auto known = rgs::load_image_format(*rgs::image_format(shot.*field)); !known)
+        return tool::report(shot.*field, known.error());
       if (!options.overwrite && fs::exists(shot.*field, ignored))
         return tool::report(shot.*field, {rgs::Errc::output_exists, rgs::Error::kNone,
                                           "the output exists; pass --overwrite to replace it"});
@@ -439,10 +442,12 @@ int draw_frames(const Options& options, rgs::Renderer& renderer, const rgs::Scen
       if (const int code = writing.front().get(); code != tool::kSuccess) return code;
       writing.pop_front();
     }
-    // If no thread can be started it is written once later frames are rendered.
-    writing.push_back(std::async(
-        std::launch::async | std::launch::deferred,
-        [&shot, &options, done = *std::move(picture)] { return write_shot(shot, done, options.overwrite); }));
+    // If no thread can be started it is written once later frames are rendered. Named, and so copied: libstdc++ would
+    // have moved it into the thread that does not start.
+    const auto write = [&shot, &options, done = std::make_shared<const Picture>(*std::move(picture))] {
+      return write_shot(shot, *done, options.overwrite);
+    };
+    writing.push_back(std::async(std::launch::async | std::launch::deferred, write));
     drawn.frames.push_back(frame);
     progress.advance(1);
   }

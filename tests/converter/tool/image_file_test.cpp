@@ -3,15 +3,22 @@
 #include "image_file.hpp"
 
 #include <doctest/doctest.h>
+#include <png.h>
+#include <turbojpeg.h>
+#include <zlib.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdint>
 #include <ctime>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <limits>
 #include <random>
+#include <string>
+#include <vector>
 
 #include "temporary_folder.hpp"
 
@@ -60,6 +67,59 @@ Image rounded(const Image& image) {
   Image out = image;
   for (float& v : out.pixels) v = static_cast<float>(to_8bit(v)) / 255.F;
   return out;
+}
+
+std::string big_endian(std::uint64_t value, int n_bytes) {
+  std::string bytes;
+  for (int i = n_bytes - 1; i >= 0; --i) bytes += static_cast<char>(value >> 8 * i & 0xFF);
+  return bytes;
+}
+
+std::string chunk(const std::string& type, const std::string& data) {
+  const std::string body = type + data;
+  const auto crc = ::crc32(0, reinterpret_cast<const Bytef*>(body.data()), static_cast<uInt>(body.size()));
+  return big_endian(data.size(), 4) + body + big_endian(crc, 4);
+}
+
+// A PNG of `rows`, each behind the byte of its filter; `between` are chunks before them.
+std::string png(unsigned width, unsigned height, unsigned depth, unsigned colour, const std::string& rows,
+                const std::string& between = {}, unsigned interlaced = 0) {
+  uLongf size = ::compressBound(rows.size());
+  std::string coded(size, '\0');
+  REQUIRE(::compress(reinterpret_cast<Bytef*>(coded.data()), &size, reinterpret_cast<const Bytef*>(rows.data()),
+                     rows.size()) == Z_OK);
+  coded.resize(size);
+  const std::string head = big_endian(width, 4) + big_endian(height, 4) + big_endian(depth, 1) + big_endian(colour, 1) +
+                           std::string(2, '\0') + big_endian(interlaced, 1);
+  return "\x89PNG\r\n\x1A\n" + chunk("IHDR", head) + between + chunk("IDAT", coded) + chunk("IEND", "");
+}
+
+Result<Image> read_bytes(const std::string& bytes) {
+  const TemporaryFolder folder;
+  std::ofstream(folder.file("picture"), std::ios::binary) << bytes;
+  const auto image = read_image(folder.file("picture"));
+  const auto extent = read_image_extent(folder.file("picture"));
+  if (image) {
+    REQUIRE(extent);
+    CHECK(std::array{extent->width, extent->height, extent->channels} ==
+          std::array{image->width, image->height, image->channels});
+  }
+  return image;
+}
+
+using Values = std::vector<float>;
+
+// Of 0 to 255.
+Values codes_of(const Result<Image>& image) {
+  REQUIRE(image);
+  Values codes = image->pixels;
+  for (float& v : codes) v *= 255;
+  return codes;
+}
+
+void check_near(const Values& found, const Values& expected) {
+  REQUIRE(found.size() == expected.size());
+  for (std::size_t i = 0; i < found.size(); ++i) CHECK(found[i] == doctest::Approx(expected[i]));
 }
 
 }  // namespace
@@ -218,4 +278,72 @@ TEST_CASE("a picture's size can be read without its pixels") {
   CHECK(read_image_extent(folder.file("b.jpg")).error().code == Errc::open_failed);
   std::ofstream(folder.file("c.png")) << "text";
   CHECK(read_image_extent(folder.file("c.png")).error().code == Errc::bad_syntax);
+}
+
+TEST_CASE("PNG of every kind is read") {
+  const std::string palette = chunk("PLTE", std::string("\x0A\x14\x1E\x28\x32\x3C", 6));
+  constexpr unsigned kGrey = 0, kRgb = 2, kPalette = 3, kGreyAlpha = 4, kRgba = 6;
+  using namespace std::string_literals;
+  check_near(codes_of(read_bytes(png(3, 1, 1, kGrey, "\0\xA0"s))), {255, 0, 255});
+  check_near(codes_of(read_bytes(png(2, 1, 2, kGrey, "\0\x60"s))), {85, 170});
+  check_near(codes_of(read_bytes(png(1, 1, 16, kGrey, "\0\x01\x02"s))), {258.F / 257});
+  check_near(codes_of(read_bytes(png(1, 2, 8, kRgb, "\0\x01\x02\x03\2\x01\x01\x01"s))), {1, 2, 3, 2, 3, 4});
+  check_near(codes_of(read_bytes(png(2, 1, 1, kPalette, "\0\x40"s, palette))), {10, 20, 30, 40, 50, 60});
+  // Transparent colours make a channel; colour is multiplied by it, and not rounded.
+  check_near(codes_of(read_bytes(png(2, 1, 1, kPalette, "\0\x40"s, palette + chunk("tRNS", "\x33")))),
+             {2, 4, 6, 51, 40, 50, 60, 255});
+  check_near(codes_of(read_bytes(png(2, 1, 8, kGrey, "\0\x07\x09"s, chunk("tRNS", "\0\x07"s)))), {0, 0, 9, 255});
+  check_near(codes_of(read_bytes(png(1, 1, 8, kGreyAlpha, "\0\x64\x80"s))), {100 * 128 / 255.F, 128});
+  // No transfer curve is applied, whatever the file says.
+  const std::string linear = chunk("gAMA", big_endian(100000, 4));
+  check_near(codes_of(read_bytes(png(1, 1, 8, kRgba, "\0\x64\x32\xFF\x33"s, linear))), {20, 10, 51, 51});
+  // The seven passes of a picture of 3 x 3; the second and third are empty.
+  const std::string passes = "\0\1\0\3\0\x07\x09\0\2\0\x08\0\4\5\6"s;
+  check_near(codes_of(read_bytes(png(3, 3, 8, kGrey, passes, {}, 1))), {1, 2, 3, 4, 5, 6, 7, 8, 9});
+}
+
+TEST_CASE("JPEG of CMYK and grey is read") {
+  const std::array<unsigned char, 4> inks{200, 100, 50, 128};
+  for (const int format : {TJPF_CMYK, TJPF_GRAY}) {
+    const tjhandle turbo = tjInitCompress();
+    unsigned char* bytes = nullptr;
+    unsigned long size = 0;
+    REQUIRE(tjCompress2(turbo, inks.data(), 1, 0, 1, format, &bytes, &size,
+                        format == TJPF_GRAY ? TJSAMP_GRAY : TJSAMP_444, 100, 0) == 0);
+    const Values found = codes_of(read_bytes({reinterpret_cast<char*>(bytes), size}));
+    tjFree(bytes);
+    tjDestroy(turbo);
+    const Values expected =
+        format == TJPF_GRAY ? Values{200} : Values{200 * 128 / 255.F, 100 * 128 / 255.F, 50 * 128 / 255.F};
+    REQUIRE(found.size() == expected.size());
+    for (std::size_t i = 0; i < found.size(); ++i) CHECK(std::abs(found[i] - expected[i]) < 2);
+  }
+}
+
+TEST_CASE("a picture that ends early is an error at every byte") {
+  for (const ImageFormat format : {ImageFormat::png, ImageFormat::jpeg}) {
+    const auto bytes = encode_image(picture(9, 5, 3), format);
+    REQUIRE(bytes);
+    const std::string whole(reinterpret_cast<const char*>(bytes->data()), bytes->size());
+    REQUIRE(read_bytes(whole));
+    // What comes behind the last pixels of a PNG is not read: a checksum and an empty chunk.
+    const std::size_t end = format == ImageFormat::png ? whole.size() - 16 : whole.size();
+    for (std::size_t n = 0; n < end; ++n) {
+      CAPTURE(n);
+      const auto cut = read_bytes(whole.substr(0, n));
+      REQUIRE_FALSE(cut);
+      CHECK(exit_code(cut.error().code) == 4);
+    }
+  }
+}
+
+TEST_CASE("a picture larger than its bytes can hold is refused before memory is taken") {
+  CHECK(read_bytes(png(1U << 30, 1U << 30, 16, 6, std::string(100, '\0'))).error().code == Errc::corrupt_data);
+  const auto bytes = encode_image(picture(9, 5, 3), ImageFormat::jpeg);
+  REQUIRE(bytes);
+  std::string huge(reinterpret_cast<const char*>(bytes->data()), bytes->size());
+  const std::size_t frame = huge.find("\xFF\xC0");
+  REQUIRE(frame != huge.npos);
+  huge.replace(frame + 5, 4, "\xFF\x00\xFF\x00", 4);
+  CHECK(read_bytes(huge).error().code == Errc::corrupt_data);
 }

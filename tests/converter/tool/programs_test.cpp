@@ -621,7 +621,7 @@ TEST_CASE("a program that gets no more memory says so with exit code 3") {
   }
 }
 
-TEST_CASE("a program that gets few threads works with those, or says so with exit code 3") {
+TEST_CASE("a program that gets few threads works with those") {
   if (kSanitized) return skip("sanitizers replace the function that starts threads");
   const Scene scene(20'000);
   std::vector<Arguments> runs = scene.runs(scene.file("out"));
@@ -638,7 +638,6 @@ TEST_CASE("a program that gets few threads works with those, or says so with exi
   for (const Arguments& run : runs) {
     CAPTURE(run.front());
     CAPTURE(run.back());
-    const bool asks = run.back() == "--version" || run.back() == "--help";
     for (int n = 0; n <= 8; ++n) {
       CAPTURE(n);
       const ProgramResult result = run_program(run, [n] {
@@ -647,19 +646,9 @@ TEST_CASE("a program that gets few threads works with those, or says so with exi
       });
       CAPTURE(result.err);
       CHECK(result.signal == 0);
-      // A library below OpenImageIO starts four threads when the first picture loads it, beside oneTBB's n / 2.
-      if (result.exit_code == 0) {
-        if (run.back() == scene.file("out.html"))
-          CHECK(read_text(run.back()).find("src=\"data:,\"") == std::string::npos);
-        continue;
-      }
-      CHECK_FALSE(asks);
-      CHECK(result.exit_code == 3);
-      CHECK(n < 7);
-      CHECK(result.err.find("[host_out_of_memory]") != std::string::npos);
-      CHECK(result.err.find("ulimit -u") != std::string::npos);
-      const std::string name = fs::path(run.front()).filename().string();
-      CHECK((name == "rgs-audit" || name == "rgs-render" || name == "rgs-view"));
+      CHECK(result.exit_code == 0);
+      if (run.back() == scene.file("out.html"))
+        CHECK(read_text(run.back()).find("src=\"data:,\"") == std::string::npos);
     }
   }
 }

@@ -182,6 +182,27 @@ TEST_CASE("one picture from a camera, in every format and at another size") {
   CHECK(stage.picture("small.png").height == 18);
 }
 
+TEST_CASE("without the module of other formats PNG and JPEG are written, and others refused before the work") {
+  const Stage stage;
+  fs::create_directory(stage.file("bin"));
+  fs::copy_file(built("rgs-render"), stage.file("bin/rgs-render"));
+  const auto alone = [&](const std::string& out) {
+    return rgs::test::run_shell("'" + stage.file("bin/rgs-render") + "' '" + stage.file("scene.ply") + "' -c '" +
+                                stage.file("cameras.json") + "' --out '" + stage.file(out) + "' 2>&1");
+  };
+  for (const char* out : {"a.png", "a.jpg"}) {
+    CHECK(alone(out).exit_code == 0);
+    CHECK(mean(stage.picture(out)) > 0.05F);
+  }
+  for (const char* out : {"a.tif", "a.exr"}) {
+    const rgs::test::ProgramResult refused = alone(out);
+    CAPTURE(refused.out);
+    CHECK(refused.exit_code == 2);
+    CHECK(refused.out.find("roofgs-pictures") != std::string::npos);
+    CHECK(refused.out.find("rendering") == std::string::npos);
+  }
+}
+
 TEST_CASE(".rgs and .ply show the same, whatever the file's name") {
   const Stage stage;
   fs::copy_file(stage.file("scene.rgs"), stage.file("odd.name"));
