@@ -1,5 +1,5 @@
 #!/bin/sh
-# deb.sh - makes the Debian packages roofgs, libroofgs, libroofgs-dev and python3-roofgs: sh packaging/deb.sh [OPTION...]
+# deb.sh - makes the Debian packages roofgs, roofgs-pictures, libroofgs, libroofgs-dev and python3-roofgs: sh packaging/deb.sh [OPTION...]
 # They are written to build/deb/packages. OPTIONs go to CMake, as -DRGS_ENABLE_CUDA=ON for packages that also render on NVIDIA GPUs.
 # SPDX-License-Identifier: Apache-2.0
 set -eu

@@ -18,8 +18,7 @@ from pathlib import Path
 
 from check_wheel import SYSTEM
 
-# Without rgs-audit, whose pictures bring OpenImageIO and its 260 libraries: 360 MB.
-PROGRAMS = ["rgs-convert", "rgs-prune"]
+PROGRAMS = ["rgs-audit", "rgs-convert", "rgs-prune"]
 PLATFORM = "manylinux_2_36_x86_64"  # Debian 12's glibc; check_wheel.py holds the wheel to it
 ROOT = Path(__file__).resolve().parent.parent
 

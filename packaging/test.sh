@@ -49,10 +49,11 @@ libraries() {
 
 bundle() {
   rm -f build/packaging/roofgs.tar.gz
-  step bundle-build sh -c '{ [ -f build/release/build.ninja ] || cmake --preset release; } &&
-    cmake --build build/release --parallel "${RGS_JOBS:-$(nproc)}" \
+  step bundle-build sh -c '
+    cmake -S . -B build/shared -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_CUDA=OFF -DBUILD_SHARED_LIBS=ON &&
+    cmake --build build/shared --parallel "${RGS_JOBS:-$(nproc)}" \
       --target rgs-audit rgs-convert rgs-diff rgs-info rgs-judge rgs-make-scene rgs-prune rgs-render rgs-view &&
-    sh scripts/build_page.sh && sh scripts/bundle.sh build/release build/packaging/roofgs.tar.gz'
+    sh scripts/build_page.sh && sh scripts/bundle.sh build/shared build/packaging/roofgs.tar.gz'
   # The distribution of the build, and a newer one.
   for release in bookworm trixie; do
     step bundle-$release sh packaging/bare_root.sh --release $release --offline sh /project/tests/packaging/bundle.sh

@@ -22,7 +22,7 @@ quietly() { "$@" >"$build/log" 2>&1 </dev/null || { tail -n 50 "$build/log" >&2;
 quietly cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_CUDA=$cuda -DRGS_BUILD_PYTHON=ON \
   -DRGS_PYTHON="$python" -DRGS_BUILD_TESTS=OFF -DRGS_BUILD_SAMPLES=OFF "$@"
 quietly cmake --build "$build" --parallel "${RGS_JOBS:-$(nproc)}" \
-  --target rgs_python_package rgs-convert rgs-prune
+  --target rgs_python_package rgs-audit rgs-convert rgs-prune
 quietly sh scripts/build_page.sh
 version=$(sed -n 's/^CMAKE_PROJECT_VERSION:STATIC=//p' "$build/CMakeCache.txt")
 wheel=$(/usr/bin/python3 packaging/make_wheel.py "$build" build/wheels "$version$local")

@@ -1,20 +1,17 @@
 #!/bin/sh
 # bundle.sh - copies programs and the libraries they need into a folder that runs on other machines:
-#   sh scripts/bundle.sh [--small] [BUILD_FOLDER] OUT    BUILD_FOLDER is build/cuda by default; OUT.tar.gz becomes an archive
+#   sh scripts/bundle.sh [BUILD_FOLDER] OUT    BUILD_FOLDER is build/cuda by default; OUT.tar.gz becomes an archive
 # OUT/bin/PROGRAM runs on a Linux of the same processor family with the same or a newer glibc; CUDA needs a driver, but no toolkit. The
-# folder may be moved. --small leaves out rgs-render, rgs-audit and rgs-view, whose pictures need OpenImageIO and its 260 libraries.
+# folder may be moved; it is smallest from a build with -DBUILD_SHARED_LIBS=ON -DRGS_ENABLE_CUDA=OFF. Pictures are PNG and JPEG:
+# OpenImageIO, for others, would bring 260 libraries.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
-programs="rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-diff rgs-info rgs-make-scene rgs-prune rgs_test_kernels"
-pictures="rgs-audit rgs-render rgs-view"
-if [ "${1:-}" = --small ]; then
-  pictures=
-  shift
-fi
+programs="rgs-audit rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-diff rgs-info rgs-judge rgs-make-scene rgs-prune
+  rgs-render rgs-view rgs_test_kernels"
 case $# in
   1) build=$(dirname "$0")/../build/cuda out=$1 ;;
   2) build=$1 out=$2 ;;
-  *) sed -n '2,5s/^# //p' "$0" >&2; exit 2 ;;
+  *) sed -n '2,6s/^# //p' "$0" >&2; exit 2 ;;
 esac
 if [ -e "$out" ]; then
   echo "bundle.sh: $out exists; remove it or name another folder" >&2
@@ -25,7 +22,7 @@ if ! ls "$build"/bin/rgs* >/dev/null 2>&1; then
   exit 3
 fi
 page=$(dirname "$0")/../web/viewer/dist
-if [ -n "$pictures" ] && [ -x "$build/bin/rgs-view" ] && [ ! -f "$page-single/page.html" ]; then
+if [ -x "$build/bin/rgs-view" ] && [ ! -f "$page-single/page.html" ]; then
   echo "bundle.sh: the page of rgs-view is not built: sh scripts/build_page.sh" >&2
   exit 3
 fi
@@ -42,7 +39,7 @@ esac
 glibc='^(linux-vdso|ld-linux[^/]*|libc|libm|libdl|librt|libpthread|libresolv|libutil|libmvec|libanl|libnsl|libnss_[a-z]*)\.so'
 
 mkdir -p "$out/bin" "$out/lib" "$out/licenses"
-for program in $programs $pictures; do
+for program in $programs; do
   if [ -x "$build/bin/$program" ]; then
     cp "$build/bin/$program" "$out/bin/"
   else
@@ -50,18 +47,13 @@ for program in $programs $pictures; do
   fi
 done
 
-module=
-if [ -x "$out/bin/rgs-render" ] || [ -x "$out/bin/rgs-audit" ] || [ -x "$out/bin/rgs-view" ]; then
-  module=$out/lib/roofgs/librgs-pictures.so
-  mkdir "$out/lib/roofgs"
-  cp "$build/lib/roofgs/librgs-pictures.so" "$module"
-fi
-
 # "libfmt.so.9 => /lib/x86_64-linux-gnu/libfmt.so.9 (0x...)", for libraries of libraries as well
-ldd "$out"/bin/* ${module:+"$module"} | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | sort -u | while read -r name path; do
-  echo "$name" | grep -qE "$glibc" || cp -L "$path" "$out/lib/$name"
-done
-strip "$out"/bin/* ${module:+"$module"}
+for program in "$out"/bin/*; do ldd "$build/bin/${program##*/}"; done |
+  awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | sort -u | while read -r name path; do
+    echo "$name" | grep -qE "$glibc" || cp -L "$path" "$out/lib/$name"
+  done
+for library in "$out"/lib/librgs_*; do [ ! -e "$library" ] || strip "$library"; done
+strip "$out"/bin/*
 
 cp "$(dirname "$0")/../LICENSE" "$out/licenses/roofgs"
 # "libfmt9:amd64: /usr/lib/x86_64-linux-gnu/libfmt.so.9"
@@ -84,7 +76,7 @@ if [ -d "$build/manual" ]; then
 fi
 
 # In an empty environment every library is found in the bundle or belongs to glibc.
-for program in "$out"/bin/* ${module:+"$module"}; do
+for program in "$out"/bin/*; do
   env -i /usr/bin/ldd "$program" | awk -v lib="/../" -v glibc="$glibc" '
     $1 !~ glibc && $1 !~ /^\/lib.*\/ld-linux/ && index($3, lib) == 0 { print "bundle.sh: not bundled: " $0; bad = 1 }
     END { exit bad }' >&2

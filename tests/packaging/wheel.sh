@@ -20,7 +20,8 @@ assert scene.means.strides == (12, 4) and len(set(scene.means[:, 0])) > 100, sce
 assert abs(1 - (scene.quats ** 2).sum(axis=1)).max() < 0.01 and camera.world_to_camera.shape == (4, 4)
 scene.save("copy.rgs")
 assert len(roofgs.load("copy.rgs")) == len(scene)
-roofgs.convert("/project/tests/golden/packed_degree3.rgs", "copy.ply")  # by the program in the wheel
+roofgs.convert("/project/tests/golden/packed_degree3.rgs", "copy.ply")  # by the programs in the wheel
+assert roofgs.audit("copy.ply", "copy.rgs", report="audit.html", fail_below={"psnr": 40}).holds
 assert len(roofgs.load("copy.ply")) == len(scene)
 page = (pathlib.Path(roofgs.__file__).parent / "viewer.html").read_text()
 assert page.count("<!-- rgs-view:insert -->") == 1

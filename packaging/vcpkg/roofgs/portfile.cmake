@@ -8,7 +8,7 @@ vcpkg_check_features(OUT_FEATURE_OPTIONS options FEATURES
 # The build needs the target zstd::libzstd_shared.
 vcpkg_check_linkage(ONLY_DYNAMIC_LIBRARY)
 vcpkg_cmake_configure(SOURCE_PATH "${SOURCE_PATH}" OPTIONS
-  ${options} -DRGS_ENABLE_CUDA=OFF -DRGS_BUILD_TESTS=OFF -DRGS_WERROR=OFF)
+  ${options} -DRGS_ENABLE_CUDA=OFF -DRGS_ENABLE_OPENIMAGEIO=OFF -DRGS_BUILD_TESTS=OFF -DRGS_WERROR=OFF)
 vcpkg_cmake_install()
 vcpkg_cmake_config_fixup(PACKAGE_NAME rgs CONFIG_PATH lib/cmake/rgs)
 vcpkg_fixup_pkgconfig()
