@@ -66,10 +66,9 @@ set(rgs_about "RoofGS turns a trained 3D Gaussian splatting scene into a compact
 GPU reads as it lies on disk, and renders it with the image that the original
 3DGS code defines.")
 if(RGS_BUILD_PYTHON)
-  math(EXPR next_minor "${Python_VERSION_MINOR} + 1")
   rgs_debian_package(python python3-roofgs python "3D Gaussian splat scenes: Python module"
     "${rgs_about}\n.\nThis package has the module roofgs for Python 3, which needs NumPy and no GPU."
-    "python3 (>= ${Python_VERSION_MAJOR}.${Python_VERSION_MINOR})" "python3 (<< ${Python_VERSION_MAJOR}.${next_minor})" "python3-numpy")
+    "python3 (>= 3.9)" "python3-numpy")
   set(CPACK_DEBIAN_PYTHON_PACKAGE_CONTROL_EXTRA ${rgs_debian_folder}/python/postinst ${rgs_debian_folder}/python/prerm)
   include(CPack)
   return()

@@ -1,26 +1,41 @@
 #!/usr/bin/python3
-# make_wheel.py - a wheel of the package as it was built: python3 packaging/make_wheel.py BUILD OUT VERSION
-# BUILD/python/package/roofgs is the package. With it go the programs of BUILD/bin that it calls, the viewer's page in one file
-# (roofgs/viewer.html), and libraries that not every Linux has, under names that hold their hash, found by $ORIGIN. The same inputs give the same bytes. SPDX-License-Identifier: Apache-2.0
+# make_wheel.py - the wheel that serves every Python: python3 packaging/make_wheel.py [--bundle] BUILD OUT VERSION [-DNAME=VALUE...]
+# It is built in BUILD. With the package go the programs that it calls and, if it was built, the viewer's page in one file
+# (roofgs/viewer.html). --bundle: also libraries that not every Linux has, under names that hold their hash, found by $ORIGIN; the tag then
+# names the oldest glibc that has all symbols. The same inputs give the same bytes. build_wheel() and build_sdist() are what pip calls
+# (PEP 517, pyproject.toml). SPDX-License-Identifier: Apache-2.0
 import argparse
 import csv
 import hashlib
 import io
 import os
 import re
+import shlex
 import shutil
 import stat
 import subprocess
+import sys
+import tarfile
 import tempfile
 import zipfile
 from base64 import urlsafe_b64encode
 from pathlib import Path
 
-from check_wheel import SYSTEM
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "packaging"))
+from check_wheel import SYSTEM, oldest_glibc  # noqa: E402
 
 PROGRAMS = ["rgs-audit", "rgs-convert", "rgs-prune"]
-PLATFORM = "manylinux_2_36_x86_64"  # Debian 12's glibc; check_wheel.py holds the wheel to it
-ROOT = Path(__file__).resolve().parent.parent
+INFO = """Metadata-Version: 2.1
+Name: roofgs
+Version: {version}
+Summary: Compact files for 3D Gaussian splats, and a renderer of them
+License: Apache-2.0
+Requires-Python: >=3.9
+Requires-Dist: numpy
+Description-Content-Type: text/markdown
+
+"""
 
 
 def run(*command):
@@ -66,33 +81,39 @@ def licences(libraries, folder):
         shutil.copyfile(f"/usr/share/doc/{package}/copyright", folder / package)
 
 
-def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("build", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("version")
-    arguments = parser.parse_args()
+def build(folder, options):
+    subprocess.run(["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release", "-DRGS_BUILD_PYTHON=ON", "-DRGS_BUILD_TESTS=OFF",
+                    "-DRGS_BUILD_SAMPLES=OFF", *options], check=True, stdout=sys.stderr)
+    subprocess.run(["cmake", "--build", folder, "--parallel", os.environ.get("RGS_JOBS", str(os.cpu_count())),
+                    "--target", "rgs_python_package", *PROGRAMS], check=True, stdout=sys.stderr)
+
+
+def metadata(version):
+    return INFO.format(version=version) + (ROOT / "docs/user/PYTHON.md").read_text()
+
+
+def pack(built, out, version, is_bundle):
+    """The wheel's path."""
     with tempfile.TemporaryDirectory() as temporary:
         tree = Path(temporary)
-        shutil.copytree(arguments.build / "python/package/roofgs", tree / "roofgs", ignore=shutil.ignore_patterns("__pycache__"))
-        (extension,) = (tree / "roofgs").glob("_roofgs.cpython-*.so")
-        python = "cp" + re.search(r"cpython-(\d+)-", extension.name)[1]
+        shutil.copytree(built / "python/package/roofgs", tree / "roofgs", ignore=shutil.ignore_patterns("__pycache__"))
         (tree / "roofgs/bin").mkdir()
         for program in PROGRAMS:
-            shutil.copy(arguments.build / "bin" / program, tree / "roofgs/bin")
-        shutil.copyfile(ROOT / "web/viewer/dist-single/page.html", tree / "roofgs/viewer.html")
-        files = [extension, *sorted((tree / "roofgs/bin").iterdir())]
+            shutil.copy(built / "bin" / program, tree / "roofgs/bin")
+        page = ROOT / "web/viewer/dist-single/page.html"
+        if page.exists():
+            shutil.copyfile(page, tree / "roofgs/viewer.html")
+        files = [tree / "roofgs/_roofgs.so", *sorted((tree / "roofgs/bin").iterdir())]
+        info = tree / f"roofgs-{version}.dist-info"
         run("strip", "--strip-unneeded", *files)
-        libraries = bundle(files, tree / "roofgs.libs")
-        tag = f"{python}-{python}-{PLATFORM}"
-        info = tree / f"roofgs-{arguments.version}.dist-info"
-        licences(libraries, info / "licenses")
+        licences(bundle(files, tree / "roofgs.libs") if is_bundle else [], info / "licenses")
+        platform = "linux_" + os.uname().machine
+        if is_bundle:
+            glibc = oldest_glibc(path for path in tree.rglob("*") if path.is_file() and path.read_bytes()[:4] == b"\x7fELF")
+            platform = "many" + platform.replace("_", f"_{glibc[0]}_{glibc[1]}_", 1)
+        tag = f"py3-none-{platform}"
         (info / "WHEEL").write_text(f"Wheel-Version: 1.0\nGenerator: make_wheel.py\nRoot-Is-Purelib: false\nTag: {tag}\n")
-        (info / "METADATA").write_text(
-            f"Metadata-Version: 2.1\nName: roofgs\nVersion: {arguments.version}\n"
-            "Summary: Compact files for 3D Gaussian splats, and a renderer of them\nLicense: Apache-2.0\n"
-            f"Requires-Python: =={python[2]}.{python[3:]}.*\nRequires-Dist: numpy\nDescription-Content-Type: text/markdown\n\n"
-            + (ROOT / "docs/user/PYTHON.md").read_text())
+        (info / "METADATA").write_text(metadata(version))
         (info / "top_level.txt").write_text("roofgs\n")
         files = sorted(path for path in tree.rglob("*") if path.is_file())
         rows = io.StringIO()
@@ -103,8 +124,8 @@ def main():
                              len(data)])
         writer.writerow([(info / "RECORD").relative_to(tree), "", ""])
         (info / "RECORD").write_text(rows.getvalue())
-        arguments.out.mkdir(parents=True, exist_ok=True)
-        wheel = arguments.out / f"{info.name.removesuffix('.dist-info')}-{tag}.whl"
+        out.mkdir(parents=True, exist_ok=True)
+        wheel = out / f"roofgs-{version}-{tag}.whl"
         with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
             for path in [*files, info / "RECORD"]:
                 entry = zipfile.ZipInfo(str(path.relative_to(tree)))
@@ -112,7 +133,42 @@ def main():
                 entry.external_attr = (stat.S_IFREG | (0o755 if ".so" in path.name or path.parent.name == "bin" else 0o644)) << 16
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 archive.writestr(entry, path.read_bytes())
-        print(wheel)
+        return wheel
+
+
+def source_version():
+    header = (ROOT / "format/include/rgs/version.hpp").read_text()
+    return ".".join(re.search(rf"RGS_VERSION_{part} (\d+)", header)[1] for part in ("MAJOR", "MINOR", "PATCH"))
+
+
+# CMAKE_ARGS holds options for CMake.
+def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
+    folder = ROOT / "build/pip"
+    build(folder, shlex.split(os.environ.get("CMAKE_ARGS", "")))
+    return pack(folder, Path(wheel_directory), source_version(), False).name
+
+
+def build_sdist(sdist_directory, config_settings=None):
+    name = f"roofgs-{source_version()}"
+    with tarfile.open(Path(sdist_directory) / f"{name}.tar.gz", "w:gz", format=tarfile.PAX_FORMAT) as archive:
+        for file in run("git", "-C", ROOT, "ls-files", "-z").split("\0")[:-1]:
+            archive.add(ROOT / file, f"{name}/{file}")
+        data = metadata(source_version()).encode()
+        entry = tarfile.TarInfo(f"{name}/PKG-INFO")
+        entry.size = len(data)
+        archive.addfile(entry, io.BytesIO(data))
+    return f"{name}.tar.gz"
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--bundle", action="store_true")
+    parser.add_argument("build", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("version", nargs="?", default=source_version())
+    arguments, options = parser.parse_known_args()
+    build(arguments.build, options)
+    print(pack(arguments.build, arguments.out, arguments.version, arguments.bundle))
 
 
 if __name__ == "__main__":

@@ -64,21 +64,10 @@ bundle() {
 wheel() {
   rm -rf build/wheels
   step wheel-build sh packaging/wheel.sh ${RGS_WHEEL:-}
-  wheel_in bookworm
-  # For Debian 13's Python and NumPy 2: RGS_PYTHON313 is a Python 3.13 with headers, which Debian 12 does not have.
-  if [ -n "${RGS_PYTHON313:-}" ]; then
-    rm -rf build/wheels
-    step wheel-build-313 sh packaging/wheel.sh --python "$RGS_PYTHON313"
-    wheel_in trixie
-  else
-    echo "skipped: the wheel for Python 3.13: RGS_PYTHON313 is not set"
-  fi
-}
-
-wheel_in() {
-  for wheel in build/wheels/*.whl; do
-    step "wheel-$1" sh packaging/bare_root.sh --release "$1" --packages "python3 python3-pip python3-numpy" --offline \
-      sh /project/tests/packaging/wheel.sh "/project/$wheel"
+  # One wheel for the Python and NumPy of the build's distribution, and of a newer one.
+  for release in bookworm trixie; do
+    step wheel-$release sh packaging/bare_root.sh --release $release --packages "python3 python3-pip python3-numpy" --offline \
+      sh -c 'sh /project/tests/packaging/wheel.sh /project/build/wheels/*.whl'
   done
 }
 

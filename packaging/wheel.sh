@@ -1,30 +1,22 @@
 #!/bin/sh
-# wheel.sh - makes a wheel of the Python module: sh packaging/wheel.sh [--cuda] [--python PYTHON] [-DNAME=VALUE...]
-# It is written to build/wheels. --cuda: with kernels and CUDA's runtime; it renders on the CPU where there is no driver. PYTHON is Debian's
-# by default; any other with headers works. -D options go to CMake, as -DCMAKE_CUDA_ARCHITECTURES=90 for kernels that build faster and run
-# only on Hopper.
+# wheel.sh - makes the wheel of the Python module, one for Python 3.9 and all later ones: sh packaging/wheel.sh [--cuda] [-DNAME=VALUE...]
+# It is written to build/wheels. --cuda: with kernels and CUDA's runtime; it renders on the CPU where there is no driver. -D options go to
+# CMake, as -DCMAKE_CUDA_ARCHITECTURES=90 for kernels that build faster and run only on Hopper.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
-cuda=OFF python=/usr/bin/python3 local=
-while [ $# -gt 0 ]; do
-  case $1 in
-    --cuda) cuda=ON local=+cuda; shift ;;
-    --python) python=$2; shift 2 ;;
-    -D*) break ;;
-    *) sed -n '2,5s/^# //p' "$0" >&2; exit 2 ;;
-  esac
-done
+cuda=OFF local=
+case ${1:-} in
+  --cuda) cuda=ON local=+cuda; shift ;;
+  -D* | "") ;;
+  *) sed -n '2,4s/^# //p' "$0" >&2; exit 2 ;;
+esac
 sh scripts/install-deps.sh packaging
-build=$PWD/build/wheel$local-$("$python" -c 'import sys; print("cp%d%d" % sys.version_info[:2])')
+build=build/wheel$local
 mkdir -p "$build"
-quietly() { "$@" >"$build/log" 2>&1 </dev/null || { tail -n 50 "$build/log" >&2; echo "wheel.sh: failed: $*" >&2; exit 1; }; }
-quietly cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_CUDA=$cuda -DRGS_BUILD_PYTHON=ON \
-  -DRGS_PYTHON="$python" -DRGS_BUILD_TESTS=OFF -DRGS_BUILD_SAMPLES=OFF "$@"
-quietly cmake --build "$build" --parallel "${RGS_JOBS:-$(nproc)}" \
-  --target rgs_python_package rgs-audit rgs-convert rgs-prune
-quietly sh scripts/build_page.sh
-version=$(sed -n 's/^CMAKE_PROJECT_VERSION:STATIC=//p' "$build/CMakeCache.txt")
-wheel=$(/usr/bin/python3 packaging/make_wheel.py "$build" build/wheels "$version$local")
+quietly() { "$@" 2>"$build/log" </dev/null || { tail -n 50 "$build/log" >&2; echo "wheel.sh: failed: $*" >&2; exit 1; }; }
+quietly sh scripts/build_page.sh >"$build/log"
+version=$(/usr/bin/python3 -c 'import sys; sys.path.insert(0, "packaging"); import make_wheel; print(make_wheel.source_version())')
+wheel=$(quietly /usr/bin/python3 packaging/make_wheel.py --bundle "$build" build/wheels "$version$local" -G Ninja -DRGS_ENABLE_CUDA=$cuda "$@")
 /usr/bin/python3 packaging/check_wheel.py "$wheel"
 ls -l "$wheel" | awk '{ print $NF ": " $5 " bytes" }'

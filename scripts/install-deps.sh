@@ -16,11 +16,11 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
 
 [ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf
-  patchelf python3-dev pybind11-dev libdlpack-dev"
-[ "${1:-}" != python ] || packages="$packages python3-dev pybind11-dev libdlpack-dev python3-pytest mypy
+  patchelf libdlpack-dev"
+[ "${1:-}" != python ] || packages="$packages libdlpack-dev python3-pytest mypy
   python3-nbformat python3-nbclient python3-ipykernel"
-[ "${1:-}" != site ] || packages="$packages doxygen python3-sphinx python3-myst-parser python3-breathe python3-numpydoc furo python3-dev
-  pybind11-dev libdlpack-dev"
+[ "${1:-}" != site ] || packages="$packages doxygen python3-sphinx python3-myst-parser python3-breathe python3-numpydoc furo
+  libdlpack-dev"
 case ${1:-} in test | web) packages="$packages chromium pkgconf nginx-light openssl valgrind" ;; esac
 case ${1:-} in
   page | web)

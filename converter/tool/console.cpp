@@ -77,27 +77,27 @@ bool json_messages() {
 }
 
 // A line for a calling program: names unchanged, except for bytes that are not UTF-8.
-void print_json(const char* kind, const nlohmann::ordered_json& value) {
+std::string json_line(const char* kind, const nlohmann::ordered_json& value) {
   const nlohmann::ordered_json message{{kind, value}};
-  print_error(message.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace) + "\n");
+  return message.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace) + "\n";
 }
 
 nlohmann::ordered_json known(std::uint64_t value) {
   return value == Error::kNone ? nlohmann::ordered_json(nullptr) : nlohmann::ordered_json(value);
 }
 
-void print_json_error(std::string_view file, const Error& error, std::string_view message) {
-  print_json("error", {{"code", errc_name(error.code)},
-                       {"file", file.empty() ? nlohmann::ordered_json(nullptr) : nlohmann::ordered_json(file)},
-                       {"offset", known(error.offset)},
-                       {"expected", known(error.expected)},
-                       {"found", known(error.found)},
-                       {"system", error.system},
-                       {"message", message},
-                       {"hint", hint(error)}});
-}
-
 }  // namespace
+
+std::string error_message(std::string_view file, const Error& error, std::string_view message) {
+  return json_line("error", {{"code", errc_name(error.code)},
+                             {"file", file.empty() ? nlohmann::ordered_json(nullptr) : nlohmann::ordered_json(file)},
+                             {"offset", known(error.offset)},
+                             {"expected", known(error.expected)},
+                             {"found", known(error.found)},
+                             {"system", error.system},
+                             {"message", message},
+                             {"hint", hint(error)}});
+}
 
 int worse_exit_code(int a, int b) {
   for (const int code : {kInternal, kInputOutput, kUsage, kMalformed, kIncomplete, kGate})
@@ -153,7 +153,7 @@ const char* hint(const Error& error) {
 
 int report(const std::string& file, const Error& error) {
   if (json_messages()) {
-    print_json_error(file, error, describe(error));
+    print_error(error_message(file, error, describe(error)));
     return exit_code(error.code);
   }
   const char* advice = hint(error);
@@ -166,7 +166,7 @@ int report(const std::string& file, const Error& error) {
 
 int report_usage(std::string_view message) {
   if (json_messages()) {
-    print_json_error({}, {.code = Errc::bad_argument}, message);
+    print_error(error_message({}, {.code = Errc::bad_argument}, message));
     return kUsage;
   }
   print_error(fmt::format("{0}: {1}\nRun {0} --help for usage.\n", program(), printable(message)));
@@ -369,7 +369,7 @@ void Progress::advance(std::uint64_t units) {
 
 void Progress::draw(Clock::time_point now) {
   if (json_) {
-    print_json("progress", {{"stage", stage_}, {"done", done_.load()}, {"total", total_}, {"unit", unit_}});
+    print_error(json_line("progress", {{"stage", stage_}, {"done", done_.load()}, {"total", total_}, {"unit", unit_}}));
     return;
   }
   const double seconds = std::chrono::duration<double>(now - start_).count();

@@ -43,6 +43,8 @@ int worse_exit_code(int a, int b);
 std::string describe(const Error& error);
 /// What the user can do about it; empty if the error's text says it.
 const char* hint(const Error& error);
+/// The line of RGS_MESSAGES=json for an error, where `message` is describe(error) or a text of its own. `file` may be empty.
+std::string error_message(std::string_view file, const Error& error, std::string_view message);
 /// Prints `PROGRAM: FILE: ERROR` and, if there is one, a hint. Returns the exit code. `file` may be empty; it is escaped.
 int report(const std::string& file, const Error& error);
 /// Prints `PROGRAM: MESSAGE`, escaped, and how to get help. Returns kUsage.

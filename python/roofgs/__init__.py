@@ -10,14 +10,15 @@ Start with docs/user/PYTHON.md; the docstrings are the manual.
 """
 # SPDX-License-Identifier: Apache-2.0
 from . import cameras
+from ._camera import Camera
 from ._errors import (ArgumentError, DeviceError, Error, FormatError, IncompleteError, InputOutputError, InternalError,
                       MissingFileError, OutOfMemoryError, OutputExistsError, QualityError, UnavailableError)
+from ._device_array import DeviceArray
+from ._library import version as __version__
 from ._pictures import png
 from ._programs import Audit, audit, convert, prune
 from ._rasterization import rasterization
 from ._render import Frame, Renderer
-from ._roofgs import Camera, DeviceArray
-from ._roofgs import version as __version__
 from ._scene import Scene, StreamedScene, StreamPool, info, load
 
 __all__ = [

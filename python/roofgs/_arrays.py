@@ -65,45 +65,51 @@ def float_array(value: Any, name: str, shape: Sequence[Optional[int]]) -> FloatA
         return np.ascontiguousarray(array, dtype=np.float32)
 
 
-def output_array(value: Any, name: str) -> "NDArray[Any]":
-    """The memory of an output array or CPU tensor."""
-    if isinstance(value, np.ndarray):
-        return value
-    if is_tensor(value) and value.device.type == "cpu":
-        _refuse_gradient(value, name)
-        if _is_bfloat16(value):
-            raise argument_error(f"{name} holds {value.dtype}; outputs are float32; images may be uint8")
-        array: NDArray[Any] = value.detach().numpy()
-        return array
-    raise argument_error(f"{name} is not a NumPy array, a torch tensor or an array on a GPU")
-
-
-class DeviceOutput(NamedTuple):
-    """An output in GPU memory, as the extension module takes it."""
+class Output(NamedTuple):
+    """An array to fill."""
 
     array: Any
     address: int
     shape: Tuple[int, ...]
-    format: str  #: "f" float32, "B" uint8; anything else is rejected
+    dtype: str
     contiguous: bool
     readonly: bool
 
 
-def device_output(value: Any, name: str) -> "Optional[Tuple[DeviceOutput, int]]":
+def new_output(shape: Tuple[int, ...], dtype: str) -> Output:
+    """A new array in host memory."""
+    return host_output(np.empty(shape, dtype), "")
+
+
+def host_output(value: Any, name: str) -> Output:
+    """An array or CPU tensor to fill."""
+    array = value
+    if is_tensor(value) and value.device.type == "cpu":
+        _refuse_gradient(value, name)
+        if _is_bfloat16(value):
+            raise argument_error(f"{name} holds {value.dtype}; outputs are float32; images may be uint8")
+        array = value.detach().numpy()
+    if not isinstance(array, np.ndarray):
+        raise argument_error(f"{name} is not a NumPy array, a torch tensor or an array on a GPU")
+    kind = str(array.dtype) if array.dtype.isnative else "?"
+    return Output(value, array.__array_interface__["data"][0], array.shape, kind, array.flags.c_contiguous, not array.flags.writeable)
+
+
+def device_output(value: Any, name: str) -> "Optional[Tuple[Output, int]]":
     """A torch tensor or other ``__cuda_array_interface__`` in GPU memory, with the stream on which it is ready; else None."""
     if is_tensor(value):
         if value.device.type != "cuda":
             return None
         _refuse_gradient(value, name)
         torch: Any = sys.modules["torch"]
-        kind = {torch.float32: "f", torch.uint8: "B"}.get(value.dtype, "?")
         stream = int(torch.cuda.current_stream(value.device).cuda_stream)
-        return DeviceOutput(value, value.data_ptr(), tuple(value.shape), kind, value.is_contiguous(), False), stream
+        kind = str(value.dtype).rpartition(".")[2]
+        return Output(value, value.data_ptr(), tuple(value.shape), kind, value.is_contiguous(), False), stream
     facts: Optional[Dict[str, Any]] = getattr(value, "__cuda_array_interface__", None)
     if facts is None:
         return None
-    kind = {"<f4": "f", "|u1": "B"}.get(facts["typestr"], "?")
+    kind = {"<f4": "float32", "|u1": "uint8"}.get(facts["typestr"], "?")
     shape, strides, (address, readonly) = tuple(facts["shape"]), facts.get("strides"), facts["data"]
-    size = 4 if kind == "f" else 1
+    size = 4 if kind == "float32" else 1
     tight = [size * math.prod(shape[i + 1:]) for i in range(len(shape))]
-    return DeviceOutput(value, address, shape, kind, strides is None or list(strides) == tight, readonly), facts.get("stream") or 0
+    return Output(value, address or 0, shape, kind, strides is None or list(strides) == tight, readonly), facts.get("stream") or 0

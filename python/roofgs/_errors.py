@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Optional, Type
+from typing import Any, Dict, Optional, Type
 
 from ._paths import Path, encoded, is_address, shown
 
@@ -173,6 +173,11 @@ def make(code: str, message: str, hint: str = "", file: Optional[str] = None, of
         kind = MissingFileError
     return kind(_as_python(message), code=code, file=None if file is None else shown(file), offset=offset, expected=expected, found=found,
                 errno=errno or None, hint=_as_python(hint))
+
+
+def from_message(error: Dict[str, Any], file: Optional[str]) -> Error:
+    """The exception for an error of the library or of a program, as of RGS_MESSAGES=json."""
+    return make(error["code"], error["message"], error["hint"], file, error["offset"], error["expected"], error["found"], error["system"])
 
 
 def argument_error(message: str, file: Optional[str] = None) -> Error:

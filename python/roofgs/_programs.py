@@ -18,10 +18,10 @@ from pathlib import Path as FilePath
 from typing import IO, Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple, Union
 
 from . import cameras as _cameras
-from ._errors import Error, QualityError, argument_error, local_name, make
+from ._camera import Camera
+from ._errors import Error, QualityError, argument_error, from_message, local_name, make
 from ._paths import Path, encoded
 from ._progress import Callback, Progress, Reporting
-from ._roofgs import Camera
 
 Cameras = Union[None, Path, Camera, Iterable[Camera]]
 
@@ -315,8 +315,7 @@ class _Messages:
 
     def error(self, name: str, code: int) -> Error:
         if self._error is not None:
-            e = self._error
-            return make(e["code"], e["message"], e["hint"], e["file"], e["offset"], e["expected"], e["found"], e["system"])
+            return from_message(self._error, self._error["file"])
         if code < 0:
             return make("internal", f"{name} was ended by signal {-code}")
         return make(_CLASSES.get(code, "internal"), "\n".join(self._others) or f"{name} failed with exit code {code}")

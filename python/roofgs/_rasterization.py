@@ -6,20 +6,20 @@ import operator
 import reprlib
 import sys
 import threading
-from typing import Any, Dict, List, Optional, Tuple
+from typing import Any, Dict, List, Literal, Optional, Tuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import cameras
 from ._arrays import float_array, host_array, is_tensor
+from ._camera import Camera
 from ._errors import argument_error
 from ._render import Renderer
-from ._roofgs import Camera
-from ._scene import Scene
+from ._scene import AntiAliasing, Scene
 
 _SH0 = 0.28209479177387814  # Y of degree 0
-_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
+RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 _NEWER = {"global_z_order": True}  # arguments of later gsplat versions with a default other than None or False
 _local = threading.local()
 
@@ -36,8 +36,8 @@ class Meta(Dict[str, Any]):
 def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: Any, viewmats: Any, Ks: Any, width: int,
                   height: int, near_plane: float = 0.01, far_plane: float = 1e10, radius_clip: float = 0.0,
                   eps2d: float = 0.3, sh_degree: Optional[int] = None, packed: bool = True, tile_size: int = 16,
-                  backgrounds: Any = None, render_mode: str = "RGB", sparse_grad: bool = False, absgrad: bool = False,
-                  rasterize_mode: str = "classic", channel_chunk: int = 32, distributed: bool = False,
+                  backgrounds: Any = None, render_mode: RenderMode = "RGB", sparse_grad: bool = False, absgrad: bool = False,
+                  rasterize_mode: Literal["classic", "antialiased"] = "classic", channel_chunk: int = 32, distributed: bool = False,
                   camera_model: str = "pinhole", segmented: bool = False, covars: Any = None,
                   **others: Any) -> Tuple[Any, Any, Meta]:
     """Pictures of Gaussians, with the arguments, shapes and conventions of ``gsplat.rasterization``.
@@ -95,8 +95,8 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
                         distributed=(distributed, False), camera_model=(camera_model, "pinhole"), covars=(covars, None),
                         **{name: (value, _NEWER.get(name)) for name, value in others.items()
                            if name in _NEWER or (value is not False and getattr(value, "name", "") != "GLOBAL")}))
-    if render_mode not in _MODES:
-        raise argument_error(f"render_mode is one of {', '.join(_MODES)}, not {render_mode!r}")
+    if render_mode not in get_args(RenderMode):
+        raise argument_error(f"render_mode is one of {', '.join(get_args(RenderMode))}, not {render_mode!r}")
     if rasterize_mode not in ("classic", "antialiased"):
         raise argument_error(f"rasterize_mode is 'classic' or 'antialiased', not {rasterize_mode!r}")
     width, height, eps2d = operator.index(width), operator.index(height), float(eps2d)

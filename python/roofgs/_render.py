@@ -2,24 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import math
 import operator
 import os
-from typing import Any, Dict, Iterable, List, Literal, NamedTuple, Optional, Sequence, Tuple, Union, overload
+from typing import Any, Dict, Iterable, List, Literal, NamedTuple, Optional, Sequence, Tuple, Type, Union, get_args, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _roofgs
-from ._arrays import DeviceOutput, device_output, float_array, output_array
+from ._arrays import Output, device_output, float_array, host_output, new_output
+from ._camera import Camera, packed
+from ._device_array import DeviceArray
+from ._draw import Drawer, make_options
 from ._errors import argument_error
-from ._roofgs import Camera
-from ._scene import Scene, StreamedScene, _count_or_none
+from ._library import Handle
+from ._scene import AntiAliasing, Scene, StreamedScene, _count_or_none
 
 Cameras = Union[Camera, Iterable[Camera]]
 AnyScene = Union[Scene, StreamedScene]
 Colour = Union[Sequence[float], "NDArray[Any]"]
-_DEVICES = ("auto", "cpu", "cuda")
-_PIPELINES = ("automatic", "baseline", "paper", "turbo")
+Device = Literal["auto", "cpu", "cuda"]
+Pipeline = Literal["automatic", "baseline", "paper", "turbo"]
+ImageType = Union[None, Literal["float32", "uint8"], Type[np.float32], Type[np.uint8], "np.dtype[Any]"]
 
 
 class Frame(NamedTuple):
@@ -54,36 +58,36 @@ class Renderer:
     (dtype('uint8'), (48, 64), True)
     """
 
-    def __init__(self, device: str = "auto", pipeline: str = "automatic", *, threads: int = 0) -> None:
-        if device not in _DEVICES:
-            raise argument_error(f"device is one of {', '.join(_DEVICES)}, not {device!r}")
-        if pipeline not in _PIPELINES:
-            raise argument_error(f"pipeline is one of {', '.join(_PIPELINES)}, not {pipeline!r}")
+    def __init__(self, device: Device = "auto", pipeline: Pipeline = "automatic", *, threads: int = 0) -> None:
+        if device not in get_args(Device):
+            raise argument_error(f"device is one of {', '.join(get_args(Device))}, not {device!r}")
+        if pipeline not in get_args(Pipeline):
+            raise argument_error(f"pipeline is one of {', '.join(get_args(Pipeline))}, not {pipeline!r}")
         if not 0 <= threads <= 1024:
             raise argument_error(f"threads is 0 to 1024, not {threads}")
-        self._native = _roofgs.Renderer(device, threads)
+        self._drawer = Drawer(device, operator.index(threads))
         self._pipeline = pipeline
-        self._options: Dict[Tuple[Any, ...], _roofgs.RenderOptions] = {}
+        self._options: Dict[Tuple[Any, ...], Handle] = {}
 
     @property
     def device(self) -> str:
         """"cpu" or "cuda"."""
-        return self._native.device
+        return self._drawer.device
 
     @property
     def name(self) -> str:
         """The device: "cpu AVX2", "cuda NVIDIA H100 80GB HBM3"."""
-        return self._native.name
+        return self._drawer.name
 
     @property
-    def pipeline(self) -> str:
+    def pipeline(self) -> Pipeline:
         """The pipeline it was made with."""
         return self._pipeline
 
     @property
     def stats(self) -> List[Dict[str, float]]:
         """The cost of each picture of the last call: ``total_ms``, ``visible``, ``instances``, ..."""
-        return self._native.stats()
+        return self._drawer.stats()
 
     def __reduce__(self) -> Any:
         raise TypeError("a roofgs.Renderer cannot be copied or pickled: make another")
@@ -92,41 +96,41 @@ class Renderer:
         return f"<roofgs.Renderer {self.name}, pipeline {self._pipeline}>"
 
     @overload
-    def render(self, scene: AnyScene, camera: Cameras, *, out: None = ..., dtype: Any = ...,
+    def render(self, scene: AnyScene, camera: Cameras, *, out: None = ..., dtype: ImageType = ...,
                alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: Literal[False] = ...,
                background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
-               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...,
+               anti_aliasing: Optional[AntiAliasing] = ..., detail: Optional[float] = ...,
                max_gaussians: Optional[int] = ...) -> "NDArray[Any]": ...
 
     @overload
-    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
+    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: ImageType = ...,
                alpha: Literal[True], depth: bool = ..., on_device: bool = ...,
                background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
-               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...,
+               anti_aliasing: Optional[AntiAliasing] = ..., detail: Optional[float] = ...,
                max_gaussians: Optional[int] = ...) -> Frame: ...
 
     @overload
-    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
+    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: ImageType = ...,
                alpha: bool = ..., depth: Literal[True], on_device: bool = ...,
                background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
-               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...,
+               anti_aliasing: Optional[AntiAliasing] = ..., detail: Optional[float] = ...,
                max_gaussians: Optional[int] = ...) -> Frame: ...
 
     @overload
-    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
+    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: ImageType = ...,
                alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: bool = ...,
                background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
-               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...,
+               anti_aliasing: Optional[AntiAliasing] = ..., detail: Optional[float] = ...,
                max_gaussians: Optional[int] = ...) -> Any: ...
 
-    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = None, dtype: Any = None, alpha: bool = False,
+    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = None, dtype: ImageType = None, alpha: bool = False,
                depth: bool = False, on_device: bool = False, background: Colour = (0.0, 0.0, 0.0),
                near_plane: Optional[float] = None, far_plane: Optional[float] = None, sh_degree: int = 3,
-               low_pass: Optional[float] = None, anti_aliasing: Optional[str] = None,
+               low_pass: Optional[float] = None, anti_aliasing: Optional[AntiAliasing] = None,
                detail: Optional[float] = None, max_gaussians: Optional[int] = None) -> Any:
         """Draws a picture, or one for each of several cameras of one picture size.
 
@@ -168,21 +172,29 @@ class Renderer:
         if isinstance(camera, (str, bytes, os.PathLike)):
             raise TypeError("camera is a roofgs.Camera or several of them; roofgs.cameras.load() reads files")
         cameras: List[Camera] = [camera] if isinstance(camera, Camera) else list(camera)
-        given, outputs, stream = _outputs(out, alpha or depth, on_device)
-        eight_bit = _is_eight_bit(dtype, outputs[0])
+        rows = packed(cameras)["cameras"]
+        if cameras and (rows[:, :2] != rows[0, :2]).any():
+            raise argument_error("the cameras of one call must have pictures of one size: use Camera.resized()")
+        given, stream = _given(out, alpha or depth, on_device)
+        size = (cameras[0].height, cameras[0].width) if cameras else (0, 0)
+        shape = size if single else (len(cameras), *size)
         options = self._options_of(background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail,
                                    max_gaussians)
-        made: Tuple[Any, Any, Any]
-        if stream is None:
-            made = self._native.render(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth, options)
-        else:
-            if isinstance(scene, StreamedScene):
-                raise argument_error("streamed scenes are drawn into host memory")
-            made = self._native.render_on_device(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth, stream,
-                                                 options)
-        # Return the caller's own tensor, not an array of its memory.
-        image, alphas, depths = (new if new is None or old is None else old for new, old in zip(made, given))
-        return Frame(image, alphas, depths) if alpha or depth else image
+        kind = _image_type(dtype, given[0])
+        wanted = (((*shape, 3), kind), (shape, "float32") if alpha else None, (shape, "float32") if depth else None)
+        for output, facts in zip(given, wanted):
+            if output is not None and facts is not None:
+                _check_output(output, *facts)
+        if stream is not None and isinstance(scene, StreamedScene):
+            raise argument_error("streamed scenes are drawn into host memory")
+        image, alphas, depths = (None if facts is None else output or self._new_output(facts, stream is not None)
+                                 for output, facts in zip(given, wanted))
+        assert image is not None
+        _refuse_overlap([each for each in (image, alphas, depths) if each is not None])
+        self._drawer.draw(scene._native, scene._path, rows, (image, alphas, depths), options, isinstance(scene, StreamedScene), stream)
+        if not alpha and not depth:
+            return image.array
+        return Frame(*(None if output is None else output.array for output in (image, alphas, depths)))
 
     def refine(self, scene: StreamedScene, camera: Camera, seconds: float = 60.0, *,
                detail: Optional[float] = None, max_gaussians: Optional[int] = None) -> bool:
@@ -190,17 +202,25 @@ class Renderer:
         the whole file. False: time ran out, or the budget has no room for the rest. Ctrl-C ends it."""
         _check_scene(scene)
         options = self._options_of((0.0, 0.0, 0.0), None, None, 3, None, None, detail, max_gaussians)
-        return self._native.refine(scene._native, camera, float(seconds), options)
+        if not seconds >= 0:
+            raise argument_error("seconds to wait are 0 or more")
+        return self._drawer.refine(scene._native, scene._path, camera, float(seconds), options)
 
     def prepare(self, scene: Scene) -> None:
         """Uploads a scene now; otherwise the first picture does."""
         _check_scene(scene)
-        self._native.prepare(scene._native)
+        self._drawer.prepare(scene._native, scene._path)
+
+    def _new_output(self, facts: Tuple[Tuple[int, ...], str], on_device: bool) -> Output:
+        if not on_device:
+            return new_output(*facts)
+        array = DeviceArray(self._drawer.handle, *facts)
+        return Output(array, array.__cuda_array_interface__["data"][0], *facts, True, False)
 
     def _options_of(self, background: Colour, near_plane: Optional[float],
                     far_plane: Optional[float], sh_degree: int, low_pass: Optional[float],
-                    anti_aliasing: Optional[str], detail: Optional[float],
-                    max_gaussians: Optional[int]) -> _roofgs.RenderOptions:
+                    anti_aliasing: Optional[AntiAliasing], detail: Optional[float],
+                    max_gaussians: Optional[int]) -> Handle:
         red, green, blue = float_array(background, "background", (3,)).tolist()
         sh_degree = operator.index(sh_degree)  # 3.0 == 3 would be accepted
         max_gaussians = _count_or_none(max_gaussians, "max_gaussians")
@@ -212,9 +232,8 @@ class Renderer:
             raise argument_error(f"anti_aliasing is 'classic' or 'mip', not {anti_aliasing!r}")
         if not 0 <= sh_degree <= 3:
             raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
-        options = _roofgs.RenderOptions((red, green, blue), near_plane,
-                                        0.0 if far_plane is None else float(far_plane), sh_degree, low_pass,
-                                        anti_aliasing, detail, max_gaussians, self._pipeline)
+        options = make_options((red, green, blue), near_plane, None if far_plane == math.inf else far_plane, sh_degree, low_pass,
+                               anti_aliasing, detail, max_gaussians, self._pipeline)
         if len(self._options) > 64:  # a caller may change the background every time
             self._options.clear()
         self._options[key] = options
@@ -226,9 +245,8 @@ def _check_scene(scene: Any) -> None:
         raise TypeError(f"scene is a roofgs.Scene or StreamedScene, not {type(scene).__name__}; roofgs.load() reads files")
 
 
-def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, ...], Tuple[Any, Any, Any], Optional[int]]:
-    """Image, alpha and depth to fill (or None), as the caller and as the extension module hold them; for GPU memory also
-    the stream to wait for."""
+def _given(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Optional[Output], ...], Optional[int]]:
+    """Image, alpha and depth to fill, or None; for GPU memory also the stream to wait for."""
     given: Tuple[Any, ...] = (None, None, None)
     if out is not None and not several:
         given = (out.image if isinstance(out, Frame) else out, None, None)
@@ -240,20 +258,35 @@ def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, ...],
     found = [None if each is None or isinstance(each, np.ndarray) else device_output(each, name)
              for each, name in zip(given, names)]
     if not on_device and not any(found):
-        image, alpha, depth = (None if each is None else output_array(each, name) for each, name in zip(given, names))
-        return given, (image, alpha, depth), None
+        return tuple(None if each is None else host_output(each, name) for each, name in zip(given, names)), None
     if any(each is not None and place is None for each, place in zip(given, found)):
         raise argument_error("outputs are on the GPU or in host memory, all of them")
-    first, second, third = (None if place is None else place[0] for place in found)
-    return given, (first, second, third), next((place[1] for place in found if place is not None), 0)
+    return (tuple(None if place is None else place[0] for place in found),
+            next((place[1] for place in found if place is not None), 0))
 
 
-def _is_eight_bit(dtype: Any, image: Any) -> bool:
+def _image_type(dtype: ImageType, image: Optional[Output]) -> str:
     if dtype is None:
-        if isinstance(image, DeviceOutput):
-            return image.format == "B"
-        return image is not None and image.dtype == np.uint8
+        return "uint8" if image is not None and image.dtype == "uint8" else "float32"
     kind = np.dtype(dtype)
     if kind not in (np.dtype(np.float32), np.dtype(np.uint8)):
         raise argument_error(f"pictures are float32 or uint8, not {kind}")
-    return kind == np.dtype(np.uint8)
+    return str(kind)
+
+
+def _check_output(output: Output, shape: Tuple[int, ...], dtype: str) -> None:
+    if output.dtype != dtype:
+        raise argument_error("an output has the wrong data type: float32; images may be uint8")
+    if output.shape != shape:
+        raise argument_error("an output has the wrong shape: [height, width, 3] for colour and [height, width] for alpha and depth, with "
+                             "the number of cameras before that for a list of cameras")
+    if not output.contiguous:
+        raise argument_error("an output must be C-contiguous")
+    if output.readonly:
+        raise argument_error("an output is read-only")
+
+
+def _refuse_overlap(outputs: Sequence[Output]) -> None:
+    spans = sorted((each.address, each.address + math.prod(each.shape) * np.dtype(each.dtype).itemsize) for each in outputs)
+    if any(end > start for (_, end), (start, _) in zip(spans, spans[1:])):
+        raise argument_error("two outputs share memory")

@@ -7,22 +7,35 @@ import html
 import json
 import math
 import operator
-from typing import Any, Dict, Optional, Tuple, Union
+from typing import Any, Dict, List, Literal, Optional, Tuple, Union, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _roofgs
-from ._arrays import FloatArray, float_array, host_array
+from ._arrays import FloatArray, float_array, host_array, new_output
+from ._camera import Camera, packed, side
+from ._draw import Drawer, make_options
 from ._errors import Error, FormatError, argument_error, local_name
+from ._library import Handle, call, run, work
 from ._paths import Path, encoded, shown
 from ._pictures import png
 from ._progress import Progress, Reporting
 
 Vector3 = Tuple[float, float, float]
+AntiAliasing = Literal["classic", "mip"]
+SpzAxes = Literal["ply", "opengl"]
+Profile = Literal["packed", "direct", "archive", "archive:high", "archive:small", "archive:tiny"]
 _DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
 _LEGAL = {"scales": (0.0, math.inf), "opacities": (0.0, 1.0)}
-_PROFILES = ("packed", "direct", "archive", "archive:high", "archive:small", "archive:tiny")
+
+
+class _Memory:
+    """A scene's memory as a read-only array [shape], which keeps it alive."""
+
+    def __init__(self, scene: Handle, address: int, shape: Tuple[int, ...]) -> None:
+        self.scene = scene
+        # Any address will do for an array without elements.
+        self.__array_interface__ = {"data": (address or 64, True), "shape": shape, "typestr": np.dtype(np.float32).str, "version": 3}
 
 
 class Scene:
@@ -60,10 +73,12 @@ class Scene:
     array([[0.1, 0.1, 0.1]], dtype=float32)
     """
 
-    _native: _roofgs.Scene
+    _native: Handle
+    _facts: Dict[str, Any]
+    _path: Optional[bytes]
 
     def __init__(self, means: Any, quats: Any, scales: Any, opacities: Any, sh0: Any, shN: Any = None, *,
-                 origin: Any = (0.0, 0.0, 0.0), anti_aliasing: str = "classic",
+                 origin: Any = (0.0, 0.0, 0.0), anti_aliasing: AntiAliasing = "classic",
                  low_pass: Optional[float] = None) -> None:
         if anti_aliasing not in ("classic", "mip"):
             raise argument_error(f"anti_aliasing is 'classic' or 'mip', not {anti_aliasing!r}")
@@ -79,14 +94,24 @@ class Scene:
             degree = _DEGREES[others.shape[1]]
             coefficients = np.concatenate([first, others], axis=1)
         x, y, z = (float(value) for value in origin)
-        self._native = _from_arrays(centres, float_array(quats, "quats", (n, 4)), float_array(scales, "scales", (n, 3)),
-                                    float_array(opacities, "opacities", (n,)), coefficients, degree, (x, y, z), anti_aliasing,
-                                    low_pass)
+        self._take_arrays(centres, float_array(quats, "quats", (n, 4)), float_array(scales, "scales", (n, 3)),
+                          float_array(opacities, "opacities", (n,)), coefficients, degree, (x, y, z), anti_aliasing, low_pass)
+
+    def _take_arrays(self, means: FloatArray, quats: FloatArray, scales: FloatArray, opacities: FloatArray, sh: FloatArray,
+                     degree: int, origin: Vector3, anti_aliasing: str, low_pass: Optional[float]) -> None:
+        try:
+            self._native = Handle(work("scene_of_arrays", means=means, quats=quats, scales=scales, opacities=opacities, sh=sh,
+                                       n=len(means), sh_degree=degree, origin=origin, anti_aliasing=anti_aliasing,
+                                       low_pass=None if low_pass is None else float(low_pass)))
+        except FormatError as error:  # the library names only the Gaussian
+            damage = _damage(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh[:, :1], shN=sh[:, 1:])
+            raise damage or error from None
+        self._facts, self._path = {**call("facts", scene=self._native), "format": None}, None
 
     @classmethod
-    def _of(cls, native: _roofgs.Scene) -> "Scene":
+    def _of_file(cls, path: bytes, facts: Dict[str, Any]) -> "Scene":
         scene = cls.__new__(cls)
-        scene._native = native
+        scene._native, scene._facts, scene._path = Handle(facts["scene"]), facts, path
         return scene
 
     def __copy__(self) -> "Scene":
@@ -102,13 +127,22 @@ class Scene:
     def _of_sh(cls, means: FloatArray, quats: FloatArray, scales: FloatArray, opacities: FloatArray, sh: FloatArray,
                anti_aliasing: str, low_pass: float) -> "Scene":
         """From arrays of float_array(), all coefficients in one."""
-        return cls._of(_from_arrays(means, quats, scales, opacities, np.ascontiguousarray(sh), _DEGREES[sh.shape[1] - 1],
-                                    (0.0, 0.0, 0.0), anti_aliasing, low_pass))
+        scene = cls.__new__(cls)
+        scene._take_arrays(means, quats, scales, opacities, np.ascontiguousarray(sh), _DEGREES[sh.shape[1] - 1], (0.0, 0.0, 0.0),
+                           anti_aliasing, low_pass)
+        return scene
+
+    def _orbit(self, n: int, width: int, height: int, horizontal_fov: Optional[float]) -> List[Camera]:
+        return _orbit(self._native, self._path, self._facts["up"], n, width, height, horizontal_fov)
 
     # ---- attributes
 
     def __len__(self) -> int:
-        return self._native.n
+        n: int = self._facts["n"]
+        return n
+
+    def _array(self, name: str, row: Tuple[int, ...]) -> FloatArray:
+        return np.asarray(_Memory(self._native, work("arrays", scene=self._native, file=self._path)[name], (len(self), *row)))
 
     @property
     def means(self) -> FloatArray:
@@ -117,92 +151,98 @@ class Scene:
         This and the other arrays are read-only views that keep the scene's memory alive. The first access makes all of
         them: 236 bytes a Gaussian at SH degree 3.
         """
-        return self._native.means
+        return self._array("means", (3,))
 
     @property
     def quats(self) -> FloatArray:
         """[n, 4] unit quaternions w, x, y, z, as precise as the file stores them (FP16)."""
-        return self._native.quats
+        return self._array("quats", (4,))
 
     @property
     def scales(self) -> FloatArray:
         """[n, 3] standard deviations along the local axes, world units."""
-        return self._native.scales
+        return self._array("scales", (3,))
 
     @property
     def opacities(self) -> FloatArray:
         """[n] 0 to 1."""
-        return self._native.opacities
+        return self._array("opacities", ())
 
     @property
     def sh(self) -> FloatArray:
         """[n, (degree + 1)^2, 3] coefficients of spherical harmonics, red, green, blue."""
-        return self._native.sh
+        return self._array("sh", ((self.sh_degree + 1) ** 2, 3))
 
     @property
     def sh0(self) -> FloatArray:
         """[n, 1, 3] coefficients of degree 0."""
-        return self._native.sh0
+        return self.sh[:, :1]
 
     @property
     def shN(self) -> FloatArray:
         """[n, (degree + 1)^2 - 1, 3] coefficients of the other degrees."""
-        return self._native.shN
+        return self.sh[:, 1:]
 
     @property
     def sh_degree(self) -> int:
         """0 to 3."""
-        return self._native.sh_degree
+        sh_degree: int = self._facts["sh_degree"]
+        return sh_degree
 
     @property
     def origin(self) -> "NDArray[np.float64]":
         """[3] the world point that means are relative to."""
-        return np.array(self._native.origin, dtype=np.float64)
+        return np.array(self._facts["origin"], dtype=np.float64)
 
     @property
     def crs(self) -> str:
         """The coordinate reference system of origin + mean, such as ``EPSG:4978`` or WKT; empty if none is stated."""
-        return self._native.crs
+        crs: str = self._facts["crs"]
+        return crs
 
     @property
-    def anti_aliasing(self) -> str:
+    def anti_aliasing(self) -> AntiAliasing:
         """"classic" or "mip": what the scene declares."""
-        return self._native.anti_aliasing
+        anti_aliasing: AntiAliasing = self._facts["anti_aliasing"]
+        return anti_aliasing
 
     @property
     def low_pass(self) -> float:
         """px^2 added to projected covariances: as the scene declares, else 0.3, or 0.1 with "mip"."""
-        return self._native.low_pass
+        low_pass: float = self._facts["low_pass"]
+        return low_pass
 
     @property
     def bounds(self) -> Tuple[Vector3, Vector3]:
         """Two corners of the world box where Gaussians are dense and opaque. Reads the scene."""
-        return self._native.bounds
+        return _bounds(self._native, self._path)
 
     @property
     def up(self) -> Vector3:
         """Up in the world: what the file states, else -y."""
-        return self._native.up
+        return _vector(self._facts["up"])
 
     @property
     def levels(self) -> int:
         """Number of levels of detail in the file; 0 without."""
-        return self._native.n_levels
+        levels: int = self._facts["levels"]
+        return levels
 
     @property
     def format(self) -> Optional[str]:
         """Format of its file: "rgs", "ply", "spz", ...; None if it was made from arrays."""
-        return self._native.format
+        format: Optional[str] = self._facts["format"]
+        return format
 
     @property
     def path(self) -> Optional[str]:
         """Its path, or its address without user, password and query."""
-        return shown(self._native.path) or None
+        return None if self._path is None else shown(self._path)
 
     # ---- saving
 
-    def save(self, path: Path, *, profile: str = "packed", lod: Union[bool, str] = False, overwrite: bool = False,
-             sync: bool = True, strict: bool = False, spz_axes: str = "ply", progress: Progress = None) -> int:
+    def save(self, path: Path, *, profile: Profile = "packed", lod: Union[bool, Literal["fast", "best"]] = False, overwrite: bool = False,
+             sync: bool = True, strict: bool = False, spz_axes: SpzAxes = "ply", progress: Progress = None) -> int:
         """Writes a file, whole or not at all, and returns its bytes. The ending names the format, one of those
         that ``rgs-convert --formats`` calls written.
 
@@ -227,28 +267,29 @@ class Scene:
         >>> scene.save(folder / "scene.spz") < scene.save(folder / "scene.ply")
         True
         """
-        if profile not in _PROFILES:
-            raise argument_error(f"profile is one of {', '.join(_PROFILES)}, not {profile!r}")
+        if profile not in get_args(Profile):
+            raise argument_error(f"profile is one of {', '.join(get_args(Profile))}, not {profile!r}")
         if lod not in (False, True, "fast", "best"):
             raise argument_error(f"lod is True, False, 'fast' or 'best', not {lod!r}")
         quality = lod if isinstance(lod, str) else "fast" if lod else ""
         with Reporting(progress) as callback:
-            return self._native.save(local_name(path), profile, quality, overwrite, sync, strict,
-                                     _spz_axes(spz_axes), callback)
+            size: int = run("save", file=local_name(path), progress=callback, waits=True, scene=self._native, profile=profile,
+                            lod=quality, overwrite=overwrite, sync=sync, strict=strict, spz_axes=_spz_axes(spz_axes))
+            return size
 
     # ---- shown
 
-    def _facts(self) -> str:
+    def _described(self) -> str:
         facts = f"{len(self):,} Gaussian{'' if len(self) == 1 else 's'}, SH degree {self.sh_degree}"
         if self.levels:
             facts += f", {self.levels} levels of detail"
         return f"{facts}, from {self.path!r}" if self.path else facts
 
     def __repr__(self) -> str:
-        return f"<roofgs.Scene {self._facts()}>"
+        return f"<roofgs.Scene {self._described()}>"
 
     def _repr_html_(self) -> str:
-        return _html(self, self._facts())
+        return _html(self, self._described())
 
 
 class StreamPool:
@@ -270,27 +311,32 @@ class StreamPool:
     """
 
     def __init__(self, *, host_memory: int = 2 << 30, device_memory: int = 0) -> None:
-        self._native = _roofgs.StreamPool(_count(host_memory, "host_memory"), _count(device_memory, "device_memory"))
+        self._host_memory, self._device_memory = _count(host_memory, "host_memory"), _count(device_memory, "device_memory")
+        self._native = Handle(work("make_pool", host_memory=self._host_memory, device_memory=self._device_memory))
 
     @property
     def host_memory(self) -> int:
         """The budget, bytes."""
-        return self._native.host_memory
+        return self._host_memory
 
     @property
     def device_memory(self) -> int:
         """The budget on the GPU, bytes."""
-        return self._native.device_memory
+        return self._device_memory
 
     @property
     def host_bytes(self) -> int:
         """Held now."""
-        return self._native.host_bytes
+        return self._bytes("host")
 
     @property
     def device_bytes(self) -> int:
         """Held now on the GPU, the workspace included."""
-        return self._native.device_bytes
+        return self._bytes("device")
+
+    def _bytes(self, where: str) -> int:
+        n: int = work("pool_bytes", pool=self._native)[where]
+        return n
 
     def __repr__(self) -> str:
         device = f", device_memory={self.device_memory}" if self.device_memory else ""
@@ -334,36 +380,54 @@ class StreamedScene:
         if pool is not None and budget:
             raise argument_error(f"{' and '.join(budget)} are those of the pool that is given")
         self._pool = StreamPool(**budget) if pool is None else pool
-        self._native = _roofgs.open_stream(encoded(path), self._pool._native, prefetch,
-                                           _count_or_none(max_expansion, "max_expansion"), float(open_seconds))
+        self._path = encoded(path)
+        self._handle: Optional[Handle] = Handle(run("open_stream", file=self._path, pool=self._pool._native, prefetch=prefetch,
+                                                    max_expansion=_count_or_none(max_expansion, "max_expansion"),
+                                                    open_seconds=float(open_seconds)))
+        self._all_facts: Dict[str, Any] = call("facts", scene=self._handle)
+
+    @property
+    def _native(self) -> Handle:
+        if self._handle is None:
+            raise argument_error("the scene is closed", self.path)
+        return self._handle
+
+    @property
+    def _facts(self) -> Dict[str, Any]:
+        return self._all_facts if self._native else {}
+
+    def _orbit(self, n: int, width: int, height: int, horizontal_fov: Optional[float]) -> List[Camera]:
+        return _orbit(self._native, self._path, self._facts["up"], n, width, height, horizontal_fov)
 
     def __len__(self) -> int:
-        return self._native.n
+        n: int = self._facts["n"]
+        return n
 
     @property
     def sh_degree(self) -> int:
         """0 to 3."""
-        return self._native.sh_degree
+        sh_degree: int = self._facts["sh_degree"]
+        return sh_degree
 
     @property
     def origin(self) -> "NDArray[np.float64]":
         """[3] the world point that means are relative to."""
-        return np.array(self._native.origin, dtype=np.float64)
+        return np.array(self._facts["origin"], dtype=np.float64)
 
     @property
     def bounds(self) -> Tuple[Vector3, Vector3]:
         """As `Scene.bounds`, from the table of pages: nearly the same."""
-        return self._native.bounds
+        return _bounds(self._native, self._path)
 
     @property
     def up(self) -> Vector3:
         """Up in the world."""
-        return self._native.up
+        return _vector(self._facts["up"])
 
     @property
     def path(self) -> str:
         """Its path, or its address without user, password and query."""
-        return shown(self._native.name)
+        return shown(self._path)
 
     @property
     def pool(self) -> StreamPool:
@@ -373,20 +437,21 @@ class StreamedScene:
     @property
     def stats(self) -> Dict[str, float]:
         """Counts since it was opened: ``pages_resident``, ``pages_missing`` (wanted by the last view), ``bytes_read``, ``bytes_decoded``, ``bytes_uploaded``, ``bytes_evicted``, ``detail_reached_px``."""
-        return self._native.stats()
+        stats: Dict[str, float] = work("stream_stats", scene=self._native, file=self._path)
+        return stats
 
     def check(self) -> None:
         """Raises the file's error, if there is one. Resident pages are drawn all the same."""
-        self._native.check()
+        work("check_stream", scene=self._native, file=self._path)
 
     def close(self) -> None:
         """Ends its threads. Any later use of the scene is an error."""
-        self._native.close()
+        self._handle = None  # another thread may still use it
 
     @property
     def closed(self) -> bool:
         """Whether :meth:`close` has been called."""
-        return self._native.closed
+        return self._handle is None
 
     def __enter__(self) -> "StreamedScene":
         return self
@@ -410,7 +475,7 @@ def _spz_axes(name: str) -> str:
 
 
 def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Optional[int] = None,
-         max_expansion: Optional[int] = None, spz_axes: str = "ply", progress: Progress = None) -> Scene:
+         max_expansion: Optional[int] = None, spz_axes: SpzAxes = "ply", progress: Progress = None) -> Scene:
     """Reads a scene of any format that ``rgs-convert --formats`` lists. The content decides.
 
     Parameters
@@ -433,9 +498,11 @@ def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Option
     ((2000, 3), (2000, 15, 3), False)
     """
     with Reporting(progress) as callback:
-        return Scene._of(_roofgs.load(
-            encoded(path), _count_or_none(level_of_detail, "level_of_detail"), _count_or_none(max_count, "max_count"),
-            _count_or_none(max_expansion, "max_expansion"), _spz_axes(spz_axes), callback))
+        name = encoded(path)
+        return Scene._of_file(name, run("load", file=name, progress=callback, spz_axes=_spz_axes(spz_axes),
+                                        level_of_detail=_count_or_none(level_of_detail, "level_of_detail"),
+                                        max_count=_count_or_none(max_count, "max_count"),
+                                        max_expansion=_count_or_none(max_expansion, "max_expansion")))
 
 
 def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
@@ -449,18 +516,9 @@ def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
     >>> info(examples / "scene.rgs")["header"]["n_gaussians"]
     2000
     """
-    values: Dict[str, Any] = json.loads(_roofgs.info(local_name(path), verify, statistics,
-                                                     _count_or_none(max_expansion, "max_expansion")))
+    values: Dict[str, Any] = json.loads(run("info", file=local_name(path), verify=verify, statistics=statistics,
+                                            max_expansion=_count_or_none(max_expansion, "max_expansion")))
     return values
-
-
-def _from_arrays(means: FloatArray, quats: FloatArray, scales: FloatArray, opacities: FloatArray, sh: FloatArray, degree: int,
-                 origin: Vector3, anti_aliasing: str, low_pass: Optional[float]) -> _roofgs.Scene:
-    try:
-        return _roofgs.Scene.from_arrays(means, quats, scales, opacities, sh, degree, origin, anti_aliasing, low_pass)
-    except FormatError as error:  # the library names only the Gaussian
-        damage = _damage(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh[:, :1], shN=sh[:, 1:])
-        raise damage or error from None
 
 
 def _damage(**arrays: FloatArray) -> Optional[Error]:
@@ -491,10 +549,27 @@ def _count_or_none(value: Optional[int], name: str) -> Optional[int]:
 def _html(scene: Union[Scene, StreamedScene], facts: str) -> str:
     picture = ""
     if len(scene):
-        view = _roofgs.orbit(scene._native.first_view, 1, 480, 270, None)
         on_device = isinstance(scene, StreamedScene) and scene.pool.device_memory > 0
-        options = _roofgs.RenderOptions((0.0, 0.0, 0.0), None, 0.0, 3, None, None, None, None, "automatic")
-        image = _roofgs.Renderer("cuda" if on_device else "cpu", 0).render(scene._native, view, False, None, None, None, True,
-                                                                           False, False, options)[0]
-        picture = f'<img alt="" width="480" height="270" src="data:image/png;base64,{base64.b64encode(png(image)).decode()}">'
+        image = new_output((270, 480, 3), "uint8")
+        Drawer("cuda" if on_device else "cpu").draw(scene._native, scene._path, packed(scene._orbit(1, 480, 270, None))["cameras"], (image, None, None),
+                                                    make_options(), True)
+        picture = f'<img alt="" width="480" height="270" src="data:image/png;base64,{base64.b64encode(png(image.array)).decode()}">'
     return f"<figure>{picture}<figcaption>{html.escape(facts)}</figcaption></figure>"
+
+
+def _vector(values: List[float]) -> Vector3:
+    x, y, z = values
+    return x, y, z
+
+
+def _bounds(scene: Handle, path: Optional[bytes]) -> Tuple[Vector3, Vector3]:
+    low, high = work("bounds", scene=scene, file=path)
+    return _vector(low), _vector(high)
+
+
+def _orbit(scene: Handle, path: Optional[bytes], up: List[float], n: int, width: int, height: int,
+           horizontal_fov: Optional[float]) -> List[Camera]:
+    if n < 1:
+        raise argument_error("an orbit has at least one camera")
+    return list(map(Camera._of, work("orbit", scene=scene, file=path, up=up, n=operator.index(n), width=side(width), height=side(height),
+                                     horizontal_fov=horizontal_fov)))

@@ -8,15 +8,16 @@ camera axes; gsplat calls it a view matrix. Pixel (i, j) covers [i, i + 1) x [j,
 from __future__ import annotations
 
 import json
+import operator
 from typing import Any, Iterable, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
-from . import _roofgs
 from ._arrays import host_array
-from ._errors import argument_error, local_name
+from ._camera import Camera, packed, side
+from ._errors import argument_error, local_name, make
+from ._library import call
 from ._paths import Path
-from ._roofgs import Camera
 from ._scene import Scene, StreamedScene
 
 __all__ = ["Camera", "CameraList", "default_view", "from_matrices", "load", "look_at", "orbit", "path", "save"]
@@ -61,8 +62,9 @@ def load(path: Path) -> CameraList:
     >>> len(views), views[0].width, views[0].height
     (8, 320, 240)
     """
-    source, cameras, is_test, declared = _roofgs.read_cameras(local_name(path))
-    return CameraList(cameras, is_test, source, declared)
+    file = call("read_cameras", file=path, path=local_name(path))
+    cameras = map(Camera._of, file["cameras"], file["names"])
+    return CameraList(cameras, file["is_test"], file["source"], file["split_declared"])
 
 
 def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: bool = False) -> None:
@@ -82,7 +84,7 @@ def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: boo
              "cx": camera.cx, "cy": camera.cy, "world_to_camera": camera.world_to_camera.tolist(),
              **({"split": parts[id(camera)]} if id(camera) in parts else {})} for camera in cameras]
     name = local_name(path)
-    _roofgs.write_cameras(b"./-" if name == b"-" else name, json.dumps(rows, indent=1), overwrite)
+    call("write_cameras", file=name, path=b"./-" if name == b"-" else name, json=json.dumps(rows, indent=1), overwrite=overwrite)
 
 
 def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 1280, height: int = 720,
@@ -93,15 +95,15 @@ def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 
     >>> (camera.world_to_camera @ [0, 0, 0, 1])[:3]
     array([0., 0., 2.])
     """
-    return _roofgs.look_at(_vector(eye), _vector(target), _vector(up), width, height, float(horizontal_fov))
+    return Camera._of(call("look_at", eye=_vector(eye), target=_vector(target), up=_vector(up), width=side(width), height=side(height),
+                           horizontal_fov=_field_of_view(horizontal_fov)))
 
 
 def orbit(scene: Union[Scene, StreamedScene], n: int, *, width: int = 1280, height: int = 720,
           horizontal_fov: Optional[float] = None) -> List[Camera]:
     """`n` cameras around what the first view looks at; of a room, turning where it stands. The first is
     :func:`default_view`."""
-    fov = None if horizontal_fov is None else float(horizontal_fov)
-    return _roofgs.orbit(scene._native.first_view, int(n), width, height, fov)
+    return scene._orbit(n, width, height, None if horizontal_fov is None else _field_of_view(horizontal_fov))
 
 
 def default_view(scene: Union[Scene, StreamedScene], *, width: int = 1280, height: int = 720,
@@ -113,7 +115,10 @@ def default_view(scene: Union[Scene, StreamedScene], *, width: int = 1280, heigh
 
 def path(keys: Iterable[Camera], n: int) -> List[Camera]:
     """`n` cameras along a smooth path through `keys`, first and last included."""
-    return _roofgs.interpolated_path(list(keys), int(n))
+    keys = list(keys)
+    if n < 1 or not keys:
+        raise argument_error("a path has at least one key and one frame")
+    return list(map(Camera._of, call("interpolated_path", n_frames=operator.index(n), **packed(keys))))
 
 
 def from_matrices(viewmats: Any, Ks: Any, width: int, height: int) -> List[Camera]:
@@ -137,6 +142,12 @@ def from_matrices(viewmats: Any, Ks: Any, width: int, height: int) -> List[Camer
             raise argument_error("Ks must have no skew and a last row of 0 0 1")
         cameras.append(Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), view))
     return cameras
+
+
+def _field_of_view(degrees: float) -> float:
+    if not 0 < degrees < 180:
+        raise make("bad_camera", "a horizontal field of view is between 0 and 180 degrees")
+    return float(degrees)
 
 
 def _vector(values: Vector) -> Tuple[float, float, float]:

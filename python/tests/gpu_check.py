@@ -4,10 +4,12 @@
     python3 gpu_check.py [scene.rgs] [--views 10000] [--batch 100]
 
 One line a check; the last line is JSON with what was measured. Exit code 1 if a check fails. It needs no program and no other file than
-measure_views.py; test_gpu.py runs its checks under pytest. SPDX-License-Identifier: Apache-2.0
+measure_views.py and web_server.py; test_gpu.py runs its checks under pytest. SPDX-License-Identifier: Apache-2.0
 """
 import argparse
+import functools
 import gc
+import http.server
 import json
 import sys
 import tempfile
@@ -17,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from measure_views import overhead, seconds, throughput
+from web_server import Ranges
 
 import roofgs
 from roofgs import cameras
@@ -264,6 +267,19 @@ def streamed_scenes_in_the_devices_memory(s):
             assert np.array_equal(s.renderer.render(scene, s.views[0]), s.renderer.render(whole, s.views[0]))
             refused(roofgs.ArgumentError, lambda: s.renderer.render(scene, s.views[0], on_device=True), "streamed")
         assert pool.device_bytes == 0
+
+
+@check
+def streamed_scenes_from_a_web_server(s):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "levels.rgs"
+        s.scene.save(path, lod=True)
+        with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Ranges, directory=folder)) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            with roofgs.StreamedScene(f"http://127.0.0.1:{server.server_port}/levels.rgs", device_memory=1 << 28) as scene:
+                assert s.renderer.refine(scene, s.views[0], 60)
+                assert np.array_equal(s.renderer.render(scene, s.views[0]), s.renderer.render(roofgs.load(path), s.views[0]))
+            server.shutdown()
 
 
 def measured(path, n_views, batch, size=256):

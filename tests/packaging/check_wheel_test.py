@@ -29,16 +29,16 @@ class CheckWheel(unittest.TestCase):
 
     def problems(self, *bundled, options=(), tag="manylinux_2_36_x86_64", spoil=lambda files: None, stated=None):
         """The check's output for a wheel of an extension linked with `options`, and bundled libraries."""
-        extension = self.library("_roofgs.cpython-311-x86_64-linux-gnu.so", "int f(void); int g(void) { return f(); }",
+        extension = self.library("_roofgs.so", "int f(void); int g(void) { return f(); }",
                                  "-Wl,--disable-new-dtags", *options)
         info = "roofgs-1.0.dist-info"
-        files = {f"roofgs/{extension.name}": extension.read_bytes(), f"{info}/WHEEL": f"\nTag: cp311-cp311-{stated or tag}\n".encode(),
+        files = {f"roofgs/{extension.name}": extension.read_bytes(), f"{info}/WHEEL": f"\nTag: py3-none-{stated or tag}\n".encode(),
                  **{f"roofgs.libs/{path.name}": path.read_bytes() for path in bundled}}
         record = "".join(f"{name},sha256={urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b'=').decode()},\n"
                          for name, data in files.items())
         files[f"{info}/RECORD"] = (record + f"{info}/RECORD,,\n").encode()
         spoil(files)
-        wheel = self.root / f"roofgs-1.0-cp311-cp311-{tag}.whl"
+        wheel = self.root / f"roofgs-1.0-py3-none-{tag}.whl"
         with zipfile.ZipFile(wheel, "w") as archive:
             for name, data in files.items():
                 archive.writestr(name, data)
@@ -65,6 +65,7 @@ class CheckWheel(unittest.TestCase):
         self.assertIn("needs GLIBC_2.34; the tag allows 2.17",
                       self.problems(own, options=(own, "-Wl,-rpath,$ORIGIN/../roofgs.libs"), tag="manylinux_2_17_x86_64"))
         self.assertIn("newer than 2.36", self.problems(tag="manylinux_2_40_x86_64"))
+        self.assertEqual(check_wheel.oldest_glibc([own]), (2, 34))
 
     def test_records(self):
         self.assertIn("has no tag", self.problems(tag="linux_x86_64"))

@@ -116,7 +116,7 @@ rule link
   objects="$shared $build/no_console.o"
   for source in converter/formats/ply_header.cpp converter/formats/ply_reader.cpp converter/formats/spool_file.cpp \
     converter/formats/stated_scene.cpp converter/formats/splat_edit.cpp converter/formats/sh_rotation.cpp converter/formats/spz_codes.cpp \
-    converter/formats/spz_header.cpp web/converter/wasm/memory_files.cpp web/viewer/wasm/splats.cpp; do
+    converter/formats/spz_header.cpp web/convert/wasm/memory_files.cpp web/viewer/wasm/splats.cpp; do
     echo "build $build/viewer/$source.o: cxx $root/$source"
     objects="$objects $build/viewer/$source.o"
   done

@@ -1,0 +1,134 @@
+"""Calls the shared library, which is no extension module: one build serves every Python. Errors become exceptions here."""
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import atexit
+import ctypes
+import json
+import os
+import threading
+import weakref
+from pathlib import Path as FilePath
+from typing import Any, Callable, List, Optional
+
+import numpy as np
+
+from ._errors import argument_error, from_message, make
+from ._paths import Path, encoded
+from ._progress import Callback
+
+# Calls release the GIL.
+_library = ctypes.CDLL(str(FilePath(__file__).with_name("_roofgs.so")))
+_call, _free = _library.roofgs_call, _library.roofgs_free
+_call.argtypes, _call.restype = (ctypes.c_char_p, ctypes.c_char_p), ctypes.c_char_p
+_free.argtypes, _free.restype = (ctypes.c_void_p,), None
+
+_has_threads = _lost_threads = False
+_left: "weakref.WeakSet[threading.Thread]" = weakref.WeakSet()
+
+
+class Handle:
+    """A value of the library, freed with its last reference."""
+
+    def __init__(self, address: int) -> None:
+        self.address = address
+
+    # A forked process lost the threads that this may wait for: what they hold stays.
+    def __del__(self, free: Callable[[int], None] = _free) -> None:
+        if not _lost_threads:
+            free(self.address)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Handle):
+        return value.address
+    if isinstance(value, np.ndarray):
+        return value.__array_interface__["data"][0]
+    if isinstance(value, bytes):
+        return list(value)
+    raise TypeError(f"{type(value).__name__} is no argument of the library")
+
+
+_encode = json.JSONEncoder(default=_plain, allow_nan=False).encode
+
+
+def call(name: str, *, file: Optional[Path] = None, **arguments: Any) -> Any:
+    """Calls a function of python/src that needs no threads. `file` is what its errors name."""
+    try:
+        text = _encode(arguments)
+    except ValueError:
+        for key, value in arguments.items():
+            if isinstance(value, (float, tuple)) and not np.isfinite(value).all():
+                raise argument_error(f"{key} is {value}") from None
+        raise
+    reply = json.loads(_call(name.encode(), text.encode()))
+    if "error" in reply:
+        raise from_message(reply["error"], None if file is None else os.fsdecode(encoded(file)))
+    return reply["value"]
+
+
+def begin_work() -> None:
+    """Call before starting or waiting for threads."""
+    global _has_threads
+    if _lost_threads:
+        raise make("unavailable", "this process was forked after roofgs had started threads, which a fork loses: start workers by "
+                   "'spawn' or 'forkserver', or load scenes in the workers alone")
+    _has_threads = True
+
+
+def work(name: str, *, file: Optional[Path] = None, **arguments: Any) -> Any:
+    """call() for functions that start or wait for threads."""
+    begin_work()
+    return call(name, file=file, **arguments)
+
+
+def run(name: str, *, file: Path, progress: Optional[Callback] = None, waits: bool = False, **arguments: Any) -> Any:
+    """work() on a thread of its own, while this one reports progress and hears Ctrl-C, which cancels the work and raises at once, or
+    if it `waits` when the work has ended."""
+    begin_work()
+    handle, over, outcome = Handle(call("make_work")), threading.Event(), []  # type: Handle, threading.Event, List[Any]
+
+    def body() -> None:
+        try:
+            outcome.append(call(name, file=file, path=encoded(file), work=handle, **arguments))
+        except BaseException as error:  # raised below
+            outcome.append(error)
+        over.set()
+
+    def report() -> None:
+        if progress:
+            for stage in call("report", work=handle):
+                progress(*stage)
+
+    thread = threading.Thread(target=body, daemon=True)
+    thread.start()
+    try:
+        while not over.wait(0.05):
+            report()
+    except BaseException:
+        call("cancel", work=handle)
+        _left.add(thread)
+        if waits:
+            over.wait()
+        raise
+    report()
+    if isinstance(outcome[0], BaseException):
+        raise outcome[0]
+    return outcome[0]
+
+
+# No thread outlives what it uses. Another Ctrl-C ends the wait and the process.
+@atexit.register
+def _wait_for_threads() -> None:
+    for thread in list(_left):
+        thread.join()
+
+
+def _after_fork() -> None:
+    global _lost_threads
+    _lost_threads = _has_threads
+    _left.clear()
+
+
+os.register_at_fork(after_in_child=_after_fork)
+version: str = call("version")
