@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import _thread
 import atexit
 import ctypes
 import json
 import os
 import threading
-import weakref
 from pathlib import Path as FilePath
 from typing import Any, Callable, List, Optional
 
@@ -24,7 +24,7 @@ _call.argtypes, _call.restype = (ctypes.c_char_p, ctypes.c_char_p), ctypes.c_cha
 _free.argtypes, _free.restype = (ctypes.c_void_p,), None
 
 _has_threads = _lost_threads = False
-_left: "weakref.WeakSet[threading.Thread]" = weakref.WeakSet()
+_left: List[threading.Event] = []  # of calls that Ctrl-C has ended before their work
 
 
 class Handle:
@@ -100,14 +100,17 @@ def run(name: str, *, file: Path, progress: Optional[Callback] = None, waits: bo
             for stage in call("report", work=handle):
                 progress(*stage)
 
-    thread = threading.Thread(target=body, daemon=True)
-    thread.start()
     try:
+        try:
+            _thread.start_new_thread(body, ())  # a threading.Thread would not be known yet if Ctrl-C came while it starts
+        except RuntimeError:
+            over.set()
+            raise
         while not over.wait(0.05):
             report()
     except BaseException:
         call("cancel", work=handle)
-        _left.add(thread)
+        _left[:] = [over, *(each for each in _left if not each.is_set())]
         if waits:
             over.wait()
         raise
@@ -120,8 +123,8 @@ def run(name: str, *, file: Path, progress: Optional[Callback] = None, waits: bo
 # No thread outlives what it uses. Another Ctrl-C ends the wait and the process.
 @atexit.register
 def _wait_for_threads() -> None:
-    for thread in list(_left):
-        thread.join()
+    for over in _left:
+        over.wait()
 
 
 def _after_fork() -> None:
