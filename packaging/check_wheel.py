@@ -92,8 +92,8 @@ def problems(wheel):
         if set(recorded) != set(archive.namelist()):
             yield "RECORD names other files than are there"
         libraries = [path for path in root.rglob("*") if path.is_file() and path.read_bytes()[:4] == b"\x7fELF"]
-        if not any(path.name == "_roofgs.so" for path in libraries):
-            yield "there is no library _roofgs.so"
+        if not any(path.name == "libroofgs.so" for path in libraries):
+            yield "there is no libroofgs.so"
         for path in sorted(libraries):
             if path.parent.name.endswith(".libs") and not re.search(r"-[0-9a-f]{8}\.so", path.name):
                 yield f"{path.name} has no hash in its name: another wheel's library of that name may be taken for it"

@@ -103,7 +103,7 @@ def pack(built, out, version, is_bundle):
         page = ROOT / "web/viewer/dist-single/page.html"
         if page.exists():
             shutil.copyfile(page, tree / "roofgs/viewer.html")
-        files = [tree / "roofgs/_roofgs.so", *sorted((tree / "roofgs/bin").iterdir())]
+        files = [tree / "roofgs/lib/libroofgs.so", *sorted((tree / "roofgs/bin").iterdir())]
         info = tree / f"roofgs-{version}.dist-info"
         run("strip", "--strip-unneeded", *files)
         licences(bundle(files, tree / "roofgs.libs") if is_bundle else [], info / "licenses")

@@ -18,7 +18,7 @@ from ._paths import Path, encoded
 from ._progress import Callback
 
 # Calls release the GIL.
-_library = ctypes.CDLL(str(FilePath(__file__).with_name("_roofgs.so")))
+_library = ctypes.CDLL(str(FilePath(__file__).parent / "lib/libroofgs.so"))
 _call, _free = _library.roofgs_call, _library.roofgs_free
 _call.argtypes, _call.restype = (ctypes.c_char_p, ctypes.c_char_p), ctypes.c_char_p
 _free.argtypes, _free.restype = (ctypes.c_void_p,), None

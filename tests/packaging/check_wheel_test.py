@@ -29,7 +29,7 @@ class CheckWheel(unittest.TestCase):
 
     def problems(self, *bundled, options=(), tag="manylinux_2_36_x86_64", spoil=lambda files: None, stated=None):
         """The check's output for a wheel of an extension linked with `options`, and bundled libraries."""
-        extension = self.library("_roofgs.so", "int f(void); int g(void) { return f(); }",
+        extension = self.library("libroofgs.so", "int f(void); int g(void) { return f(); }",
                                  "-Wl,--disable-new-dtags", *options)
         info = "roofgs-1.0.dist-info"
         files = {f"roofgs/{extension.name}": extension.read_bytes(), f"{info}/WHEEL": f"\nTag: py3-none-{stated or tag}\n".encode(),
@@ -70,7 +70,7 @@ class CheckWheel(unittest.TestCase):
     def test_records(self):
         self.assertIn("has no tag", self.problems(tag="linux_x86_64"))
         self.assertIn("WHEEL does not say", self.problems(stated="linux_x86_64"))
-        self.assertIn("another hash of roofgs/_roofgs", self.problems(spoil=lambda files: files.update(
+        self.assertIn("another hash of roofgs/libroofgs", self.problems(spoil=lambda files: files.update(
             {name: data + b"x" for name, data in files.items() if name.endswith(".so")})))
         self.assertIn("other files than are there", self.problems(spoil=lambda files: files.update({"roofgs/more.py": b""})))
 
