@@ -69,6 +69,7 @@ wheel() {
     step wheel-$release sh packaging/bare_root.sh --release $release --packages "python3 python3-pip python3-numpy" --offline \
       sh -c 'sh /project/tests/packaging/wheel.sh /project/build/wheels/*.whl'
   done
+  step wheel-source unshare --net sh tests/packaging/source.sh
 }
 
 for each in $steps; do $each; done

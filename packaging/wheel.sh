@@ -14,9 +14,10 @@ esac
 sh scripts/install-deps.sh packaging
 build=build/wheel$local
 mkdir -p "$build"
-quietly() { "$@" 2>"$build/log" </dev/null || { tail -n 50 "$build/log" >&2; echo "wheel.sh: failed: $*" >&2; exit 1; }; }
-quietly sh scripts/build_page.sh >"$build/log"
+quietly() { "$@" >"$build/log" 2>&1 </dev/null || { tail -n 50 "$build/log" >&2; echo "wheel.sh: failed: $*" >&2; exit 1; }; }
+quietly sh scripts/build_page.sh
 version=$(/usr/bin/python3 -c 'import sys; sys.path.insert(0, "packaging"); import make_wheel; print(make_wheel.source_version())')
-wheel=$(quietly /usr/bin/python3 packaging/make_wheel.py --bundle "$build" build/wheels "$version$local" -G Ninja -DRGS_ENABLE_CUDA=$cuda "$@")
+quietly /usr/bin/python3 packaging/make_wheel.py --bundle "$build" build/wheels "$version$local" -G Ninja -DRGS_ENABLE_CUDA=$cuda "$@"
+wheel=$(tail -n 1 "$build/log")
 /usr/bin/python3 packaging/check_wheel.py "$wheel"
 ls -l "$wheel" | awk '{ print $NF ": " $5 " bytes" }'

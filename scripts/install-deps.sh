@@ -16,7 +16,7 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
 
 [ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf
-  patchelf libdlpack-dev"
+  patchelf python3-pip libdlpack-dev"
 [ "${1:-}" != python ] || packages="$packages libdlpack-dev python3-pytest mypy
   python3-nbformat python3-nbclient python3-ipykernel"
 [ "${1:-}" != site ] || packages="$packages doxygen python3-sphinx python3-myst-parser python3-breathe python3-numpydoc furo

@@ -410,3 +410,9 @@ def test_torch_tensors():
         with without():
             again, _, _ = roofgs.rasterization(**given, **CAMERAS)
         assert torch.equal(again, colors) and not again.requires_grad
+
+
+def test_it_is_where_gsplat_has_it():
+    from roofgs.rendering import rasterization
+
+    assert rasterization is roofgs.rasterization
