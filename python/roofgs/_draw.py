@@ -36,7 +36,7 @@ class Drawer:
 
     def draw(self, scene: Handle, file: Optional[bytes], cameras: "NDArray[np.float64]", outputs: Outputs, options: Handle,
              one_by_one: bool, stream: Optional[int] = None) -> None:
-        """Fills `outputs` with what packed `cameras` see; they are in GPU memory if there is a `stream`. Ctrl-C is heard between its parts."""
+        """Fills `outputs` with what packed `cameras` see; in GPU memory if there is a `stream`. Ctrl-C is heard between parts."""
         image, alpha, depth = (0 if output is None else output.address for output in outputs)
         rgb, codes = (image, 0) if outputs[0].dtype == "float32" else (0, image)
         part = 1 if one_by_one or self.device == "cpu" else 64

@@ -551,8 +551,8 @@ def _html(scene: Union[Scene, StreamedScene], facts: str) -> str:
     if len(scene):
         on_device = isinstance(scene, StreamedScene) and scene.pool.device_memory > 0
         image = new_output((270, 480, 3), "uint8")
-        Drawer("cuda" if on_device else "cpu").draw(scene._native, scene._path, packed(scene._orbit(1, 480, 270, None))["cameras"], (image, None, None),
-                                                    make_options(), True)
+        view = packed(scene._orbit(1, 480, 270, None))["cameras"]
+        Drawer("cuda" if on_device else "cpu").draw(scene._native, scene._path, view, (image, None, None), make_options(), True)
         picture = f'<img alt="" width="480" height="270" src="data:image/png;base64,{base64.b64encode(png(image.array)).decode()}">'
     return f"<figure>{picture}<figcaption>{html.escape(facts)}</figcaption></figure>"
 
