@@ -20,10 +20,11 @@ from ._programs import Audit, audit, convert, prune
 from ._rasterization import rasterization
 from ._render import Frame, Renderer
 from ._scene import Scene, StreamedScene, StreamPool, info, load
+from ._view import View, view
 
 __all__ = [
     "ArgumentError", "Audit", "Camera", "DeviceArray", "DeviceError", "Error", "FormatError", "Frame", "IncompleteError",
     "InputOutputError", "InternalError", "MissingFileError", "OutOfMemoryError", "OutputExistsError", "QualityError",
-    "Renderer", "Scene", "StreamPool", "StreamedScene", "UnavailableError", "audit", "cameras", "convert", "info", "load", "png",
-    "prune", "rasterization", "__version__",
+    "Renderer", "Scene", "StreamPool", "StreamedScene", "UnavailableError", "View", "audit", "cameras", "convert", "info", "load", "png",
+    "prune", "rasterization", "view", "__version__",
 ]

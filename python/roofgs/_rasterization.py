@@ -43,7 +43,8 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     """Pictures of Gaussians, with the arguments, shapes and conventions of ``gsplat.rasterization``.
 
     A script for inference runs with ``from roofgs import rasterization``, or from ``roofgs.rendering`` as gsplat has it. Not
-    differentiable: tensors that require gradients are rejected outside ``torch.no_grad()``. Torch tensors give torch tensors on their device, everything else NumPy arrays.
+    differentiable: tensors that require gradients are rejected outside ``torch.no_grad()``. Torch tensors give torch tensors on their
+    device, everything else NumPy arrays.
 
     Parameters
     ----------

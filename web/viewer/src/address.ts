@@ -13,13 +13,14 @@ export function restore(store: PageStore, link: Partial<LinkState>): void {
 /** Only where the address is this viewer's; others tell by an event. */
 export function showLink(page: Page): void {
   const { store } = page;
+  const hasAddress = page.isWhole && location.protocol !== "about:"; // a frame in a notebook has none
   const link = (): string | undefined => {
     const { view } = store.state;
     return view && writeLink({ ...store.state, view });
   };
   const write = (): void => {
     const text = link();
-    if (text !== undefined && page.isWhole) history.replaceState(null, "", `#${text}`);
+    if (text !== undefined && hasAddress) history.replaceState(null, "", `#${text}`);
   };
   const copy = async (): Promise<void> => {
     write();
@@ -38,7 +39,7 @@ export function showLink(page: Page): void {
     page.tell("camera", { name: (view === cameraView && cameras[camera]?.img_name) || null, link: text });
   });
   page.onClick("link", () => void copy());
-  if (!page.isWhole) return;
+  if (!hasAddress) return;
   store.subscribe(({ view }) => [view === undefined], ([isGone], before) => {
     if (isGone && before) history.replaceState(null, "", location.pathname + location.search);
   });
