@@ -24,7 +24,7 @@ roofgs.convert("/project/tests/golden/packed_degree3.rgs", "copy.ply")  # by the
 assert roofgs.audit("copy.ply", "copy.rgs", report="audit.html", fail_below={"psnr": 40}).holds
 assert len(roofgs.load("copy.ply")) == len(scene)
 page = (pathlib.Path(roofgs.__file__).parent / "viewer.html").read_text()
-assert page.count("<!-- rgs-view:insert -->") == 1
+assert page.count("<!-- rgs-view:insert -->") == 1 and 'id="rgs-file-0"' in roofgs.view(scene).page
 try:
     roofgs.Renderer(device="cuda")
 except roofgs.UnavailableError as error:

@@ -1564,6 +1564,25 @@ test("what rgs-view exports opens from the disk, with scene and cameras inside",
   assert.deepEqual(problems, []);
 });
 
+test("the page shows its scene in a notebook's frame, which has no address", async (t) => {
+  if (!browser) return skip(t, "chromium is not installed");
+  const data = readFileSync(join(golden, "packed_degree3.rgs"));
+  const view = { version: 1, scenes: [{ name: "a.rgs", url: "#rgs-file-0", bytes: data.length }], cameras: null, photos: [], frames: null };
+  const inside = readFileSync(join(dist, "../dist-single/page.html"), "utf8").replace("<!-- rgs-view:insert -->", () =>
+    `<script type="application/json" id="rgs-view">${JSON.stringify(view)}</script>` +
+    `<script type="application/octet-stream;base64" id="rgs-file-0">${data.toString("base64")}</script>`);
+  const page = await newPage(browser);
+  t.after(() => page.close());
+  const problems = [];
+  page.on("pageerror", (error) => problems.push(String(error)));
+  await page.setContent("<iframe width=640 height=360></iframe>");
+  await page.evaluate((text) => (document.querySelector("iframe").srcdoc = text), inside);
+  const shown = page.frameLocator("iframe").locator("rgs-view[data-ready]");
+  await shown.waitFor({ state: "attached" });
+  await page.frameLocator("iframe").locator("#link").click(); // which writes the view into the address
+  assert.deepEqual(problems, []);
+});
+
 test("what rgs-view exports saves no .rgs", async (t) => {
   if (!browser) return skip(t, "chromium is not installed");
   const [ply, path] = [join(folder, "exported.ply"), join(folder, "ply.html")];
