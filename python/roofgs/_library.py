@@ -2,14 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-import _thread
 import atexit
 import ctypes
 import json
 import os
-import threading
 from pathlib import Path as FilePath
-from typing import Any, Callable, List, Optional
+from typing import Any, Callable, Dict, List, Optional, Tuple
 
 import numpy as np
 
@@ -24,7 +22,6 @@ _call.argtypes, _call.restype = (ctypes.c_char_p, ctypes.c_char_p), ctypes.c_cha
 _free.argtypes, _free.restype = (ctypes.c_void_p,), None
 
 _has_threads = _lost_threads = False
-_left: List[threading.Event] = []  # of calls that Ctrl-C has ended before their work
 
 
 class Handle:
@@ -39,6 +36,8 @@ class Handle:
             free(self.address)
 
 
+_left: List[Tuple[Handle, Dict[str, Any]]] = []  # what Ctrl-C has ended before its work, and what that uses
+
 def _plain(value: Any) -> Any:
     if isinstance(value, Handle):
         return value.address
@@ -52,19 +51,26 @@ def _plain(value: Any) -> Any:
 _encode = json.JSONEncoder(default=_plain, allow_nan=False).encode
 
 
-def call(name: str, *, file: Optional[Path] = None, **arguments: Any) -> Any:
-    """Calls a function of python/src that needs no threads. `file` is what its errors name."""
+def _text(arguments: Dict[str, Any]) -> str:
     try:
-        text = _encode(arguments)
+        return _encode(arguments)
     except ValueError:
         for key, value in arguments.items():
             if isinstance(value, (float, tuple)) and not np.isfinite(value).all():
                 raise argument_error(f"{key} is {value}") from None
         raise
-    reply = json.loads(_call(name.encode(), text.encode()))
-    if "error" in reply:
-        raise from_message(reply["error"], None if file is None else os.fsdecode(encoded(file)))
-    return reply["value"]
+
+
+def _value(reply: str, file: Optional[Path]) -> Any:
+    answer = json.loads(reply)
+    if "error" in answer:
+        raise from_message(answer["error"], None if file is None else os.fsdecode(encoded(file)))
+    return answer["value"]
+
+
+def call(name: str, *, file: Optional[Path] = None, **arguments: Any) -> Any:
+    """Calls a function of python/src that needs no threads. `file` is what its errors name."""
+    return _value(_call(name.encode(), _text(arguments).encode()), file)
 
 
 def begin_work() -> None:
@@ -86,14 +92,9 @@ def run(name: str, *, file: Path, progress: Optional[Callback] = None, waits: bo
     """work() on a thread of its own, while this one reports progress and hears Ctrl-C, which cancels the work and raises at once, or
     if it `waits` when the work has ended."""
     begin_work()
-    handle, over, outcome = Handle(call("make_work")), threading.Event(), []  # type: Handle, threading.Event, List[Any]
-
-    def body() -> None:
-        try:
-            outcome.append(call(name, file=file, path=encoded(file), work=handle, **arguments))
-        except BaseException as error:  # raised below
-            outcome.append(error)
-        over.set()
+    handle = Handle(call("make_work"))
+    arguments.update(path=encoded(file), work=handle)
+    text = _text(arguments)
 
     def report() -> None:
         if progress:
@@ -101,30 +102,25 @@ def run(name: str, *, file: Path, progress: Optional[Callback] = None, waits: bo
                 progress(*stage)
 
     try:
-        try:
-            _thread.start_new_thread(body, ())  # a threading.Thread would not be known yet if Ctrl-C came while it starts
-        except RuntimeError:
-            over.set()
-            raise
-        while not over.wait(0.05):
+        call("start", work=handle, function=name, arguments=text)
+        while not call("wait", work=handle, seconds=0.05):
             report()
     except BaseException:
+        _left[:] = [(handle, arguments), *(each for each in _left if not call("wait", work=each[0], seconds=0))]
         call("cancel", work=handle)
-        _left[:] = [over, *(each for each in _left if not each.is_set())]
-        if waits:
-            over.wait()
+        while waits and not call("wait", work=handle, seconds=0.05):
+            pass
         raise
     report()
-    if isinstance(outcome[0], BaseException):
-        raise outcome[0]
-    return outcome[0]
+    return _value(call("reply_of", work=handle), file)
 
 
 # No thread outlives what it uses. Another Ctrl-C ends the wait and the process.
 @atexit.register
 def _wait_for_threads() -> None:
-    for over in _left:
-        over.wait()
+    for handle, _ in _left:
+        while not call("wait", work=handle, seconds=0.05):
+            pass
 
 
 def _after_fork() -> None:

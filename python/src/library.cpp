@@ -1,6 +1,7 @@
 // library.cpp - the entry points of the shared library that the package roofgs loads by ctypes.
 // SPDX-License-Identifier: Apache-2.0
 #include <map>
+#include <memory>
 #include <new>
 #include <string>
 #include <string_view>
@@ -8,14 +9,33 @@
 #include "calls.hpp"
 #include "console.hpp"
 #include "rgs/version.hpp"
+#include "work.hpp"
 
 namespace rgs::python {
 namespace {
 
 using CallsByName = std::map<std::string_view, Json (*)(const Json&)>;
 
+std::string reply(const char* name, const char* arguments);
+
+// Calls `name` on a thread of its own, where no Python runs: its threads do not outlive the interpreter safely.
+Json start(const Json& a) {
+  const std::string name = a.at("function"), arguments = a.at("arguments");
+  held<std::shared_ptr<Work>>(a, "work")->start([=] { return reply(name.c_str(), arguments.c_str()); });
+  return nullptr;
+}
+Json wait(const Json& a) {
+  return held<std::shared_ptr<Work>>(a, "work")->wait(a.at("seconds"));
+}
+Json reply_of(const Json& a) {
+  return held<std::shared_ptr<Work>>(a, "work")->reply();
+}
+
 CallsByName all_calls() {
-  CallsByName all{{"version", [](const Json&) -> Json { return RGS_VERSION; }}};
+  CallsByName all{{"version", [](const Json&) -> Json { return RGS_VERSION; }},
+                  {"start", start},
+                  {"wait", wait},
+                  {"reply_of", reply_of}};
   for (const Calls& calls : {camera_calls(), scene_calls(), stream_calls(), render_calls()})
     all.insert(calls.begin(), calls.end());
   return all;

@@ -3,10 +3,14 @@
 #pragma once
 
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <deque>
+#include <future>
 #include <mutex>
 #include <stop_token>
+#include <string>
+#include <thread>
 #include <utility>
 
 #include "calls.hpp"
@@ -43,6 +47,17 @@ class Work {
     open_ = true;
   }
   void advance(std::uint64_t units) { done_.fetch_add(units, std::memory_order_relaxed); }
+  template <class Call>
+  void start(Call call) {
+    std::packaged_task<std::string()> task(std::move(call));
+    reply_ = task.get_future();
+    std::thread(std::move(task)).detach();
+  }
+  /// Whether it has ended, or was not started, after so many seconds at the latest.
+  bool wait(double seconds) const {
+    return !reply_.valid() || reply_.wait_for(std::chrono::duration<double>(seconds)) == std::future_status::ready;
+  }
+  std::string reply() { return reply_.get(); }
   void cancel() { stop_.request_stop(); }
   std::stop_token stop() const { return stop_.get_token(); }
 
@@ -66,6 +81,7 @@ class Work {
     const char* unit;
     std::uint64_t done;
   };
+  std::future<std::string> reply_;
   std::stop_source stop_;
   std::atomic<std::uint64_t> done_{0};
   std::mutex mutex_;  // of the following

@@ -214,7 +214,7 @@ def test_an_object_without_init_has_nothing_to_give(cls):
     made = cls.__new__(cls)
     uses = [name for name, member in vars(cls).items() if name not in ("__init__", "__doc__") and
             (callable(member) or isinstance(member, property))]
-    assert len(uses) > 4
+    assert uses
     for name in uses:
         with contextlib.suppress(AttributeError, TypeError):  # not the end of the interpreter
             getattr(made, name)()
