@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <vector>
@@ -14,6 +15,14 @@ namespace rgs {
 /// What every picture of colours says about itself.
 inline constexpr const char* kPictureDescription =
     "Display-referred sRGB values as trained by 3D Gaussian splatting; show without another transfer curve";
+
+/// Small files can hold huge pictures.
+inline Status check_size(ImageExtent extent) {
+  constexpr std::uint64_t kMostPixels = 1 << 28;
+  const std::uint64_t pixels = static_cast<std::uint64_t>(extent.width) * static_cast<std::uint64_t>(extent.height);
+  if (pixels <= kMostPixels) return {};
+  return make_error(Errc::limit_exceeded, Error::kNone, "a picture of too many pixels", kMostPixels, pixels);
+}
 
 /// Arguments are valid: image_file.cpp has checked them. Calls may run in several threads.
 class ImageCodec {

@@ -36,7 +36,7 @@ Result<const ImageCodec*> load_module() {
         Error{.code = Errc::host_out_of_memory, .what = "cannot start the threads of OpenImageIO", .system = EAGAIN});
   static std::string why =
       "OpenEXR, TIFF and all formats but PNG and JPEG need lib/roofgs/librgs-pictures.so, which cannot be loaded: "
-      "install the package roofgs-pictures, or use PNG";
+      "install Debian's packages roofgs and roofgs-pictures, or use PNG";
   for (const char* const place : kModuleFolders) {
     void* const module = ::dlopen((std::string(place) + "/librgs-pictures.so").c_str(), RTLD_LAZY | RTLD_LOCAL);
     void* const entry = module == nullptr ? nullptr : ::dlsym(module, "rgs_image_codec");

@@ -48,7 +48,7 @@ Status write_image(const std::string& path, const Image& image, const ImageFileO
 Image with_alpha(const Image& rgb, std::span<const float> alpha);
 
 /// The bytes that write_image() would write as PNG or JPEG; ignores options.file and options.depth.
-/// Errors: bad_argument (TIFF and OpenEXR; alpha or size in JPEG; channels), write_failed.
+/// Errors: bad_argument (TIFF and OpenEXR; alpha or size in JPEG; channels), write_failed, host_out_of_memory.
 Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat format,
                                             const ImageFileOptions& options = {});
 
@@ -59,7 +59,8 @@ struct ImageExtent {
 Result<ImageExtent> read_image_extent(const std::string& path);
 
 /// Reads any picture as FP32, integer codes divided by their maximum: inverts write_image(), with 8-bit codes c as c /
-/// 255. Colour is premultiplied by alpha, if there is any. Errors: open_failed, bad_syntax, corrupt_data, unavailable.
+/// 255. Colour is premultiplied by alpha, if there is any. Errors: open_failed, bad_syntax, corrupt_data, unavailable,
+/// limit_exceeded (PNG and JPEG of more than 2^28 pixels).
 Result<Image> read_image(const std::string& path);
 
 }  // namespace rgs

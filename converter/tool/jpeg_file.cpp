@@ -10,7 +10,6 @@
 #include <memory>
 #include <new>
 #include <string>
-#include <string_view>
 
 #include "image_codec.hpp"
 
@@ -57,22 +56,15 @@ struct Head {
 };
 
 tl::unexpected<Error> damaged() {
-  return make_error(Errc::corrupt_data, Error::kNone, "a damaged JPEG, or one that ends early");
-}
-
-// A marker's last place in a file; coded data have no markers. npos if there is none.
-std::size_t last_marker(std::span<const std::byte> file, unsigned char marker) {
-  const std::string_view text(reinterpret_cast<const char*>(file.data()), file.size());
-  return text.rfind(std::string{'\xFF', static_cast<char>(marker)});
+  return make_error(Errc::corrupt_data, Error::kNone, "a JPEG that is damaged, ends early or is of an unknown kind");
 }
 
 Result<Head> read_head(const Turbo& turbo, std::span<const std::byte> file) {
-  int width = 0, height = 0, sampling = 0, colours = 0;
+  int width = 0, height = 0, sampling = 0, colours = -1;
   const auto* bytes = reinterpret_cast<const unsigned char*>(file.data());
-  if (tjDecompressHeader3(turbo.get(), bytes, file.size(), &width, &height, &sampling, &colours) != 0 &&
-      tjGetErrorCode(turbo.get()) != TJERR_WARNING)
-    return damaged();
-  if (width < 1 || height < 1) return damaged();
+  // It fails also for a sampling that it has no name for, which it decodes all the same.
+  (void)tjDecompressHeader3(turbo.get(), bytes, file.size(), &width, &height, &sampling, &colours);
+  if (width < 1 || height < 1 || colours < 0) return damaged();
   // A block of most 32 x 32 pixels has a bit at least.
   constexpr std::uint64_t kMostPixelsPerByte = 8 * 32 * 32;
   if (static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(height) > kMostPixelsPerByte * file.size())
@@ -93,7 +85,7 @@ Result<std::vector<std::byte>> encode_jpeg(const Image& image, const ImageFileOp
   unsigned long size = coded.size();
   if (tjCompress2(turbo.get(), codes.data(), image.width, 0, image.height, grey ? TJPF_GRAY : TJPF_RGB, &out, &size,
                   sampling, options.jpeg_quality, TJFLAG_NOREALLOC | TJFLAG_ACCURATEDCT) != 0)
-    return make_error(Errc::internal, Error::kNone, "the picture cannot be encoded as JPEG");
+    return make_error(Errc::write_failed, Error::kNone, "the picture cannot be encoded as JPEG");
   std::string notes = segment('\xFE', kPictureDescription);
   notes += segment('\xE1', exif(options.software));
   // Behind JFIF's segment, which comes first.
@@ -117,17 +109,15 @@ Result<Image> decode_jpeg(std::span<const std::byte> file) {
   const Turbo turbo = owned(tjInitDecompress());
   const auto head = read_head(turbo, file);
   if (!head) return tl::unexpected(head.error());
-  // Decoders fill what is missing with grey.
-  constexpr unsigned char kScan = 0xDA, kEnd = 0xD9;
-  const std::size_t scan = last_marker(file, kScan), end = last_marker(file, kEnd);
-  if (scan == std::string_view::npos || end == std::string_view::npos || end < scan) return damaged();
+  if (const Status s = check_size(head->extent); !s) return tl::unexpected(s.error());
   const auto [width, height, channels] = head->extent;
   const std::size_t n_pixels = static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
   const int format = head->cmyk ? TJPF_CMYK : channels == 1 ? TJPF_GRAY : TJPF_RGB;
   std::vector<std::uint8_t> codes(n_pixels * static_cast<std::size_t>(tjPixelSize[format]));
+  // Other warnings say that something is missing, which decoders fill with grey.
   if (tjDecompress2(turbo.get(), reinterpret_cast<const unsigned char*>(file.data()), file.size(), codes.data(), width,
                     0, height, format, TJFLAG_LIMITSCANS) != 0 &&
-      tjGetErrorCode(turbo.get()) != TJERR_WARNING)
+      std::strstr(tjGetErrorStr2(turbo.get()), "extraneous bytes") == nullptr)
     return damaged();
   Image image = Image::make(width, height, channels);
   for (std::size_t i = 0; i < image.pixels.size(); ++i) {

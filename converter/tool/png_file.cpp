@@ -56,6 +56,7 @@ class Decoder {
       png_set_read_fn(png_, &rest_, take);
       // Sizes are compared with the file's instead.
       png_set_user_limits(png_, PNG_UINT_31_MAX, PNG_UINT_31_MAX);
+      png_set_crc_action(png_, PNG_CRC_ERROR_QUIT, PNG_CRC_ERROR_QUIT);
       png_read_info(png_, info_);
     });
     if (!read) return false;
@@ -199,6 +200,7 @@ Result<ImageExtent> png_extent(std::span<const std::byte> file) {
 Result<Image> decode_png(std::span<const std::byte> file) {
   Decoder decoder(file);
   if (!decoder.start()) return damaged();
+  if (const Status s = check_size(decoder.extent()); !s) return tl::unexpected(s.error());
   const auto [width, height, channels] = decoder.extent();
   const std::size_t row_bytes = decoder.row_bytes();
   std::vector<std::uint8_t> codes(row_bytes * static_cast<std::size_t>(height));

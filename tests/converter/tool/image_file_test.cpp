@@ -337,6 +337,18 @@ TEST_CASE("a picture that ends early is an error at every byte") {
   }
 }
 
+TEST_CASE("a JPEG may have something behind it, but nothing missing in its middle") {
+  const auto bytes = encode_image(picture(64, 64, 3), ImageFormat::jpeg);
+  REQUIRE(bytes);
+  const std::string whole(reinterpret_cast<const char*>(bytes->data()), bytes->size());
+  // A film's bytes may look like markers.
+  CHECK(codes_of(read_bytes(whole + "film \xFF\xDA\xFF\xD9 and on")) == codes_of(read_bytes(whole)));
+  const std::size_t scan = whole.rfind("\xFF\xDA"), half = (whole.size() - scan) / 2;
+  const auto cut = read_bytes(whole.substr(0, scan + half) + whole.substr(whole.size() - 2));
+  REQUIRE_FALSE(cut);
+  CHECK(cut.error().code == Errc::corrupt_data);
+}
+
 TEST_CASE("a picture larger than its bytes can hold is refused before memory is taken") {
   CHECK(read_bytes(png(1U << 30, 1U << 30, 16, 6, std::string(100, '\0'))).error().code == Errc::corrupt_data);
   const auto bytes = encode_image(picture(9, 5, 3), ImageFormat::jpeg);
@@ -346,4 +358,6 @@ TEST_CASE("a picture larger than its bytes can hold is refused before memory is 
   REQUIRE(frame != huge.npos);
   huge.replace(frame + 5, 4, "\xFF\x00\xFF\x00", 4);
   CHECK(read_bytes(huge).error().code == Errc::corrupt_data);
+  // What its bytes could hold may still be too much for a memory.
+  CHECK(read_bytes(png(20000, 20000, 1, 0, std::string(50'000'000, '\0'))).error().code == Errc::limit_exceeded);
 }
