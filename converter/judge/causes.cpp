@@ -116,7 +116,7 @@ constexpr std::array kCauses = {
 
 const std::vector<Client>& table() {
   static const std::vector<Client> clients = {
-      {"roofgs", "RoofGS's page", {"fp32-world", "axes-ignored", "ties-morton", "over-8-bit", "fp16-scales"}},
+      {"roofgs", "RoofGS's page", {"fp32-world", "ties-morton", "over-8-bit", "fp16-scales"}},
       {"spark", "Spark", {"axes-ignored", "low-pass-0.3",    "compensated",   "slope-unclamped", "clip-1.4",
                           "near-0",       "principal-point", "radius-512",    "by-distance",     "ties-reversed",
                           "cut-sqrt8",    "alpha-0.5",       "alpha-full",    "over-8-bit",      "fp16-world",

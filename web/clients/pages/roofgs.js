@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { viewOf } from "../../viewer/src/cameras.ts";
 import { openScene, readFile } from "../../viewer/src/open-scene.ts";
+import { kPlyAxes } from "../../viewer/src/splats.ts";
 import { Stage } from "../../viewer/src/stage.ts";
 import { kApi, newCanvas, pixels } from "./pixels.js";
 
@@ -12,13 +13,13 @@ let scene;
 window.draw = async (url, pinhole) => {
   const nothing = () => {};
   const on = { frame: () => false, resized: nothing, lost: nothing, restored: nothing, replaced: nothing, ended: nothing };
-  stage ??= await Stage.start(newCanvas(pinhole), kApi, Promise.resolve([{ name: url, url }]), on);
+  stage ??= await Stage.start(newCanvas(pinhole), kApi, on);
   if (stage.api !== kNames[kApi]) throw new Error(`the page draws by ${stage.api}`);
   if (!stage.isAsDefined) throw new Error("the engine has other shaders");
   if (url !== scene?.name) {
     scene?.destroy();
     const read = await readFile({ entry: { name: url, url }, onProgress: nothing });
-    scene = await openScene(stage, { name: url, read, spzAxes: "ply", side: 0, onProgress: nothing, on: {} });
+    scene = await openScene(stage, { name: url, read, spzAxes: "ply", axes: kPlyAxes, side: 0, onProgress: nothing, on: {}, signal: new AbortController().signal });
     await scene.complete();
     stage.set({ origin: scene.origin, antiAliasing: [scene.antiAliasing(0), undefined] });
   }
