@@ -19,7 +19,9 @@ window.draw = async (url, pinhole) => {
   if (url !== scene?.name) {
     scene?.destroy();
     const read = await readFile({ entry: { name: url, url }, onProgress: nothing });
-    scene = await openScene(stage, { name: url, read, spzAxes: "ply", axes: kPlyAxes, side: 0, onProgress: nothing, on: {}, signal: new AbortController().signal });
+    scene = await openScene(stage, { name: url, read, spzAxes: "ply", axes: kPlyAxes, side: 0, onProgress: nothing, on: {}, signal: new AbortController().signal }).catch(({ text, message }) => {
+      throw new Error(text ?? message);
+    });
     await scene.complete();
     stage.set({ origin: scene.origin, antiAliasing: [scene.antiAliasing(0), undefined] });
   }
