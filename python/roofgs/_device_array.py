@@ -22,8 +22,9 @@ class DeviceArray:
 
     def __init__(self, renderer: Handle, shape: Tuple[int, ...], dtype: str) -> None:
         self._shape, self._dtype = shape, dtype
-        made = work("allocate", renderer=renderer, bytes=self.nbytes)
-        self._block, self._address, self._device = Handle(made["handle"]), int(made["address"]), int(made["device"])
+        self._block = Handle()
+        made = work("allocate", into=self._block, renderer=renderer, bytes=self.nbytes)
+        self._address, self._device = int(made["address"]), int(made["device"])
 
     @property
     def shape(self) -> Tuple[int, ...]:

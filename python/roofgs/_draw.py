@@ -22,16 +22,19 @@ def make_options(background: Tuple[float, float, float] = (0.0, 0.0, 0.0), near_
                  pipeline: str = "automatic") -> Handle:
     near_plane, far_plane, low_pass, detail = (
         None if value is None else float(value) for value in (near_plane, far_plane, low_pass, detail))
-    return Handle(call("make_options", background=background, near_plane=near_plane, far_plane=far_plane, sh_degree=sh_degree,
-                       low_pass=low_pass, anti_aliasing=anti_aliasing, detail=detail, max_gaussians=max_gaussians, pipeline=pipeline))
+    options = Handle()
+    call("make_options", into=options, background=background, near_plane=near_plane, far_plane=far_plane, sh_degree=sh_degree,
+         low_pass=low_pass, anti_aliasing=anti_aliasing, detail=detail, max_gaussians=max_gaussians, pipeline=pipeline)
+    return options
 
 
 class Drawer:
     """A renderer of the library; threads take turns."""
 
     def __init__(self, device: str, threads: int = 0) -> None:
-        made = work("make_renderer", device=device, threads=threads)
-        self.handle, self.device, self.name = Handle(made["handle"]), str(made["device"]), str(made["name"])
+        self.handle = Handle()
+        made = work("make_renderer", into=self.handle, device=device, threads=threads)
+        self.device, self.name = str(made["device"]), str(made["name"])
         self._turn = threading.Lock()
 
     def draw(self, scene: Handle, file: Optional[bytes], cameras: "NDArray[np.float64]", outputs: Outputs, options: Handle,

@@ -7,7 +7,7 @@ import ctypes
 import json
 import os
 from pathlib import Path as FilePath
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, Optional
 
 import numpy as np
 
@@ -25,22 +25,22 @@ _has_threads = _lost_threads = False
 
 
 class Handle:
-    """A value of the library, freed with its last reference."""
+    """Holds a value of the library once a call with `into` has put it there, and frees it with its last reference."""
 
-    def __init__(self, address: int) -> None:
-        self.address = address
+    def __init__(self) -> None:
+        self.slot = ctypes.c_void_p()
 
     # A forked process lost the threads that this may wait for: what they hold stays.
-    def __del__(self, free: Callable[[int], None] = _free) -> None:
+    def __del__(self, free: Callable[[ctypes.c_void_p], None] = _free) -> None:
         if not _lost_threads:
-            free(self.address)
+            free(self.slot)
 
 
-_left: List[Tuple[Handle, Dict[str, Any]]] = []  # what Ctrl-C has ended before its work, and what that uses
+_left: Dict[Handle, Dict[str, Any]] = {}  # what Ctrl-C has ended before its work, and what that uses
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Handle):
-        return value.address
+        return ctypes.addressof(value.slot)
     if isinstance(value, np.ndarray):
         return value.__array_interface__["data"][0]
     if isinstance(value, bytes):
@@ -64,7 +64,7 @@ def _text(arguments: Dict[str, Any]) -> str:
 def _value(reply: str, file: Optional[Path]) -> Any:
     answer = json.loads(reply)
     if "error" in answer:
-        raise from_message(answer["error"], None if file is None else os.fsdecode(encoded(file)))
+        raise from_message(answer["error"], None if file is None else os.fsdecode(file))
     return answer["value"]
 
 
@@ -92,7 +92,11 @@ def run(name: str, *, file: Path, progress: Optional[Callback] = None, waits: bo
     """work() on a thread of its own, while this one reports progress and hears Ctrl-C, which cancels the work and raises at once, or
     if it `waits` when the work has ended."""
     begin_work()
-    handle = Handle(call("make_work"))
+    for left in list(_left):
+        if call("wait", work=left, seconds=0):
+            _left.pop(left, None)
+    handle = Handle()
+    call("make_work", into=handle)
     arguments.update(path=encoded(file), work=handle)
     text = _text(arguments)
 
@@ -106,7 +110,7 @@ def run(name: str, *, file: Path, progress: Optional[Callback] = None, waits: bo
         while not call("wait", work=handle, seconds=0.05):
             report()
     except BaseException:
-        _left[:] = [(handle, arguments), *(each for each in _left if not call("wait", work=each[0], seconds=0))]
+        _left[handle] = arguments
         call("cancel", work=handle)
         while waits and not call("wait", work=handle, seconds=0.05):
             pass
@@ -118,7 +122,7 @@ def run(name: str, *, file: Path, progress: Optional[Callback] = None, waits: bo
 # No thread outlives what it uses. Another Ctrl-C ends the wait and the process.
 @atexit.register
 def _wait_for_threads() -> None:
-    for handle, _ in _left:
+    for handle in list(_left):
         while not call("wait", work=handle, seconds=0.05):
             pass
 

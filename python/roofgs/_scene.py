@@ -100,18 +100,19 @@ class Scene:
     def _take_arrays(self, means: FloatArray, quats: FloatArray, scales: FloatArray, opacities: FloatArray, sh: FloatArray,
                      degree: int, origin: Vector3, anti_aliasing: str, low_pass: Optional[float]) -> None:
         try:
-            self._native = Handle(work("scene_of_arrays", means=means, quats=quats, scales=scales, opacities=opacities, sh=sh,
-                                       n=len(means), sh_degree=degree, origin=origin, anti_aliasing=anti_aliasing,
-                                       low_pass=None if low_pass is None else float(low_pass)))
+            self._native = Handle()
+            work("scene_of_arrays", into=self._native, means=means, quats=quats, scales=scales, opacities=opacities, sh=sh,
+                 n=len(means), sh_degree=degree, origin=origin, anti_aliasing=anti_aliasing,
+                 low_pass=None if low_pass is None else float(low_pass))
         except FormatError as error:  # the library names only the Gaussian
             damage = _damage(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh[:, :1], shN=sh[:, 1:])
             raise damage or error from None
         self._facts, self._path = {**call("facts", scene=self._native), "format": None}, None
 
     @classmethod
-    def _of_file(cls, path: bytes, facts: Dict[str, Any]) -> "Scene":
+    def _of_file(cls, path: bytes, native: Handle, facts: Dict[str, Any]) -> "Scene":
         scene = cls.__new__(cls)
-        scene._native, scene._facts, scene._path = Handle(facts["scene"]), facts, path
+        scene._native, scene._facts, scene._path = native, facts, path
         return scene
 
     def __copy__(self) -> "Scene":
@@ -312,7 +313,8 @@ class StreamPool:
 
     def __init__(self, *, host_memory: int = 2 << 30, device_memory: int = 0) -> None:
         self._host_memory, self._device_memory = _count(host_memory, "host_memory"), _count(device_memory, "device_memory")
-        self._native = Handle(work("make_pool", host_memory=self._host_memory, device_memory=self._device_memory))
+        self._native = Handle()
+        work("make_pool", into=self._native, host_memory=self._host_memory, device_memory=self._device_memory)
 
     @property
     def host_memory(self) -> int:
@@ -381,9 +383,9 @@ class StreamedScene:
             raise argument_error(f"{' and '.join(budget)} are those of the pool that is given")
         self._pool = StreamPool(**budget) if pool is None else pool
         self._path = encoded(path)
-        self._handle: Optional[Handle] = Handle(run("open_stream", file=self._path, pool=self._pool._native, prefetch=prefetch,
-                                                    max_expansion=_count_or_none(max_expansion, "max_expansion"),
-                                                    open_seconds=float(open_seconds)))
+        self._handle: Optional[Handle] = Handle()
+        run("open_stream", file=self._path, into=self._handle, pool=self._pool._native, prefetch=prefetch,
+            max_expansion=_count_or_none(max_expansion, "max_expansion"), open_seconds=float(open_seconds))
         self._all_facts: Dict[str, Any] = call("facts", scene=self._handle)
 
     @property
@@ -498,11 +500,11 @@ def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Option
     ((2000, 3), (2000, 15, 3), False)
     """
     with Reporting(progress) as callback:
-        name = encoded(path)
-        return Scene._of_file(name, run("load", file=name, progress=callback, spz_axes=_spz_axes(spz_axes),
-                                        level_of_detail=_count_or_none(level_of_detail, "level_of_detail"),
-                                        max_count=_count_or_none(max_count, "max_count"),
-                                        max_expansion=_count_or_none(max_expansion, "max_expansion")))
+        name, native = encoded(path), Handle()
+        return Scene._of_file(name, native, run("load", file=name, into=native, progress=callback, spz_axes=_spz_axes(spz_axes),
+                                                level_of_detail=_count_or_none(level_of_detail, "level_of_detail"),
+                                                max_count=_count_or_none(max_count, "max_count"),
+                                                max_expansion=_count_or_none(max_expansion, "max_expansion")))
 
 
 def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,

@@ -1,8 +1,9 @@
-// calls.hpp - what the package roofgs calls: functions of a JSON object, by their names. The public API is python/roofgs.
+// calls.hpp - what the package roofgs calls: functions of a JSON object, by their names. The public API is
+// python/roofgs.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Addresses and handles are numbers; file names, which need not be text, are lists of bytes. Python keeps alive what an address or a
-// handle is of, and holds no lock of its own during a call.
+// Addresses are numbers, a handle is the address of a pointer to its value, and file names, which need not be text, are
+// lists of bytes. Python keeps alive what an address or a handle is of, and holds no lock of its own during a call.
 #pragma once
 
 #include <any>
@@ -40,22 +41,23 @@ T take(Result<T>&& result) {
   throw Failure{{.code = code, .what = what}};
 }
 
-/// Gives a value to Python, which frees it by roofgs_free().
 template <class T>
-Json give(T value) {
-  return reinterpret_cast<std::uintptr_t>(new std::any(std::move(value)));
+T* address(const Json& a, const char* name) {
+  return reinterpret_cast<T*>(a.at(name).get<std::uintptr_t>());
+}
+
+/// Gives a value to the handle `into`, which exists before it, so that no exception in Python can lose it.
+template <class T>
+Json give(const Json& a, T value) {
+  *address<void*>(a, "into") = new std::any(std::move(value));  // Python frees it by roofgs_free()
+  return nullptr;
 }
 /// The value of a handle.
 template <class T>
 T& held(const Json& a, const char* name) {
-  T* const value = std::any_cast<T>(reinterpret_cast<std::any*>(a.at(name).get<std::uintptr_t>()));
+  T* const value = std::any_cast<T>(static_cast<std::any*>(*address<void*>(a, name)));
   if (value == nullptr) refuse(Errc::internal, "a handle is of another kind");
   return *value;
-}
-
-template <class T>
-T* address(const Json& a, const char* name) {
-  return reinterpret_cast<T*>(a.at(name).get<std::uintptr_t>());
 }
 template <class T>
 std::optional<T> optional(const Json& a, const char* name) {
@@ -70,7 +72,8 @@ inline Json numbers(const glm::dvec3& v) {
   return {v.x, v.y, v.z};
 }
 
-/// `n` cameras of the array `cameras`, FP64 [n, 22]: width, height, fx, fy, cx, cy, world_to_camera by rows. Without names.
+/// `n` cameras of the array `cameras`, FP64 [n, 22]: width, height, fx, fy, cx, cy, world_to_camera by rows. Without
+/// names.
 std::vector<Camera> cameras_of(const Json& a);
 
 }  // namespace rgs::python

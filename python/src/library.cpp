@@ -42,18 +42,22 @@ CallsByName all_calls() {
 }
 
 std::string reply(const char* name, const char* arguments) {
-  static const auto& calls =
-      *new CallsByName(all_calls());  // never destroyed: daemon threads call while the process ends
   try {
+    static const auto& calls =
+        *new CallsByName(all_calls());  // never destroyed: daemon threads call while the process ends
     const Json value = calls.at(name)(Json::parse(arguments));
     return Json{{"value", value}}.dump(-1, ' ', true, Json::error_handler_t::replace);
   } catch (const Failure& failure) {
     return tool::error_message({}, failure.error, tool::describe(failure.error));
+  } catch (const Cancelled&) {
+    return tool::error_message({}, {.code = Errc::cancelled}, "given up");
   } catch (const std::bad_alloc&) {
     const Error error{.code = Errc::host_out_of_memory, .what = "out of memory"};
     return tool::error_message({}, error, error.what);
   } catch (const std::exception& e) {
     return tool::error_message({}, {.code = Errc::internal}, e.what());
+  } catch (...) {
+    return tool::error_message({}, {.code = Errc::internal}, "an exception of an unknown kind");
   }
 }
 

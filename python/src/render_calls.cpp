@@ -35,9 +35,8 @@ Json make_renderer(const Json& a) {
   auto renderer = take(Renderer::create(options));
   const char* const drawn_by = renderer.backend() == Backend::cuda ? "cuda" : "cpu";
   const std::string name = renderer.backend_name();
-  return {{"handle", give(RendererHandle(new HeldRenderer{std::move(renderer), {}}))},
-          {"device", drawn_by},
-          {"name", name}};
+  give(a, RendererHandle(new HeldRenderer{std::move(renderer), {}}));
+  return {{"device", drawn_by}, {"name", name}};
 }
 
 Json make_options(const Json& a) {
@@ -56,7 +55,7 @@ Json make_options(const Json& a) {
                      : pipeline == "paper"  ? Pipeline::paper
                      : pipeline == "turbo"  ? Pipeline::turbo
                                             : Pipeline::automatic;
-  return give(options);
+  return give(a, options);
 }
 
 // Draws `cameras` into the pictures from `first` on of the arrays.
@@ -80,7 +79,8 @@ Json render(const Json& a) {
   return nullptr;
 }
 
-// Waits for `seconds`: true or false as of Renderer::refine(), null if more waiting may help, which it cannot do if it is the last.
+// Waits for `seconds`: true or false as of Renderer::refine(), null if more waiting may help, which it cannot do if it
+// is the last.
 Json refine(const Json& a) {
   const double seconds = a.at("seconds");
   const auto start = std::chrono::steady_clock::now();
@@ -129,7 +129,8 @@ Json allocate(const Json& a) {
     block = take(held<RendererHandle>(a, "renderer")->renderer.allocate_on_device(bytes));
   const auto data = reinterpret_cast<std::uintptr_t>(block.data.get());
   const int device = block.device;
-  return {{"handle", give(std::move(block))}, {"address", data}, {"device", device}};
+  give(a, std::move(block));
+  return {{"address", data}, {"device", device}};
 }
 
 // Owned by the capsule's consumer until it calls the deleter.

@@ -121,7 +121,7 @@ Json load(const Json& a) {
   Json out = facts_of(file.scene);
   out["up"] = numbers(file.up);
   out["format"] = file.format == SplatFormat::unknown ? Json() : Json(format_name(file.format));
-  out["scene"] = give(std::move(file.scene));
+  give(a, std::move(file.scene));
   return out;
 }
 
@@ -144,7 +144,7 @@ Json scene_of_arrays(const Json& a) {
   declared.origin = a.at("origin");
   declared.aa_mode = a.at("anti_aliasing") == "mip" ? AaMode::mip_splatting : AaMode::classic;
   declared.low_pass_px2 = optional<float>(a, "low_pass").value_or(default_low_pass_px2(declared.aa_mode));
-  return give(take(Scene::load(view, declared)));
+  return give(a, take(Scene::load(view, declared)));
 }
 
 // The addresses of a scene's arrays.
@@ -255,12 +255,8 @@ Json save(const Json& a) {
   options.convert.output = {.overwrite = a.at("overwrite"), .sync = a.at("sync")};
   const std::string folder = path.substr(0, path.find_last_of('/') + 1);
   options.convert.scratch = folder.empty() ? "." : folder;
-  try {
-    return take(save_scene(held<Scene>(a, "scene"), path, options, held<std::shared_ptr<Work>>(a, "work")->observer()))
-        .output_bytes;
-  } catch (const Cancelled&) {
-    refuse(Errc::cancelled, "given up");
-  }
+  return take(save_scene(held<Scene>(a, "scene"), path, options, held<std::shared_ptr<Work>>(a, "work")->observer()))
+      .output_bytes;
 }
 
 // ---- what a file holds
@@ -281,8 +277,8 @@ Json info(const Json& a) {
 
 // ---- long calls
 
-Json make_work(const Json&) {
-  return give(std::make_shared<Work>());
+Json make_work(const Json& a) {
+  return give(a, std::make_shared<Work>());
 }
 Json report(const Json& a) {
   return held<std::shared_ptr<Work>>(a, "work")->report();

@@ -10,7 +10,8 @@ namespace rgs::python {
 namespace {
 
 Json make_pool(const Json& a) {
-  return give(take(StreamPool::create({.host_memory = a.at("host_memory"), .device_memory = a.at("device_memory")})));
+  return give(a,
+              take(StreamPool::create({.host_memory = a.at("host_memory"), .device_memory = a.at("device_memory")})));
 }
 
 Json pool_bytes(const Json& a) {
@@ -25,7 +26,7 @@ Json open(const Json& a) {
   options.url.stop = held<std::shared_ptr<Work>>(a, "work")->stop();
   options.url.open_seconds = a.at("open_seconds");
   if (const auto ratio = optional<std::uint64_t>(a, "max_expansion")) options.limits.max_expansion = *ratio;
-  return give(take(Scene::open(path_of(a), options)));
+  return give(a, take(Scene::open(path_of(a), options)));
 }
 
 Json stats(const Json& a) {

@@ -18,7 +18,7 @@
 
 namespace rgs::python {
 
-/// Thrown out of a progress observer when the work is cancelled; the work catches it.
+/// Thrown out of a progress observer when the work is cancelled; the call's reply is then an error.
 struct Cancelled {};
 
 class Work {
@@ -61,7 +61,8 @@ class Work {
   void cancel() { stop_.request_stop(); }
   std::stop_token stop() const { return stop_.get_token(); }
 
-  /// [stage, done, total, unit] of those that have ended since the last call, and of the current one. total is 0 if unknown.
+  /// [stage, done, total, unit] of those that have ended since the last call, and of the current one. total is 0 if
+  /// unknown.
   Json report() {
     const std::scoped_lock lock(mutex_);
     auto stages = std::exchange(finished_, {});

@@ -12,6 +12,7 @@ from conftest import GOLDEN
 
 import roofgs
 from roofgs._errors import _KINDS, make
+from roofgs._library import Handle, call
 
 
 def load_missing(path):
@@ -34,6 +35,16 @@ def test_numbers_of_damaged_files(tmp_path):
     error = caught.value
     assert error.code == "truncated" and error.expected == len(whole) and error.found == len(whole) - 100
     assert isinstance(error, ValueError) and error.hint
+
+
+def test_cancelled_work_ends_by_an_error(tmp_path, scene):
+    work = Handle()
+    call("make_work", into=work)
+    call("cancel", work=work)
+    with pytest.raises(roofgs.Error) as caught:
+        call("save", path=os.fsencode(tmp_path / "a.rgs"), work=work, scene=scene._native, profile="packed", lod="", overwrite=False,
+             sync=False, strict=False, spz_axes="ply")
+    assert caught.value.code == "cancelled" and not list(tmp_path.iterdir())
 
 
 # What is there of levels whose end is missing is no error.

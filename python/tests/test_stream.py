@@ -14,7 +14,7 @@ from conftest import GOLDEN, program
 from web_server import Ranges
 
 import roofgs
-from roofgs import cameras
+from roofgs import _library, cameras
 
 WITHOUT_LIMIT = 1e6  # seconds
 
@@ -148,6 +148,28 @@ def test_closed_scenes(examples, renderer):
     for _ in range(3):  # one that nobody closes ends with its last reference
         roofgs.StreamedScene(examples / "levels.rgs")
         gc.collect()
+
+
+@pytest.mark.parametrize("heard_after", [b"start", b"wait", b"reply_of"])
+def test_ctrl_c_loses_no_value(heard_after, examples, monkeypatch):
+    pool, real = roofgs.StreamPool(host_memory=64 << 20), _library._call
+
+    def interrupted(name, arguments):
+        reply = real(name, arguments)
+        if name == heard_after:
+            monkeypatch.setattr(_library, "_call", real)
+            raise KeyboardInterrupt
+        return reply
+
+    monkeypatch.setattr(_library, "_call", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        roofgs.StreamedScene(examples / "levels.rgs", pool=pool)
+    for work in list(_library._left):  # what goes on ends, and the next long call frees it
+        assert _library.call("wait", work=work, seconds=WITHOUT_LIMIT)
+        del work
+    roofgs.info(examples / "levels.rgs")
+    gc.collect()
+    assert (pool.host_bytes, _library._left) == (0, {})
 
 
 def test_frames_with_alpha_and_depth(examples, renderer):
