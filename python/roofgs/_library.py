@@ -35,6 +35,11 @@ class Handle:
         if not _lost_threads:
             free(self.slot)
 
+    def close(self) -> None:
+        """Ends the scene that it holds, though tracebacks may keep the handle itself."""
+        if not _lost_threads:
+            call("close", scene=self)
+
 
 _left: Dict[Handle, Dict[str, Any]] = {}  # what Ctrl-C has ended before its work, and what that uses
 

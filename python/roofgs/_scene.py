@@ -448,7 +448,9 @@ class StreamedScene:
 
     def close(self) -> None:
         """Ends its threads. Any later use of the scene is an error."""
-        self._handle = None  # another thread may still use it
+        handle, self._handle = self._handle, None
+        if handle:
+            handle.close()
 
     @property
     def closed(self) -> bool:

@@ -17,6 +17,7 @@
 
 #include "rgs/camera.hpp"
 #include "rgs/result.hpp"
+#include "rgs/scene.hpp"
 
 namespace rgs::python {
 
@@ -71,6 +72,10 @@ inline std::string path_of(const Json& a) {
 inline Json numbers(const glm::dvec3& v) {
   return {v.x, v.y, v.z};
 }
+
+/// A scene, which `close` may end while other calls use copies. Errors: bad_argument (it has been closed).
+Scene scene_of(const Json& a);
+Json give_scene(const Json& a, Scene scene);
 
 /// `n` cameras of the array `cameras`, FP64 [n, 22]: width, height, fx, fy, cx, cy, world_to_camera by rows. Without
 /// names.

@@ -76,7 +76,7 @@ Json look_at_target(const Json& a) {
 
 // Around the first view of a scene.
 Json orbit_scene(const Json& a) {
-  const auto& scene = held<Scene>(a, "scene");
+  const Scene scene = scene_of(a);
   auto view = take(first_view(scene, vector(a, "up")));
   if (const auto fov = optional<double>(a, "horizontal_fov")) view.horizontal_fov = static_cast<float>(*fov);
   const ViewFormat format = view_format(a, static_cast<double>(view.horizontal_fov));

@@ -73,8 +73,8 @@ Json render(const Json& a) {
   arrays.stream = address<CUstream_st>(a, "stream");
   HeldRenderer& held_renderer = *held<RendererHandle>(a, "renderer");
   if (first == 0) held_renderer.stats.clear();
-  const auto stats = take(
-      held_renderer.renderer.render_all(held<Scene>(a, "scene"), cameras, arrays, held<RenderOptions>(a, "options")));
+  const auto stats =
+      take(held_renderer.renderer.render_all(scene_of(a), cameras, arrays, held<RenderOptions>(a, "options")));
   held_renderer.stats.insert(held_renderer.stats.end(), stats.begin(), stats.end());
   return nullptr;
 }
@@ -84,9 +84,8 @@ Json render(const Json& a) {
 Json refine(const Json& a) {
   const double seconds = a.at("seconds");
   const auto start = std::chrono::steady_clock::now();
-  auto refined =
-      held<RendererHandle>(a, "renderer")
-          ->renderer.refine(held<Scene>(a, "scene"), cameras_of(a).front(), seconds, held<RenderOptions>(a, "options"));
+  auto refined = held<RendererHandle>(a, "renderer")
+                     ->renderer.refine(scene_of(a), cameras_of(a).front(), seconds, held<RenderOptions>(a, "options"));
   // One that ends early without success has no room for the view. An error at the end is of a read that is retried.
   const std::chrono::duration<double> took = std::chrono::steady_clock::now() - start;
   const bool is_over = took.count() < seconds || a.at("last").get<bool>();
@@ -95,7 +94,7 @@ Json refine(const Json& a) {
 }
 
 Json prepare(const Json& a) {
-  take(held<RendererHandle>(a, "renderer")->renderer.prepare(held<Scene>(a, "scene")));
+  take(held<RendererHandle>(a, "renderer")->renderer.prepare(scene_of(a)));
   return nullptr;
 }
 

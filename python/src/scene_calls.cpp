@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <span>
 #include <string>
@@ -27,6 +28,12 @@
 namespace rgs::python {
 namespace {
 
+struct HeldScene {
+  std::mutex mutex;  // of the following
+  std::optional<Scene> scene;
+};
+using SceneHandle = std::shared_ptr<HeldScene>;
+
 Axes spz_axes_of(const Json& a) {
   return a.at("spz_axes") == "opengl" ? kAxesOpenGl : kAxes3dgs;
 }
@@ -36,7 +43,7 @@ bool has_choice(const ReadOptions& options) {
 }
 
 // Gaussians from a file other than .rgs, in the frame in which scenes are drawn.
-Result<SceneFile> scene_of(Result<SplatFile> file) {
+Result<SceneFile> prepared(Result<SplatFile> file) {
   if (!file) return tl::unexpected(file.error());
   SceneFile out;
   out.format = file->format;
@@ -54,7 +61,7 @@ Result<SceneFile> scene_of(Result<SplatFile> file) {
 
 Result<SceneFile> load_path(const std::string& path, const ReadOptions& options) {
   if (!has_choice(options)) return load_scene_file(path, options);
-  return scene_of(read_splats(path, options));
+  return prepared(read_splats(path, options));
 }
 
 Result<SceneFile> load_url(ByteSource& source, const ReadOptions& options, Work& work) {
@@ -69,7 +76,7 @@ Result<SceneFile> load_url(ByteSource& source, const ReadOptions& options, Work&
     if (const Status s = source.read(first, part); !s) return tl::unexpected(s.error());
     work.advance(part.size());
   }
-  if (detect_format(bytes) != SplatFormat::rgs || has_choice(options)) return scene_of(read_splats(bytes, options));
+  if (detect_format(bytes) != SplatFormat::rgs || has_choice(options)) return prepared(read_splats(bytes, options));
   auto scene = Scene::load(bytes, options.limits);
   if (!scene) return tl::unexpected(scene.error());
   SceneFile out;
@@ -97,7 +104,7 @@ Json facts_of(const Scene& scene) {
 }
 
 Json facts(const Json& a) {
-  return facts_of(held<Scene>(a, "scene"));
+  return facts_of(scene_of(a));
 }
 
 Json load(const Json& a) {
@@ -121,7 +128,7 @@ Json load(const Json& a) {
   Json out = facts_of(file.scene);
   out["up"] = numbers(file.up);
   out["format"] = file.format == SplatFormat::unknown ? Json() : Json(format_name(file.format));
-  give(a, std::move(file.scene));
+  give_scene(a, std::move(file.scene));
   return out;
 }
 
@@ -144,12 +151,12 @@ Json scene_of_arrays(const Json& a) {
   declared.origin = a.at("origin");
   declared.aa_mode = a.at("anti_aliasing") == "mip" ? AaMode::mip_splatting : AaMode::classic;
   declared.low_pass_px2 = optional<float>(a, "low_pass").value_or(default_low_pass_px2(declared.aa_mode));
-  return give(a, take(Scene::load(view, declared)));
+  return give_scene(a, take(Scene::load(view, declared)));
 }
 
 // The addresses of a scene's arrays.
 Json arrays(const Json& a) {
-  const SceneView view = take(held<Scene>(a, "scene").view());
+  const SceneView view = take(scene_of(a).view());
   const auto at = [](std::span<const float> values) { return reinterpret_cast<std::uintptr_t>(values.data()); };
   return {{"means", at(view.mean)},
           {"quats", at(view.rotation)},
@@ -159,8 +166,17 @@ Json arrays(const Json& a) {
 }
 
 Json bounds(const Json& a) {
-  const auto [low, high] = take(subject_bounds(held<Scene>(a, "scene")));
+  const auto [low, high] = take(subject_bounds(scene_of(a)));
   return {numbers(low), numbers(high)};
+}
+
+// Ends the scene, or leaves that to the calls that use it now.
+Json close(const Json& a) {
+  HeldScene& closed = *held<SceneHandle>(a, "scene");
+  std::optional<Scene> last;  // ends without the lock
+  const std::scoped_lock lock(closed.mutex);
+  last.swap(closed.scene);
+  return nullptr;
 }
 
 // ---- saving
@@ -255,8 +271,7 @@ Json save(const Json& a) {
   options.convert.output = {.overwrite = a.at("overwrite"), .sync = a.at("sync")};
   const std::string folder = path.substr(0, path.find_last_of('/') + 1);
   options.convert.scratch = folder.empty() ? "." : folder;
-  return take(save_scene(held<Scene>(a, "scene"), path, options, held<std::shared_ptr<Work>>(a, "work")->observer()))
-      .output_bytes;
+  return take(save_scene(scene_of(a), path, options, held<std::shared_ptr<Work>>(a, "work")->observer())).output_bytes;
 }
 
 // ---- what a file holds
@@ -290,11 +305,24 @@ Json cancel(const Json& a) {
 
 }  // namespace
 
+Scene scene_of(const Json& a) {
+  HeldScene& scene = *held<SceneHandle>(a, "scene");
+  const std::scoped_lock lock(scene.mutex);
+  if (!scene.scene) refuse(Errc::bad_argument, "the scene is closed");
+  return *scene.scene;
+}
+
+Json give_scene(const Json& a, Scene scene) {
+  const auto handle = std::make_shared<HeldScene>();
+  handle->scene = std::move(scene);
+  return give(a, handle);
+}
+
 Calls scene_calls() {
   return {{"load", load},     {"facts", facts},         {"scene_of_arrays", scene_of_arrays},
           {"arrays", arrays}, {"bounds", bounds},       {"save", save},
           {"info", info},     {"make_work", make_work}, {"report", report},
-          {"cancel", cancel}};
+          {"cancel", cancel}, {"close", close}};
 }
 
 }  // namespace rgs::python

@@ -26,11 +26,11 @@ Json open(const Json& a) {
   options.url.stop = held<std::shared_ptr<Work>>(a, "work")->stop();
   options.url.open_seconds = a.at("open_seconds");
   if (const auto ratio = optional<std::uint64_t>(a, "max_expansion")) options.limits.max_expansion = *ratio;
-  return give(a, take(Scene::open(path_of(a), options)));
+  return give_scene(a, take(Scene::open(path_of(a), options)));
 }
 
 Json stats(const Json& a) {
-  const StreamStats s = held<Scene>(a, "scene").stats();
+  const StreamStats s = scene_of(a).stats();
   return {{"pages_resident", s.pages_resident},
           {"pages_missing", s.pages_missing},
           {"bytes_read", s.bytes_read},
@@ -41,7 +41,7 @@ Json stats(const Json& a) {
 }
 
 Json check_stream(const Json& a) {
-  take(held<Scene>(a, "scene").status());
+  take(scene_of(a).status());
   return nullptr;
 }
 

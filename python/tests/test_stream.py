@@ -137,17 +137,27 @@ def test_a_file_without_levels_is_no_stream(examples):
 
 def test_closed_scenes(examples, renderer):
     scene = roofgs.StreamedScene(examples / "levels.rgs")
-    view = cameras.default_view(scene, width=8, height=8)
+    view, begun = cameras.default_view(scene, width=8, height=8), scene._native
     scene.close()
     scene.close()
     for use in (lambda: renderer.render(scene, view), lambda: renderer.refine(scene, view), lambda: scene.stats,
-                lambda: len(scene)):
+                lambda: len(scene), lambda: _library.call("facts", scene=begun)):
         with pytest.raises(roofgs.ArgumentError, match="closed"):
             use()
     assert "closed" in repr(scene) and "closed" in scene._repr_html_()
     for _ in range(3):  # one that nobody closes ends with its last reference
         roofgs.StreamedScene(examples / "levels.rgs")
         gc.collect()
+
+
+def test_a_scene_ends_though_an_exception_is_kept(examples, renderer):
+    pool = roofgs.StreamPool(host_memory=64 << 20)
+    with pytest.raises(roofgs.ArgumentError) as kept, roofgs.StreamedScene(examples / "levels.rgs", pool=pool) as scene:
+        view = cameras.default_view(scene, width=8, height=8)
+        assert pool.host_bytes > 0
+        renderer.render(scene, view, near_plane=2, far_plane=1)
+    assert pool.host_bytes == 0
+    assert kept.value
 
 
 @pytest.mark.parametrize("heard_after", [b"start", b"wait", b"reply_of"])
@@ -339,7 +349,7 @@ int pthread_join(pthread_t thread, void** value) {
 """
 
 CLOSED_MEANWHILE = """
-import functools, http.server, sys, threading
+import contextlib, functools, http.server, sys, threading
 from pathlib import Path
 
 sys.path.insert(0, sys.argv[1])
@@ -353,18 +363,27 @@ with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Slow, d
     Slow.go_on.clear()
     view = roofgs.cameras.default_view(scene, width=640, height=480)
     renderer = roofgs.Renderer(device="cpu", threads=1)
-    waits = threading.Thread(target=lambda: renderer.refine(scene, view, 1e6, detail=0))
+
+    def wait():
+        with contextlib.suppress(roofgs.ArgumentError):  # closed
+            renderer.refine(scene, view, 1e6, detail=0)
+
+    def answer():
+        while not Path("joining").exists():
+            pass
+        Path("answered").touch()
+
+    waits, answers = threading.Thread(target=wait), threading.Thread(target=answer)
     waits.start()
     while scene.stats["pages_missing"] == 0:
         pass
     Path("armed").touch()
-    scene.close()  # what waits has the last copy
+    answers.start()
+    scene.close()  # one of the two threads has the last copy
     print("closed", flush=True)
     Slow.go_on.set()
-    while not Path("joining").exists():
-        pass
-    Path("answered").touch()
     waits.join()
+    answers.join()
     server.shutdown()
 print("ended")
 """
