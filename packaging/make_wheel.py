@@ -32,7 +32,7 @@ Version: {version}
 Summary: Compact files for 3D Gaussian splats, and a renderer of them
 License: Apache-2.0
 Requires-Python: >=3.9
-Requires-Dist: numpy
+Requires-Dist: numpy>=1.22
 Description-Content-Type: text/markdown
 
 """
@@ -82,6 +82,7 @@ def licences(libraries, folder):
 
 
 def build(folder, options):
+    shutil.rmtree(folder / "python/package", ignore_errors=True)  # files that the package no longer has
     subprocess.run(["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release", "-DRGS_BUILD_PYTHON=ON", "-DRGS_BUILD_TESTS=OFF",
                     "-DRGS_BUILD_SAMPLES=OFF", *options], check=True, stdout=sys.stderr)
     subprocess.run(["cmake", "--build", folder, "--parallel", os.environ.get("RGS_JOBS", str(os.cpu_count())),

@@ -17,7 +17,7 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
 
 [ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf
   patchelf python3-pip libdlpack-dev"
-[ "${1:-}" != python ] || packages="$packages libdlpack-dev python3-pytest mypy
+[ "${1:-}" != python ] || packages="$packages libdlpack-dev python3-venv python3-pytest mypy
   python3-nbformat python3-nbclient python3-ipykernel"
 [ "${1:-}" != site ] || packages="$packages doxygen python3-sphinx python3-myst-parser python3-breathe python3-numpydoc furo
   libdlpack-dev"

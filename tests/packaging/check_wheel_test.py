@@ -1,4 +1,5 @@
-# check_wheel_test.py - packaging/check_wheel.py finds each defect of a wheel: check_wheel_test.py C_COMPILER
+# check_wheel_test.py - packaging/check_wheel.py finds each defect of a wheel, and make_wheel.py packs no old files:
+# check_wheel_test.py C_COMPILER
 # SPDX-License-Identifier: Apache-2.0
 import hashlib
 import subprocess
@@ -8,9 +9,11 @@ import unittest
 import zipfile
 from base64 import urlsafe_b64encode
 from pathlib import Path
+from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "packaging"))
 import check_wheel  # noqa: E402
+import make_wheel  # noqa: E402
 
 COMPILER = ["cc"]
 
@@ -48,6 +51,15 @@ class CheckWheel(unittest.TestCase):
         own = self.library("libown-0123abcd.so.1")
         self.assertEqual(self.problems(own, options=(own, "-Wl,-rpath,$ORIGIN/../roofgs.libs")), "")
         self.assertEqual(self.problems(), "")
+
+    def test_files_that_the_package_no_longer_has_are_not_packed(self):
+        stale, cache = self.root / "python/package/roofgs/stale.py", self.root / "CMakeCache.txt"
+        stale.parent.mkdir(parents=True)
+        stale.touch()
+        cache.touch()
+        with mock.patch.object(make_wheel.subprocess, "run"):
+            make_wheel.build(self.root, [])
+        self.assertEqual((stale.exists(), cache.exists()), (False, True))
 
     def test_libraries(self):
         own = self.library("libown-0123abcd.so.1")
