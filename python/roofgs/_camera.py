@@ -40,6 +40,8 @@ class Camera:
         matrix = np.eye(4) if world_to_camera is None else np.asarray(world_to_camera, dtype=np.float64)
         if matrix.shape != (4, 4):
             raise make("bad_camera", "world_to_camera is a matrix of 4 rows and 4 columns")
+        if not isinstance(name, str):
+            raise TypeError(f"a camera's name is a str, not {type(name).__name__}")
         width, height = side(width), side(height)
         self._name = name
         self._numbers = (width, height, float(fx), float(fx if fy is None else fy), width / 2 if cx is None else float(cx),
@@ -130,6 +132,13 @@ def side(pixels: int) -> int:
     number = operator.index(pixels)
     if not 1 <= number <= _MOST_PIXELS:
         raise make("bad_camera", f"the width or height of a picture is not 1 to {_MOST_PIXELS} pixels")
+    return number
+
+
+def camera_count(n: int, of: str) -> int:
+    number = operator.index(n)
+    if not 1 <= number < 1 << 31:
+        raise make("bad_argument", f"{of} has 1 to {(1 << 31) - 1} cameras, not {number}")
     return number
 
 

@@ -10,7 +10,7 @@ from ._library import Handle, call, work
 
 _BYTES = {"float32": 4, "uint8": 1}
 _CUDA = 2  # DLPack's number of it
-_new_capsule = ctypes.pythonapi.PyCapsule_New
+_new_capsule = ctypes.pythonapi["PyCapsule_New"]  # whose types are its own: as an attribute others would share them
 _new_capsule.argtypes, _new_capsule.restype = (ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p), ctypes.py_object
 _CAPSULE_NAME = ctypes.c_char_p(b"dltensor")  # a capsule keeps the address
 

@@ -45,7 +45,7 @@ class Drawer:
         part = 1 if one_by_one or self.device == "cpu" else 64
         begin_work()
         with self._turn:
-            for first in range(0, len(cameras), part):
+            for first in range(0, len(cameras) or 1, part):
                 some = cameras[first:first + part]
                 call("render", file=file, renderer=self.handle, scene=scene, options=options, cameras=some, n=len(some), first=first,
                      rgb=rgb, codes=codes, alpha=alpha, depth=depth, on_device=stream is not None, stream=stream or 0)

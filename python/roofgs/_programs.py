@@ -60,7 +60,7 @@ def convert(src: Union[Path, Sequence[Path]], dst: Path, *, overwrite: bool = Fa
     if len(sources) > 1:
         options.setdefault("merge", True)
     with _camera_file(cameras) as camera_file:
-        arguments = _arguments({**options, "overwrite": overwrite, "cameras": camera_file}, _NOT_HERE)
+        arguments = _arguments({**options, "overwrite": bool(overwrite), "cameras": camera_file}, _NOT_HERE)
         return _json(_run("rgs-convert", [*arguments, b"--json", b"--", *map(_name, sources), _name(dst)], progress))
 
 
@@ -88,7 +88,7 @@ def prune(src: Path, dst: Path, cameras: Cameras, *, keep: Union[None, int, floa
     if isinstance(options.get("size"), tuple):
         options["size"] = "x".join(str(side) for side in options["size"])
     with _camera_file(cameras) as camera_file:
-        arguments = _arguments({**options, "keep": keep, "overwrite": overwrite, "cameras": camera_file}, _NOT_HERE)
+        arguments = _arguments({**options, "keep": keep, "overwrite": bool(overwrite), "cameras": camera_file}, _NOT_HERE)
         return _json(_run("rgs-prune", [*arguments, b"--json", b"--", _name(src), _name(dst)], progress))
 
 
@@ -153,7 +153,7 @@ def audit(src: Path, asset: Path, *, cameras: Cameras = None, fail_below: Union[
     if isinstance(options.get("size"), tuple):
         options["size"] = "x".join(str(side) for side in options["size"])
     with _camera_file(cameras) as camera_file:
-        arguments = _arguments({**options, "fail_below": fail_below, "overwrite": overwrite, "cameras": camera_file}, _NOT_HERE)
+        arguments = _arguments({**options, "fail_below": fail_below, "overwrite": bool(overwrite), "cameras": camera_file}, _NOT_HERE)
         if report is not None:
             arguments += [b"--report", _name(report)]
         code, out, error = _run_to_end("rgs-audit", [*arguments, b"--json", b"-", b"--", _name(src), _name(asset)], progress)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arrays import FloatArray, float_array, host_array, new_output
-from ._camera import Camera, packed, side
+from ._camera import Camera, camera_count, packed, side
 from ._draw import Drawer, make_options
 from ._errors import Error, FormatError, argument_error, local_name
 from ._library import Handle, call, run, work
@@ -275,7 +275,8 @@ class Scene:
         quality = lod if isinstance(lod, str) else "fast" if lod else ""
         with Reporting(progress) as callback:
             size: int = run("save", file=local_name(path), progress=callback, waits=True, scene=self._native, profile=profile,
-                            lod=quality, overwrite=overwrite, sync=sync, strict=strict, spz_axes=_spz_axes(spz_axes))
+                            lod=quality, overwrite=bool(overwrite), sync=bool(sync), strict=bool(strict),
+                            spz_axes=_spz_axes(spz_axes))
             return size
 
     # ---- shown
@@ -384,7 +385,7 @@ class StreamedScene:
         self._pool = StreamPool(**budget) if pool is None else pool
         self._path = encoded(path)
         self._handle: Optional[Handle] = Handle()
-        run("open_stream", file=self._path, into=self._handle, pool=self._pool._native, prefetch=prefetch,
+        run("open_stream", file=self._path, into=self._handle, pool=self._pool._native, prefetch=bool(prefetch),
             max_expansion=_count_or_none(max_expansion, "max_expansion"), open_seconds=float(open_seconds))
         self._all_facts: Dict[str, Any] = call("facts", scene=self._handle)
 
@@ -520,7 +521,8 @@ def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
     >>> info(examples / "scene.rgs")["header"]["n_gaussians"]
     2000
     """
-    values: Dict[str, Any] = json.loads(run("info", file=local_name(path), verify=verify, statistics=statistics,
+    values: Dict[str, Any] = json.loads(run("info", file=local_name(path), verify=bool(verify),
+                                            statistics=None if statistics is None else bool(statistics),
                                             max_expansion=_count_or_none(max_expansion, "max_expansion")))
     return values
 
@@ -573,7 +575,5 @@ def _bounds(scene: Handle, path: Optional[bytes]) -> Tuple[Vector3, Vector3]:
 
 def _orbit(scene: Handle, path: Optional[bytes], up: List[float], n: int, width: int, height: int,
            horizontal_fov: Optional[float]) -> List[Camera]:
-    if n < 1:
-        raise argument_error("an orbit has at least one camera")
-    return list(map(Camera._of, work("orbit", scene=scene, file=path, up=up, n=operator.index(n), width=side(width), height=side(height),
-                                     horizontal_fov=horizontal_fov)))
+    return list(map(Camera._of, work("orbit", scene=scene, file=path, up=up, n=camera_count(n, "an orbit"), width=side(width),
+                                     height=side(height), horizontal_fov=horizontal_fov)))

@@ -8,13 +8,12 @@ camera axes; gsplat calls it a view matrix. Pixel (i, j) covers [i, i + 1) x [j,
 from __future__ import annotations
 
 import json
-import operator
 from typing import Any, Iterable, List, Optional, Sequence, Tuple, Union
 
 import numpy as np
 
 from ._arrays import host_array
-from ._camera import Camera, packed, side
+from ._camera import Camera, camera_count, packed, side
 from ._errors import argument_error, local_name, make
 from ._library import call
 from ._paths import Path
@@ -84,7 +83,7 @@ def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: boo
              "cx": camera.cx, "cy": camera.cy, "world_to_camera": camera.world_to_camera.tolist(),
              **({"split": parts[id(camera)]} if id(camera) in parts else {})} for camera in cameras]
     name = local_name(path)
-    call("write_cameras", file=name, path=b"./-" if name == b"-" else name, json=json.dumps(rows, indent=1), overwrite=overwrite)
+    call("write_cameras", file=name, path=b"./-" if name == b"-" else name, json=json.dumps(rows, indent=1), overwrite=bool(overwrite))
 
 
 def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 1280, height: int = 720,
@@ -116,9 +115,9 @@ def default_view(scene: Union[Scene, StreamedScene], *, width: int = 1280, heigh
 def path(keys: Iterable[Camera], n: int) -> List[Camera]:
     """`n` cameras along a smooth path through `keys`, first and last included."""
     keys = list(keys)
-    if n < 1 or not keys:
-        raise argument_error("a path has at least one key and one frame")
-    return list(map(Camera._of, call("interpolated_path", n_frames=operator.index(n), **packed(keys))))
+    if not keys:
+        raise argument_error("a path has at least one key")
+    return list(map(Camera._of, call("interpolated_path", n_frames=camera_count(n, "a path"), **packed(keys))))
 
 
 def from_matrices(viewmats: Any, Ks: Any, width: int, height: int) -> List[Camera]:

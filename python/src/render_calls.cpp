@@ -62,6 +62,9 @@ Json make_options(const Json& a) {
 Json render(const Json& a) {
   const auto cameras = cameras_of(a);
   const auto first = a.at("first").get<std::size_t>();
+  HeldRenderer& held_renderer = *held<RendererHandle>(a, "renderer");
+  if (first == 0) held_renderer.stats.clear();
+  if (cameras.empty()) return nullptr;
   const std::size_t n_pixels =
       static_cast<std::size_t>(cameras.front().width) * static_cast<std::size_t>(cameras.front().height);
   PictureArrays arrays;
@@ -71,8 +74,6 @@ Json render(const Json& a) {
   if (auto* p = address<float>(a, "depth")) arrays.depth = p + n_pixels * first;
   arrays.on_device = a.at("on_device");
   arrays.stream = address<CUstream_st>(a, "stream");
-  HeldRenderer& held_renderer = *held<RendererHandle>(a, "renderer");
-  if (first == 0) held_renderer.stats.clear();
   const auto stats =
       take(held_renderer.renderer.render_all(scene_of(a), cameras, arrays, held<RenderOptions>(a, "options")));
   held_renderer.stats.insert(held_renderer.stats.end(), stats.begin(), stats.end());

@@ -135,6 +135,17 @@ def test_names_that_are_no_text(tmp_path):
     assert cameras.load(tmp_path / "saved.json") == [camera]
 
 
+def test_names_of_any_text():
+    for name in ("zero \0 byte", "half of a pair \ud800"):
+        assert roofgs.Camera(8, 8, 10, name=name).name == name
+        with pytest.raises(roofgs.ArgumentError) as caught:
+            roofgs.Camera(8, 8, -1, name=name)
+        assert (caught.value.code, caught.value.file) == ("bad_camera", name)
+    for name in (None, 3, b"bytes"):
+        with pytest.raises(TypeError, match="a str, not"):
+            roofgs.Camera(8, 8, 10, name=name)
+
+
 def test_views_and_paths(scene):
     views = cameras.orbit(scene, 5, width=64, height=48)
     assert len(views) == 5 and views[0] == cameras.default_view(scene, width=64, height=48)
@@ -145,9 +156,12 @@ def test_views_and_paths(scene):
         seen = view.world_to_camera @ [*middle, 1]
         np.testing.assert_allclose(seen[:2], 0, atol=1e-3)
         assert seen[2] > 0
-    for wrong in (lambda: cameras.orbit(scene, 0), lambda: cameras.path([], 3), lambda: cameras.path(views, 0)):
-        with pytest.raises(roofgs.ArgumentError):
-            wrong()
+    with pytest.raises(roofgs.ArgumentError):
+        cameras.path([], 3)
+    for n in (0, -1, 1 << 31, (1 << 32) + 1, 1 << 64):
+        for several in (lambda: cameras.orbit(scene, n), lambda: cameras.path(views, n)):
+            with pytest.raises(roofgs.ArgumentError, match=f"cameras, not {n}"):
+                several()
 
 
 def test_a_file_states_the_first_view_of_the_scene(scene, tmp_path):

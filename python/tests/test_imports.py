@@ -1,9 +1,11 @@
 """Modules import each other in one direction. SPDX-License-Identifier: Apache-2.0"""
 import ast
+import ctypes
 import graphlib
 from pathlib import Path
 
 import roofgs
+from roofgs import _device_array
 
 
 def test_modules_import_in_one_direction():
@@ -16,3 +18,7 @@ def test_modules_import_in_one_direction():
                                ([node.module] if node.module else [alias.name for alias in node.names])}
     assert imported["cameras"]
     graphlib.TopologicalSorter(imported).prepare()  # raises CycleError
+
+
+def test_functions_of_python_keep_the_types_that_others_gave_them():
+    assert _device_array._new_capsule is not ctypes.pythonapi.PyCapsule_New

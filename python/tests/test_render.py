@@ -285,8 +285,8 @@ def test_batches_are_single_pictures_one_after_the_other(scene, examples, render
 
 
 def test_batches_of_none_one_and_unequal(scene, camera, renderer):
-    assert renderer.render(scene, []).shape == (0, 0, 0, 3)
-    assert renderer.render(scene, [camera]).shape == (1, 48, 64, 3)
+    assert renderer.render(scene, [camera]).shape == (1, 48, 64, 3) and len(renderer.stats) == 1
+    assert renderer.render(scene, []).shape == (0, 0, 0, 3) and renderer.stats == []
     with pytest.raises(roofgs.ArgumentError, match="one size"):
         renderer.render(scene, [camera, camera.resized(32, 24)])
     with pytest.raises((TypeError, roofgs.ArgumentError)):

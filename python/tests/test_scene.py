@@ -247,6 +247,20 @@ def test_nothing_is_overwritten_unasked(tmp_path, scene):
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.rgs"]
 
 
+@pytest.mark.parametrize("yes, no", [(1, 0), (np.bool_(True), np.bool_(False))])
+def test_flags_are_true_or_false_as_python_has_it(yes, no, tmp_path, examples, scene):
+    path = tmp_path / "a.rgs"
+    for _ in range(2):
+        scene.save(path, overwrite=yes, sync=no, strict=no)
+    for flag in (yes, no):
+        assert roofgs.info(path, verify=flag, statistics=flag) == roofgs.info(path, verify=bool(flag), statistics=bool(flag))
+    with roofgs.StreamedScene(examples / "levels.rgs", prefetch=no) as streamed:
+        assert len(streamed) == len(scene)
+    for _ in range(2):
+        roofgs.cameras.save(tmp_path / "a.json", [], overwrite=yes)
+        roofgs.convert(examples / "scene.ply", tmp_path / "b.rgs", overwrite=yes)
+
+
 def test_a_scene_replaces_its_own_file(tmp_path, scene, renderer):
     path = tmp_path / "a.rgs"
     n_bytes = scene.save(path, profile="direct")
