@@ -153,7 +153,7 @@ def _as_python(text: str) -> str:
     """Rewrites program options as keyword arguments: --overwrite becomes overwrite=True."""
 
     def argument(match: "re.Match[str]") -> str:
-        name = match[1].replace("-", "_")
+        name = "from_" if match[1] == "from" else match[1].replace("-", "_")
         if match[2]:
             return f"{name}={match[2]!r}"
         return f"{name}=True" if name in _FLAGS and not match[0].endswith("=") else f"{name}="

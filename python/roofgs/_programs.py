@@ -15,23 +15,39 @@ import subprocess
 import tempfile
 import threading
 from pathlib import Path as FilePath
-from typing import IO, Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple, Union
+from typing import IO, Any, Dict, Iterable, List, Literal, Mapping, Optional, Sequence, Tuple, Union
 
 from . import cameras as _cameras
 from ._camera import Camera
 from ._errors import Error, QualityError, argument_error, from_message, local_name, make
 from ._paths import Path, encoded
 from ._progress import Callback, Progress, Reporting
+from ._scene import Profile, SpzAxes
 
+Size = Union[None, str, Tuple[int, int]]
+Number = Union[None, float, str]
 Cameras = Union[None, Path, Camera, Iterable[Camera]]
 
 _CLASSES = {2: "bad_argument", 3: "read_failed", 4: "bad_value", 5: "gate_failed", 6: "pages_missing"}
-# Options that print something else or take many scenes.
-_NOT_HERE = {"json", "quiet", "help", "version", "list", "report", "shard", "jobs", "junit", "audit", "keep_going"}
+_NO_OPTIONS = {"src", "dst", "asset", "progress", "report"}  # they take another way
 
 
 def convert(src: Union[Path, Sequence[Path]], dst: Path, *, overwrite: bool = False, progress: Progress = None,
-            cameras: Cameras = None, **options: Any) -> Dict[str, Any]:
+            cameras: Cameras = None, from_: Optional[str] = None, to: Optional[str] = None, skip_unknown_extensions: bool = False,
+            spz_axes: Optional[SpzAxes] = None, spz_version: Optional[int] = None, merge: bool = False, axes: Optional[str] = None,
+            to_axes: Optional[str] = None, translate: Any = None, rotate: Any = None, scale: Any = None, crop: Any = None,
+            min_opacity: Optional[float] = None, max_count: Number = None, level_of_detail: Optional[int] = None,
+            aa_mode: Optional[Literal["classic", "mip", "mip-splatting", "undeclared"]] = None, low_pass: Optional[float] = None,
+            colour_space: Optional[Literal["srgb", "linear", "undeclared"]] = None, metres_per_unit: Optional[float] = None,
+            crs: Optional[str] = None, max_expansion: Number = None, keep_order: bool = False, sh_degree: Optional[int] = None,
+            on_bad: Optional[Literal["refuse", "drop", "repair"]] = None, strict: bool = False, allow_rounding: bool = False,
+            depth_map: Optional[Literal["linear", "log"]] = None, profile: Optional[Profile] = None,
+            archive_step: Optional[float] = None, target_psnr: Optional[float] = None, target_size: Number = None,
+            level: Optional[int] = None, keep_permutation: bool = False, chunk_size: Optional[int] = None, file_scales: bool = False,
+            lod: bool = False, lod_quality: Optional[Literal["fast", "best"]] = None,
+            backend: Optional[Literal["cpu", "cuda"]] = None, near: Optional[float] = None, far: Optional[float] = None,
+            memory: Number = None, scratch: Optional[Path] = None, no_sync: bool = False,
+            threads: Optional[int] = None) -> Dict[str, Any]:
     """Converts a splat file; the ending of `dst` names the format. Several inputs are merged.
 
     Parameters
@@ -40,8 +56,8 @@ def convert(src: Union[Path, Sequence[Path]], dst: Path, *, overwrite: bool = Fa
         An .rgs declares the depth range that these see.
     progress : True or a function
         A bar, or ``function(stage, done, total, unit)``.
-    options
-        Those of ``rgs-convert --help``, with underscores: ``profile="archive:high"``, ``lod=True``, ``sh_degree=1``,
+    others
+        As in ``rgs-convert --help``, with underscores: ``profile="archive:high"``, ``lod=True``, ``sh_degree=1``,
         ``crop=(0, 0, 0, 1, 2, 1)``, ``on_bad="repair"``. Options for whole folders belong to the program alone.
 
     Returns
@@ -53,31 +69,36 @@ def convert(src: Union[Path, Sequence[Path]], dst: Path, *, overwrite: bool = Fa
     >>> done["output"]["sh_degree"], done["filtered"] + done["output"]["gaussians"]
     (1, 2000)
     """
+    options = {**locals()}
     single = isinstance(src, (str, bytes, os.PathLike))
     sources: List[Path] = [src] if single else list(src)  # type: ignore[arg-type, list-item]
     if any(os.path.isdir(source) for source in sources):
         raise argument_error("convert() takes one scene; use the program rgs-convert for a folder")
-    if len(sources) > 1:
-        options.setdefault("merge", True)
+    options["merge"] = merge or len(sources) > 1
     with _camera_file(cameras) as camera_file:
-        arguments = _arguments({**options, "overwrite": bool(overwrite), "cameras": camera_file}, _NOT_HERE)
+        arguments = _arguments({**options, "overwrite": bool(overwrite), "cameras": camera_file})
         return _json(_run("rgs-convert", [*arguments, b"--json", b"--", *map(_name, sources), _name(dst)], progress))
 
 
 def prune(src: Path, dst: Path, cameras: Cameras, *, keep: Union[None, int, float, str] = None, overwrite: bool = False,
-          progress: Progress = None, **options: Any) -> Dict[str, Any]:
+          progress: Progress = None, split: Optional[Literal["train", "test"]] = None, view: Union[None, int, str] = None,
+          size: Size = None, min_contribution: Optional[float] = None, score: Optional[Literal["sum", "max"]] = None,
+          scores: Optional[Path] = None, low_pass: Optional[float] = None, aa_mode: Optional[Literal["classic", "mip"]] = None,
+          max_expansion: Number = None, spz_axes: Optional[SpzAxes] = None, no_sync: bool = False,
+          threads: Optional[int] = None) -> Dict[str, Any]:
     """Keeps the Gaussians that contribute most to the views of `cameras`, as a .ply or an .rgs.
 
     Parameters
     ----------
     keep : int, float or str
         A count, a share from 0 to 1, or "20%". Alternatively `min_contribution`.
-    options
-        Those of ``rgs-prune --help``: ``split="train"``, ``score="max"``, ``size=(640, 480)``, ...
+    others
+        As in ``rgs-prune --help``: ``split="train"``, ``score="max"``, ``size=(640, 480)``, ...
 
     >>> prune(examples / "scene.rgs", folder / "half.rgs", examples / "cameras.json", keep=0.5)["output"]["gaussians"]
     1000
     """
+    options = {**locals()}
     given: Any = keep
     if hasattr(given, "tolist"):  # of NumPy
         keep = given.tolist()
@@ -85,10 +106,8 @@ def prune(src: Path, dst: Path, cameras: Cameras, *, keep: Union[None, int, floa
         if not 0 <= keep <= 1:
             raise argument_error(f"keep is a share (float, 0 to 1) or a count (int), not {keep}")
         keep = f"{100 * keep:.12g}%"
-    if isinstance(options.get("size"), tuple):
-        options["size"] = "x".join(str(side) for side in options["size"])
     with _camera_file(cameras) as camera_file:
-        arguments = _arguments({**options, "keep": keep, "overwrite": bool(overwrite), "cameras": camera_file}, _NOT_HERE)
+        arguments = _arguments({**options, "size": _size(size), "keep": keep, "overwrite": bool(overwrite), "cameras": camera_file})
         return _json(_run("rgs-prune", [*arguments, b"--json", b"--", _name(src), _name(dst)], progress))
 
 
@@ -127,7 +146,13 @@ class Audit(Dict[str, Any]):
 
 
 def audit(src: Path, asset: Path, *, cameras: Cameras = None, fail_below: Union[None, str, Mapping[str, float]] = None,
-          report: Optional[Path] = None, overwrite: bool = False, progress: Progress = None, **options: Any) -> Audit:
+          report: Optional[Path] = None, overwrite: bool = False, progress: Progress = None, photos: Optional[Path] = None,
+          also: Union[None, Path, List[Path]] = None, spz_axes: Optional[SpzAxes] = None,
+          split: Optional[Literal["train", "test", "all"]] = None, size: Size = None, views: Optional[int] = None,
+          worst: Optional[int] = None, depth: bool = False, measures: Union[None, str, Tuple[str, ...]] = None, video: bool = False,
+          fps: Optional[int] = None, no_render: bool = False, no_attribution: bool = False, no_distances: bool = False,
+          compare_scales: bool = False, backend: Optional[Literal["auto", "cpu", "cuda"]] = None, threads: Optional[int] = None,
+          max_expansion: Number = None) -> Audit:
     """Measures what a conversion cost and lost: sizes, every attribute, pictures.
 
     Parameters
@@ -139,21 +164,21 @@ def audit(src: Path, asset: Path, *, cameras: Cameras = None, fail_below: Union[
         audit.
     report : path, optional
         Also write an HTML page.
-    options
-        Those of ``rgs-audit --help``: ``photos="photos/"``, ``size=(640, 480)``, ``no_render=True``, ...
+    others
+        As in ``rgs-audit --help``: ``photos="photos/"``, ``size=(640, 480)``, ``no_render=True``, ...
 
     >>> found = audit(examples / "scene.ply", examples / "scene.rgs", cameras=examples / "cameras.json", fail_below={"psnr": 40})
     >>> found.holds, found["asset"]["gaussians"]
     (True, 2000)
     """
+    options = {**locals()}
     if os.path.isdir(src) or os.path.isdir(asset):
         raise argument_error("audit() takes one pair of files; use the program rgs-audit for folders")
     if isinstance(fail_below, Mapping):
         fail_below = ",".join(f"{name.replace('_', '-')}={float(limit)!r}" for name, limit in fail_below.items()) or None
-    if isinstance(options.get("size"), tuple):
-        options["size"] = "x".join(str(side) for side in options["size"])
     with _camera_file(cameras) as camera_file:
-        arguments = _arguments({**options, "fail_below": fail_below, "overwrite": bool(overwrite), "cameras": camera_file}, _NOT_HERE)
+        arguments = _arguments({**options, "size": _size(size), "fail_below": fail_below, "overwrite": bool(overwrite),
+                                "cameras": camera_file})
         if report is not None:
             arguments += [b"--report", _name(report)]
         code, out, error = _run_to_end("rgs-audit", [*arguments, b"--json", b"-", b"--", _name(src), _name(asset)], progress)
@@ -191,14 +216,16 @@ def _name(path: Path) -> bytes:
     return b"./" + name if name.startswith(b"-") else name
 
 
-def _arguments(options: Mapping[str, Any], not_here: "set[str]") -> List[bytes]:
+def _size(size: Size) -> Optional[str]:
+    return "x".join(map(str, size)) if isinstance(size, tuple) else size
+
+
+def _arguments(options: Mapping[str, Any]) -> List[bytes]:
     arguments: List[bytes] = []
     for name, value in options.items():
-        if name in not_here:
-            raise argument_error(f"{name}= is an option of the program alone")
-        if value is None or value is False:
+        if name in _NO_OPTIONS or value is None or value is False:
             continue
-        option = b"--" + name.replace("_", "-").encode()
+        option = b"--" + name.rstrip("_").replace("_", "-").encode()  # from_
         values = value if isinstance(value, list) else [value]
         for each in values:
             arguments.append(option if each is True else option + b"=" + _text(each))

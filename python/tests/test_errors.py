@@ -85,7 +85,7 @@ def test_options_of_programs_become_arguments():
 @pytest.mark.parametrize("said, meant", [
     ("pass --memory=8GiB", "pass memory=8GiB"), ("--on-bad=drop, or --on-bad dropped", "on_bad='drop', or on_bad= dropped"),
     ("--lod=best takes longer than --lod", "lod=best takes longer than lod=True"),
-    ("choose --profile archive:high", "choose profile='archive:high'")])
+    ("state --from, not --from=ply", "state from_=, not from_=ply"), ("choose --profile archive:high", "choose profile='archive:high'")])
 def test_options_with_values(said, meant):
     assert make("bad_argument", said).message == meant
 

@@ -1,12 +1,15 @@
 """convert(), prune(), audit(). SPDX-License-Identifier: Apache-2.0"""
+import inspect
 import os
 import pickle
+import re
 import signal
+import subprocess
 import sys
 
 import numpy as np
 import pytest
-from conftest import GOLDEN, program
+from conftest import GOLDEN, PROGRAMS, program
 
 import roofgs
 from roofgs import _programs
@@ -27,7 +30,7 @@ def test_a_conversion_is_that_of_the_program(examples, tmp_path):
 def test_options_of_all_kinds(examples, tmp_path):
     low, high = roofgs.load(examples / "scene.rgs").bounds
     done = roofgs.convert(examples / "scene.ply", tmp_path / "a.rgs", crop=(*low, 0.0, *high[1:]), lod=False, axes=None,
-                          translate=(-1, 0.5, np.float32(2)), keep_order=True)
+                          translate=(-1, 0.5, np.float32(2)), keep_order=True, from_="ply")
     assert 0 < done["output"]["gaussians"] < 2000
     moved = roofgs.convert([examples / "scene.ply", examples / "scene.rgs"], tmp_path / "b.ply",
                            translate=[(0, 0, 0), np.array([1000.0, 0, 0])])
@@ -36,8 +39,18 @@ def test_options_of_all_kinds(examples, tmp_path):
     np.testing.assert_allclose(means[2000:].mean(axis=0) - means[:2000].mean(axis=0), [1000, 0, 0], atol=0.01)
 
 
-@pytest.mark.parametrize("wrong", [dict(colour="red"), dict(profile="best"), dict(sh_degree=9), dict(json=True),
-                                   dict(jobs=2), dict(min_opacity=float("nan")), dict(near="soon")])
+@pytest.mark.parametrize("name, program_alone", [
+    ("convert", {"audit", "jobs", "keep_going", "list", "lod_assemble", "lod_build", "lod_input", "lod_list", "lod_partition",
+                 "no_keep_going", "overwrite_damaged", "ranges", "report", "shard", "formats"}),
+    ("prune", set()), ("audit", {"junit"})])
+def test_the_options_are_those_of_the_program(name, program_alone):
+    said = subprocess.run([PROGRAMS / f"rgs-{name}", "--help"], check=True, capture_output=True, text=True).stdout
+    options = {option.replace("-", "_") for option in re.findall(r"^  (?:-\w,)?(?:--aa,)?--([a-z-]+)", said, re.MULTILINE)}
+    here = {parameter.rstrip("_") for parameter in inspect.signature(getattr(roofgs, name)).parameters}
+    assert here - {"src", "dst", "asset", "progress"} == options - program_alone - {"help", "version", "json", "quiet"}
+
+
+@pytest.mark.parametrize("wrong", [dict(profile="best"), dict(sh_degree=9), dict(min_opacity=float("nan")), dict(near="soon")])
 def test_wrong_options(wrong, examples, tmp_path):
     with pytest.raises(roofgs.ArgumentError) as caught:
         roofgs.convert(examples / "scene.ply", tmp_path / "a.rgs", **wrong)

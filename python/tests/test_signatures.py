@@ -20,6 +20,9 @@ renderer.render(scene, camera, dtype="uint8", depth=True).depth
 renderer.render(scene, camera, dtype=np.uint8, anti_aliasing=scene.anti_aliasing).mean()
 scene.save("b.rgs", profile="archive:small", lod="best")
 x = scene.means
+roofgs.convert("a.ply", "b.rgs", profile="archive:tiny", crop=(0, 0, 0, 1, 1, 1), max_count="200k", threads=2)
+roofgs.prune("a.ply", "b.rgs", camera, keep=0.5, size=(64, 48), score="max")
+roofgs.audit("a.ply", "b.rgs", cameras=[camera], size="64x48", also=["c.rgs"], no_render=True)
 roofgs.rasterization(x, x, x, x, x, x, x, 8, 8, render_mode="RGB+ED", rasterize_mode="antialiased")
 renderer.render(scene, camera, dtype="float16")  # wrong
 renderer.render(scene, camera, anti_aliasing="x")  # wrong
@@ -30,6 +33,10 @@ scene.save("b.spz", spz_axes="x")  # wrong
 roofgs.Renderer(device="gpu")  # wrong
 roofgs.Renderer(pipeline="x")  # wrong
 roofgs.load("a.spz", spz_axes="x")  # wrong
+roofgs.convert("a.ply", "b.rgs", profil="packed")  # wrong
+roofgs.convert("a.ply", "b.rgs", profile="x")  # wrong
+roofgs.prune("a.ply", "b.rgs", camera, keeps=0.5)  # wrong
+roofgs.audit("a.ply", "b.rgs", views="eight")  # wrong
 roofgs.rasterization(x, x, x, x, x, x, x, 8, 8, render_mode="x")  # wrong
 roofgs.rasterization(x, x, x, x, x, x, x, 8, 8, rasterize_mode="x")  # wrong
 """
