@@ -10,10 +10,10 @@ import { hasChromium, launch, newPage } from "../../reader/test/chromium.mjs";
 import { hasNginx, skip, startNginx } from "../../reader/test/servers.mjs";
 import { byProgram, scene } from "./same.mjs";
 
-const kPage = `<!doctype html><meta charset="utf-8"><title>converter</title><link rel="icon" href="data:,">
+const kPage = `<!doctype html><meta charset="utf-8"><title>convert</title><link rel="icon" href="data:,">
 <script type="importmap">{ "imports": { "@roofgs/reader": "./reader/web.js" } }</script><script type="module" src="page.js"></script>`;
 const kScript = `
-import { convert } from "./converter/web.js";
+import { convert } from "./convert/web.js";
 /** The file, or its first \`size\` bytes as a File. */
 window.run = async (size, options, stopAt) => {
   const controller = new AbortController();
@@ -42,7 +42,7 @@ test("in Chromium", async (t) => {
     await browser.close();
     await server.end();
   });
-  for (const name of ["converter", "reader"]) {
+  for (const name of ["convert", "reader"]) {
     cpSync(fileURLToPath(new URL(`../../${name}/dist`, import.meta.url)), join(server.files, name), { recursive: true });
   }
   writeFileSync(join(server.files, "index.html"), kPage);
