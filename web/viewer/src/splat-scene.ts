@@ -32,7 +32,9 @@ export class SplatScene extends Scene {
     const read = await readSplats(kind, answer, spzAxes === "opengl" ? kOpenGlAxes : kPlyAxes, axes, onProgress, signal);
     const nDrawn = read.parts.reduce((sum, { n }) => sum + n, 0);
     if (nDrawn === 0) throw new Error(read.n > 0 ? "all of its Gaussians are damaged" : "it holds no Gaussians");
-    const first = await firstView(read.parts, signal, upOf(axes) ?? undefined);
+    // A scene whose view cannot be chosen is seen as its box tells.
+    const first = await firstView(read.parts, signal, upOf(axes) ?? undefined).catch(() => null);
+    signal.throwIfAborted();
     const box = await subjectBox(joined(read.parts.map(({ means }) => means)), joined(read.parts.map(({ opacities }) => opacities)), worker ? { worker } : {});
     signal.throwIfAborted();
     if (nDrawn < read.n) on.damaged({ code: "gaussians_damaged", text: `${read.n - nDrawn} of ${read.n}` });

@@ -1,6 +1,6 @@
 // splats-worker.ts - the worker of read-splats.ts: takes the module, then calls of Splats by their names; answers each.
 // SPDX-License-Identifier: Apache-2.0
-import { Splats } from "./splats.js";
+import { kOutOfMemory, Splats } from "./splats.js";
 
 let splats: Splats;
 onmessage = ({ data }: MessageEvent<{ module: WebAssembly.Module } | { call: "append" | "openPly" | "openSpz" | "read"; args: never }>): void => {
@@ -11,8 +11,6 @@ onmessage = ({ data }: MessageEvent<{ module: WebAssembly.Module } | { call: "ap
     const arrays = Object.values(result ?? {}).filter((value) => value instanceof Float32Array);
     postMessage({ result }, { transfer: arrays.map(({ buffer }) => buffer) });
   } catch (error) {
-    // The module traps where memory ends.
-    const isMemory = error instanceof WebAssembly.RuntimeError || error instanceof RangeError;
-    postMessage({ error: isMemory ? { code: "host_out_of_memory", text: "a page's memory has 4 GiB" } : error });
+    postMessage({ error: error instanceof RangeError ? kOutOfMemory : error });
   }
 };

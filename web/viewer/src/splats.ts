@@ -39,13 +39,18 @@ const kAxisCodes = ["undeclared", "right", "left", "up", "down", "forward", "bac
 const kModes = ["undeclared", "classic", "mip_splatting"] as const;
 const codesOf = (axes: Axes): number[] => axes.map((axis) => kAxisCodes.indexOf(axis));
 
+export const kOutOfMemory: RgsErrorFields = { code: "host_out_of_memory", text: "a page's memory has 4 GiB" };
+
 /** What the worker of read-splats.ts does, by name. */
 export class Splats {
   private readonly wasm: Exports;
   private shDegree = 0;
 
   constructor(module: WebAssembly.Module) {
-    this.wasm = new WebAssembly.Instance(module).exports as unknown as Exports;
+    const outOfMemory = (): never => {
+      throw kOutOfMemory;
+    };
+    this.wasm = new WebAssembly.Instance(module, { rgs: { out_of_memory: outOfMemory } }).exports as unknown as Exports;
     this.wasm._initialize();
     this.wasm.rgs_start();
   }

@@ -641,6 +641,56 @@ inBrowser("a server without ranges is asked for a PLY no more often than one wit
   assert.equal(server.requests.filter((line) => line === "GET scenes/0/scene.ply").length, 2);
 });
 
+inBrowser("a worker that does not start is an error, and a PLY is opened without the one that chooses its view", { allowed: [k404, /ERR_FAILED/] }, async ({ page }) => {
+  const ply = firstOf(join(scenes(), "scene.ply"), 1000);
+  const saidOf = async (name) => {
+    await page.evaluate(() => byId("errors").replaceChildren());
+    await drop(page, name, ply);
+    await page.waitForFunction(() => byId("errors").children.length > 0);
+    return (await errors(page))[0];
+  };
+  await page.route(/splats-worker/, (route) => route.abort());
+  assert.match(await saidOf("a.ply"), /^a\.ply could not be read: the worker.*\(unavailable: the worker does not start/);
+  await page.unroute(/splats-worker/);
+  await page.route(/splats-[^/]*\.wasm/, (route) => route.fulfill({ status: 404 }));
+  assert.match(await saidOf("b.ply"), /^b\.ply could not be read.*\(unavailable: its WebAssembly: HTTP 404\)/);
+  await page.unroute(/splats-[^/]*\.wasm/);
+  await page.route(/chooser-worker/, (route) => route.abort());
+  await page.evaluate(() => byId("errors").replaceChildren());
+  await drop(page, "c.ply", ply);
+  await page.waitForFunction(() => byId("title").textContent === "c.ply" && byId("loading").hidden);
+  assert.deepEqual(await errors(page), []);
+});
+
+inBrowser("a PLY without a length is opened, and one that is too large or ends early is given back", { allowed: [k404] }, async ({ page }) => {
+  const ply = firstOf(join(scenes(), "scene.ply"), 1000).toString("base64");
+  const given = (how) => page.evaluate(async ([how, base64]) => {
+    const { fetch } = window;
+    const bytes = Uint8Array.from(atob(base64), (c) => c.charCodeAt(0));
+    let isCancelled = false;
+    window.fetch = async (url, options) => {
+      if (!String(url).includes(".ply")) return fetch(url, options);
+      if (options.headers?.range) return new Response(bytes.slice(0, 4096));
+      let at = 0;
+      const pull = (controller) => {
+        if (at > 0 && how === "broken") controller.error(new TypeError("the line"));
+        else if (at < bytes.length) controller.enqueue(bytes.slice(at, (at += 100_000)));
+        else controller.close();
+      };
+      return new Response(new ReadableStream({ pull, cancel: () => void (isCancelled = true) }), { headers: how === "large" ? { "content-length": String(2 ** 31) } : {} });
+    };
+    byId("errors").replaceChildren();
+    await document.querySelector("rgs-view").compare(`${how}.ply`);
+    window.fetch = fetch;
+    return { isCancelled, said: byId("errors").textContent, title: byId("title").textContent };
+  }, [how, ply]);
+  const large = await given("large");
+  assert.ok(large.isCancelled);
+  assert.match(large.said, /^large\.ply does not fit .*rgs-convert.*\(host_out_of_memory: a PLY of 2 GiB or more\)/);
+  assert.match((await given("broken")).said, /^broken\.ply stopped loading.*\(read_failed: TypeError: the line\)/);
+  assert.deepEqual(await given("whole"), { isCancelled: false, said: "", title: "whole.ply" });
+});
+
 const misnamed = { view: { ...one.view, scenes: [scene("a.rgs")] }, ranges: false };
 inBrowser("a PLY with the name of an .rgs is opened from a server without ranges", { ...misnamed, files: { "scenes/0/a.rgs": join(scenes(), "scene.ply"), "cameras.json": join(scenes(), "cameras.json") } }, async ({ page }) => {
   assert.equal(await text(page, "#title"), "a.rgs");

@@ -794,6 +794,15 @@ test("a PLY is read in any order, encoding and frame", async () => {
   assert.deepEqual([...turned.sh0], [...arrays.sh0]);
 });
 
+test("a PLY for which there is no memory is an error of its own", async () => {
+  const splats = new modules.splats.Splats(await WebAssembly.compile(readFileSync(new URL("../../../build/web/splats.wasm", import.meta.url))));
+  const { memory } = splats.wasm;
+  // The C library has begun with the memory that there was.
+  splats.append(Buffer.alloc(1), 0);
+  memory.grow(65536 - memory.buffer.byteLength / 65536);
+  assert.throws(() => splats.append(Buffer.alloc(1), 2 ** 30), { code: "host_out_of_memory" });
+});
+
 test("a PLY says what is wrong with it, and damaged Gaussians are left out", async () => {
   const few = rowsOf(readFileSync(join(scenes(), "scene.ply")), 3);
   const whole = plyOf(few);

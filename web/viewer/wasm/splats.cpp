@@ -17,6 +17,9 @@
 #include "spz_codes.hpp"
 
 #define RGS_EXPORT(name) extern "C" [[clang::export_name(#name)]]
+#define RGS_IMPORT(name) extern "C" [[clang::import_module("rgs"), clang::import_name(#name)]]
+
+RGS_IMPORT(out_of_memory) [[noreturn]] void rgs_out_of_memory();
 
 namespace {
 
@@ -56,9 +59,8 @@ SplatCloud spz_rows(std::uint32_t first, std::uint32_t n) {
 
 }  // namespace
 
-// Without exceptions: a trap, which JavaScript reports.
 RGS_EXPORT(rgs_start) void rgs_start() {
-  std::set_new_handler([] { __builtin_trap(); });
+  std::set_new_handler([] { rgs_out_of_memory(); });
 }
 
 /// Where to write the next bytes of the file. `expected`: of all of it, or 0.
