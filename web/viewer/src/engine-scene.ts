@@ -133,7 +133,7 @@ export class EngineScene extends Scene {
   ) {
     super(name, bytes, stage, side, [0, 0, 0]);
     this.nGaussians = made.resource.numSplats as number;
-    this.draw();
+    this.begin();
   }
 
   get nDrawn(): number {

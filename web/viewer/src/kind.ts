@@ -5,8 +5,8 @@
 export type EngineKind = "compressed ply" | "sog";
 export type Kind = "rgs" | "ply" | "spz" | EngineKind | "cameras";
 
-/** Bytes that kindOf() and otherArchive() need; the header of a compressed PLY has some 1,200. */
-export const kBeginningBytes = 4096;
+/** Bytes that kindOf() and otherArchive() need: a PLY's header may hold a coordinate reference system of 16 KiB before its properties. */
+export const kBeginningBytes = 1 << 15;
 
 /** Zip archives that are no SOG, by the name of their first file. */
 const kOtherArchives: [RegExp, string][] = [

@@ -60,7 +60,7 @@ export function waitingSentence(name: string, error: unknown): string {
 }
 
 export const kNoGraphics = "This browser has neither WebGPU nor WebGL 2, of which this page needs one. Update it, or enable hardware acceleration in its settings.";
-export const kNoRoom = "The graphics device has no room for this picture, so the one before stays. Choose a coarser detail, a smaller budget or a smaller window, or add &renderer=webgl2 to the page's address.";
+export const kNoRoom = "The graphics device has no room for this picture. Choose a coarser detail, a smaller budget or a smaller window, or the renderer webgl2: by &renderer=webgl2 in the page's address, or the element's attribute.";
 export const kNotAsDefined = "This page does not know its engine's shaders, so the picture differs slightly from what the files define.";
 export const kLost = "The graphics device was lost, perhaps because its driver restarted. If the picture does not come back, reload the page.";
 

@@ -10,7 +10,8 @@ import { beginLoading, type Page, progressOf } from "./page.js";
 import type { Trouble } from "./page-driver.js";
 import type { Side } from "./renderer.js";
 import type { Scene } from "./scene.js";
-import { kPlyAxes } from "./splats.js";
+import { SplatScene } from "./splat-scene.js";
+import { isTurned, kPlyAxes } from "./splats.js";
 import { homeOf, type PageStore, type State } from "./state.js";
 import type { Stage } from "./stage.js";
 
@@ -58,7 +59,7 @@ export class Opening {
     const { cameras: url, scenes } = this.manifest;
     // Files that are dropped meanwhile come after these.
     if (url !== null) this.inTurn(() => this.openCameras("The camera file", async () => (url.startsWith("#") ? new Response(await readInside(url)) : fetch(url))));
-    scenes.forEach(({ name }, i) => this.inTurn(() => this.open(name, reading[i] as Promise<Read>, mode, i)));
+    scenes.forEach(({ name }, i) => this.inTurn(() => this.open(name, reading[i] as Promise<Read>, mode, i, reading[i + 1])));
     if (scenes.length === 0) await this.offerSample();
     await this.last;
     const { state } = this.store;
@@ -118,9 +119,9 @@ export class Opening {
 
   /**
    * Opens a scene on the first free side, or on the right. If that fails, the side keeps what it had. `mode` for two scenes, unless the
-   * user has chosen one. `referenceScene`: the scene's number on the server that draws reference pictures.
+   * user has chosen one. `referenceScene`: the scene's number on the server that draws reference pictures. `next`: what is opened beside it.
    */
-  private async open(name: string, reading: Promise<Read>, mode: Mode = "slider", referenceScene = 0): Promise<void> {
+  private async open(name: string, reading: Promise<Read>, mode: Mode = "slider", referenceScene = 0, next?: Promise<Read>): Promise<void> {
     const { store, stage, page } = this;
     const { scenes: scenesBefore, view: viewBefore } = store.state;
     const side: Side = scenesBefore[0] ? 1 : 0;
@@ -134,7 +135,9 @@ export class Opening {
     try {
       page.signal.throwIfAborted();
       const read = await Promise.race([reading, cancelled]);
-      const axes = scenesBefore[0]?.axes ?? kPlyAxes;
+      // An .rgs is drawn as it is, so others are turned to it, also those before it.
+      const beside = read.kind === "rgs" ? undefined : await Promise.race([next?.catch(() => undefined), cancelled]);
+      const axes = scenesBefore[0]?.axes ?? (beside?.kind === "rgs" ? beside.opened.file.declarations.axes : kPlyAxes);
       const how = { onProgress: progressOf(store), on: this.troubleOf(name), signal: stop.signal };
       const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(page.search, this.manifest), axes, side, ...how });
       scene = await Promise.race([opened, cancelled]).catch((error: unknown) => {
@@ -144,6 +147,10 @@ export class Opening {
       });
       if (before) before.hidden = true;
       this.show(side === 0 ? { scenes: [scene, undefined], referenceScene } : { scenes: [scenesBefore[0], scene], mode: store.state.mode === "single" ? mode : store.state.mode });
+      const [left, right] = store.state.scenes;
+      if (read.kind === "rgs" && left instanceof SplatScene && right && isTurned(left.axes, right.axes)) {
+        page.showError(`${name} declares other axes than those in which ${left.name} is drawn, so the two do not match. Open ${name} first, then ${left.name}, which is turned.`);
+      }
       this.markPicture(name);
       const guess = scene.firstView || viewBefore || store.state.cameras.length > 0 ? undefined : store.state.view;
       await Promise.race([scene.complete(), cancelled]);

@@ -105,7 +105,8 @@ export class RgsScene extends Scene {
       if (file.fileBytes < fileBytes) on.damaged({ code: "pages_missing", text: `the file has ${file.fileBytes} of its ${fileBytes} bytes` });
     } else {
       this.drawn = [0];
-      this.addPart(first);
+      this.parts = [first];
+      this.begin();
     }
   }
 

@@ -86,6 +86,16 @@ export abstract class Scene {
     this.splats.destroy();
   }
 
+  /** At the end of a constructor: what cannot be drawn is no scene of the stage. */
+  protected begin(): void {
+    try {
+      this.draw();
+    } catch (error) {
+      this.destroy();
+      throw error;
+    }
+  }
+
   /** Gives `splats` all that they draw. */
   protected abstract draw(): void;
 

@@ -58,7 +58,7 @@ export class SplatScene extends Scene {
     this.nGaussians = read.n;
     this.shDegree = read.shDegree;
     this.up = upOf(axes);
-    this.draw();
+    this.begin();
   }
 
   get nDrawn(): number {

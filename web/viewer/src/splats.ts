@@ -7,6 +7,9 @@ export type Axes = readonly [Axis, Axis, Axis];
 export const kPlyAxes: Axes = ["right", "down", "forward"];
 export const kOpenGlAxes: Axes = ["right", "up", "backward"];
 
+/** Whether both are declared, and differ. */
+export const isTurned = (a: Axes, b: Axes): boolean => ![...a, ...b].includes("undeclared") && a.some((axis, i) => axis !== b[i]);
+
 /** The direction of up in these axes; null if they do not have it. */
 export function upOf(axes: Axes): Vector3 | null {
   const i = axes.findIndex((axis) => axis === "up" || axis === "down");

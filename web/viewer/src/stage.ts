@@ -132,9 +132,9 @@ export class Stage {
     return (this.engine ??= await this.change(startEngine));
   }
 
-  /** After one loss WebGPU is tried again; after another one, and where the device's memory ends, the engine draws. */
+  /** After one loss WebGPU is tried again; after another one, and where the device has no room, the engine draws. */
   private replace(failed: Renderer, error: unknown): void {
-    const isLost = !(error instanceof GPUError);
+    const isLost = !(error instanceof GPUError || error instanceof RangeError);
     const isTriedAgain = isLost && !this.hasLost;
     this.hasLost ||= isLost;
     if (isLost) this.on.lost();

@@ -113,6 +113,7 @@ export class Viewer {
     if (signal.aborted) return leave();
     let controls: Controls;
     replaced = () => {
+      page.withdrawError(kNoRoom);
       controls = new Controls(store, stage.canvas, () => page.isWhole || host.matches(":focus-within"));
       if (!stage.isAsDefined) page.showError(kNotAsDefined);
     };

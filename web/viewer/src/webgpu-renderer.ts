@@ -3,6 +3,7 @@
 import { type Colour, type Part as PartOnDevice, type RenderOptions, requestDevice, SplatRenderer } from "@roofgs/webgpu";
 import { pinholeOf, type ViewState } from "./cameras.js";
 import { Lines } from "./lines.js";
+import { kNoRoom } from "./messages.js";
 import type { Size } from "./picture-size.js";
 import { edgesOf, type Part, type Pixels, Renderer, type RendererEvents, type Shown, type Side, type Splats, splitOf } from "./renderer.js";
 
@@ -31,6 +32,7 @@ export class WebGpuRenderer extends Renderer {
   private nInFlight = 0;
   private before = performance.now();
   private timer = 0;
+  private hasPicture = false;
   private hasEnded = false;
   private waiting: { for: WebGpuSplats | undefined; resolve(): void }[] = [];
 
@@ -114,8 +116,9 @@ export class WebGpuRenderer extends Renderer {
       for (let at = 3; at < pixels.length; at += 4) pixels[at] = 255;
       return pixels;
     } catch (error) {
+      if (error instanceof RangeError) throw Object.assign(new Error(kNoRoom), { code: "limit_exceeded" });
       // A scene that goes meanwhile takes its buffers with it.
-      if (this.splats.has(splats) && !(error instanceof RangeError)) this.fail(error);
+      if (this.splats.has(splats)) this.fail(error);
       throw error;
     } finally {
       this.isCapturing = false;
@@ -171,12 +174,13 @@ export class WebGpuRenderer extends Renderer {
       const all = await Promise.all(frames);
       if (all.some(({ isComplete }) => !isComplete)) return this.request();
       this.frames += 1;
+      this.hasPicture ||= drawn.some(({ nParts }) => nParts > 0);
       this.on.fits(true);
       const isDrawn = (splats: WebGpuSplats | undefined): boolean => !splats || (splats.nParts > 0 && drawn.includes(splats));
       for (const { resolve } of this.waiting.filter((each) => isDrawn(each.for))) resolve();
       this.waiting = this.waiting.filter((each) => !isDrawn(each.for));
     } catch (error) {
-      if (error instanceof RangeError) this.on.fits(false);
+      if (error instanceof RangeError && this.hasPicture) this.on.fits(false);
       else this.fail(error);
     } finally {
       this.nInFlight -= 1;

@@ -620,7 +620,7 @@ inBrowser("a second scene that is a PLY is asked for when it is read", { ...plyL
   untouched.open();
   await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
   assert.equal(await text(page, "#title"), "packed.rgs | scene.ply");
-  assert.deepEqual(plyAsked, [{ bytes: 4096, isReleased: false }, { bytes: statSync(join(scenes(), "scene.ply")).size, isReleased: true }]);
+  assert.deepEqual(plyAsked, [{ bytes: 1 << 15, isReleased: false }, { bytes: statSync(join(scenes(), "scene.ply")).size, isReleased: true }]);
 });
 
 let dropIsDone;

@@ -606,8 +606,9 @@ test("what PLY and SOG declare of anti-aliasing is what rgs-convert reads", () =
 });
 
 test("what is in a file is told by its first bytes", () => {
-  const { kindOf, otherArchive } = modules.kind;
+  const { kBeginningBytes, kindOf, otherArchive } = modules.kind;
   const of = (bytes) => kindOf(new Uint8Array(Buffer.from(bytes)));
+  assert.equal(of(`ply\ncomment ${"x".repeat(16384)}\nproperty uint packed_position\n${" ".repeat(1e5)}`.slice(0, kBeginningBytes)), "compressed ply");
   assert.equal(of([0x89, 0x52, 0x47, 0x53, 13, 10]), "rgs");
   assert.equal(of("ply\nformat"), "ply");
   const zip = (name) => new Uint8Array(Buffer.concat([Buffer.from("PK\x03\x04"), Buffer.alloc(22), Buffer.from([name.length, 0, 0, 0]), Buffer.from(`${name}.npy`)]));

@@ -205,19 +205,25 @@ test("by WebGPU", async (t) => {
   await t.test("a PLY is drawn in the axes that it declares", async (t) => {
     const turned = join(folder, "turned.ply");
     execFileSync(program("rgs-convert"), ["--quiet", "--to-axes", "left,up,forward", join(scenes(), "scene.ply"), turned]);
-    const { page } = await begin(t, ["turned.ply"], { more: { "scenes/0/turned.ply": turned } });
+    const kept = join(folder, "turned.rgs");
+    execFileSync(program("rgs-convert"), ["--quiet", turned, kept]);
+    const more = { "scenes/0/turned.rgs": kept, "scenes/0/turned.ply": turned };
+    const { page } = await begin(t, ["turned.ply"], { more });
     await fly(page, 2);
     const db = psnr(await shown(page), await expected(page, turned, 2));
     t.diagnostic(`${db.toFixed(1)} dB`);
     assert.ok(db >= kLeastDb, `${db} dB`);
     assert.ok(psnr(await shown(page), await expected(page, "scene.ply", 2)) >= kLeastDb, "as it was before");
-    const kept = join(folder, "turned.rgs");
-    execFileSync(program("rgs-convert"), ["--quiet", turned, kept]);
-    const both = await begin(t, ["turned.rgs", "turned.ply"], { more: { "scenes/0/turned.rgs": kept, "scenes/0/turned.ply": turned } });
-    await both.page.evaluate(() => byId("modes").querySelector("[value=difference]").click());
-    await both.page.waitForFunction(() => !byId("map").hidden);
-    const equal = parseFloat(await both.page.locator("#psnr").textContent());
-    assert.ok(equal > 40, `${equal} dB`);
+    await page.evaluate(() => document.querySelector("rgs-view").compare("scenes/0/turned.rgs"));
+    assert.match(await page.locator("#errors p").textContent(), /turned\.rgs declares other axes than .* Open turned\.rgs first/);
+    for (const names of [["turned.rgs", "turned.ply"], ["turned.ply", "turned.rgs"]]) {
+      const { page } = await begin(t, names, { more });
+      await page.evaluate(() => byId("modes").querySelector("[value=difference]").click());
+      await page.waitForFunction(() => !byId("map").hidden);
+      const equal = parseFloat(await page.locator("#psnr").textContent());
+      assert.ok(equal > 40, `${names}: ${equal} dB`);
+      assert.equal(await page.locator("#errors p").count(), 0);
+    }
   });
 
   await t.test("without room for a picture the page says so, and draws the next one that has room", async (t) => {
@@ -229,10 +235,21 @@ test("by WebGPU", async (t) => {
     await choose(page, "detail", "0.25");
     await page.locator("#errors p").waitFor({ state: "attached" });
     assert.match(await page.locator("#errors p").textContent(), /no room for this picture.*coarser detail/);
+    assert.equal(await page.evaluate(() => document.querySelector("rgs-view").screenshot().catch(({ code }) => code)), "limit_exceeded");
     await choose(page, "detail", "16");
     await page.locator("#errors p").waitFor({ state: "detached" });
     assert.equal(await apiOf(page), "webgpu");
     assert.ok(!hasEngine());
+  });
+
+  await t.test("where the first picture has no room the engine draws it", async (t) => {
+    const many = join(folder, "many.ply");
+    execFileSync(program("rgs-make-scene"), ["--quiet", "--seed", "1", "--gaussians", "150k", "--degree", "0", many]);
+    const limits = { maxStorageBufferBindingSize: 2 ** 20, maxBufferSize: 2 ** 20, maxTextureDimension2D: 8192 };
+    const { page } = await begin(t, ["many.ply"], { limits, more: { "scenes/0/many.ply": many } });
+    await page.waitForFunction(() => byId("picture").getContext("webgl2") !== null);
+    await rest(page);
+    assert.equal(await page.locator("#errors p").count(), 0);
   });
 
   await t.test("after a loss WebGPU draws again, after another one the engine", async (t) => {
