@@ -1,10 +1,11 @@
 #!/usr/bin/env node
 // cli.ts - npx @roofgs/convert INPUT.ply OUTPUT.rgs, for machines without rgs-convert: its names of options, messages and exit codes.
 // SPDX-License-Identifier: Apache-2.0
-import { link, open, readFile, rename, stat, unlink } from "node:fs/promises";
+import { constants, unlinkSync } from "node:fs";
+import { copyFile, link, open, readFile, rename, stat, unlink } from "node:fs/promises";
 import { basename, dirname, resolve } from "node:path";
 import { parseArgs } from "node:util";
-import { kProfiles, type Profile } from "./conversion.js";
+import { kMostSource, kProfiles, type Profile } from "./conversion.js";
 import { convert, RgsError, type Report } from "./node.js";
 
 const kProgram = "rgs-convert";
@@ -23,6 +24,8 @@ The native rgs-convert reads other formats, has more options and is faster.
 `;
 /** Codes of the machine, not of the file. */
 const kMachine: readonly string[] = ["open_failed", "read_failed", "write_failed", "output_exists", "output_unusable", "host_out_of_memory", "unavailable"];
+
+const kStops = ["SIGINT", "SIGTERM"] as const;
 
 /** Text and exit code of what ends the program. */
 class End extends Error {
@@ -72,14 +75,28 @@ function parse(): Arguments | null {
 async function refuse(input: string, output: string, overwrite: boolean): Promise<void> {
   const [source, found] = await Promise.all([input, output].map((path) => stat(path).catch(() => undefined)));
   if (found && found.ino === source?.ino && found.dev === source.dev) throw usage(`${output}: it is the input`);
+  if (source && source.size > kMostSource) throw new End(`${input}: a PLY of 2 GiB or more does not fit into the memory here; convert it with the native rgs-convert [host_out_of_memory]`, 3);
   if (found && !found.isFile()) throw new End(`${output}: it is no file [output_unusable]`, 3);
   if (found && !overwrite) throw new End(`${output}: it exists; --overwrite replaces it [output_exists]`, 3);
+}
+
+/** Where the file system has no links, a copy is not made where there is a file either. */
+async function place(temporary: string, output: string): Promise<void> {
+  await link(temporary, output).catch((error: unknown) => {
+    if (!["EPERM", "ENOTSUP", "EOPNOTSUPP", "ENOSYS"].includes((error as { code: string }).code)) throw error;
+    return copyFile(temporary, output, constants.COPYFILE_EXCL);
+  });
 }
 
 /** Writes all, or leaves the output as it was. */
 async function write(output: string, blob: Blob, overwrite: boolean): Promise<void> {
   const temporary = `${output}.${process.pid}.tmp`;
   const file = await open(temporary, "wx");
+  const stop = (signal: NodeJS.Signals): void => {
+    unlinkSync(temporary);
+    process.kill(process.pid, signal);
+  };
+  for (const signal of kStops) process.once(signal, stop);
   try {
     try {
       await file.writeFile(new Uint8Array(await blob.arrayBuffer()));
@@ -88,12 +105,13 @@ async function write(output: string, blob: Blob, overwrite: boolean): Promise<vo
       await file.close();
     }
     // A link is not made where there is a file by now.
-    await (overwrite ? rename(temporary, output) : link(temporary, output));
+    await (overwrite ? rename(temporary, output) : place(temporary, output));
     const folder = await open(dirname(resolve(output)), "r").catch(() => undefined);
     // Windows has no such thing.
     await folder?.sync().catch(() => undefined);
     await folder?.close();
   } finally {
+    for (const signal of kStops) process.off(signal, stop);
     await unlink(temporary).catch(() => undefined);
   }
 }

@@ -68,7 +68,7 @@ interface Exports {
 const kNone = 0xffffffffffffffffn;
 const kPart = 2 ** 22;
 /** What the C library allocates at once; the rest of 4 GiB is for the conversion. */
-const kMostSource = 2 ** 31 - 1;
+export const kMostSource = 2 ** 31 - 1;
 
 function outOfMemory(): never {
   throw new Failure({ code: "host_out_of_memory", text: "this scene does not fit into the memory of a page; convert it with rgs-convert" });

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { spawnSync } from "node:child_process";
-import { existsSync, mkdirSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
+import { existsSync, mkdirSync, readdirSync, readFileSync, truncateSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import test from "node:test";
 import { fileURLToPath } from "node:url";
@@ -49,6 +49,10 @@ test("errors have the codes of rgs-convert, and leave nothing", () => {
     assert.equal(found.status, status, found.stderr);
     assert.match(found.stderr, pattern);
   };
+  const large = join(common, "large.ply");
+  writeFileSync(large, "ply");
+  truncateSync(large, 2 ** 31);
+  expect(3, /large\.ply: a PLY of 2 GiB or more .*rgs-convert \[host_out_of_memory\]/, large, missing);
   expect(4, /broken\.ply: .* at byte 5000 \[truncated\]/, broken, missing);
   expect(3, /nothing\.ply: .*ENOENT.*\[open_failed\]/, join(folder, "nothing.ply"), missing);
   expect(3, /ENOENT.*\[write_failed\]/, ply, join(folder, "no", "folder.rgs"));
@@ -60,4 +64,36 @@ test("errors have the codes of rgs-convert, and leave nothing", () => {
   expect(2, /it is the input/, "--overwrite", output, output);
   assert.equal(existsSync(missing), false);
   assert.deepEqual(readdirSync(folder).sort(), ["kept.rgs", "levels.rgs", "ä b.rgs"]);
+});
+
+/** The program, with link() of Node replaced by this. */
+function runLinking(link, ...args) {
+  const script = `import fs from "node:fs/promises"; import { syncBuiltinESMExports } from "node:module"; fs.link = ${link}; syncBuiltinESMExports();`;
+  const { status, signal, stderr } = spawnSync(process.execPath, ["--import", `data:text/javascript,${encodeURIComponent(script)}`, cli, "--quiet", ...args], { encoding: "utf8" });
+  return { status, signal, stderr };
+}
+
+test("a file system without links gets the file, too, and keeps one that is there by now", () => {
+  const place = join(common, "no links");
+  mkdirSync(place);
+  const made = join(place, "a.rgs");
+  const refused = `throw Object.assign(new Error("no links"), { code: "EPERM" })`;
+  assert.deepEqual(runLinking(`async () => { ${refused}; }`, ply, made), { status: 0, signal: null, stderr: "" });
+  assert.ok(readFileSync(made).equals(byProgram(ply).bytes));
+  const late = join(place, "b.rgs");
+  const { status, stderr } = runLinking(`async (_, to) => { await fs.writeFile(to, "kept"); ${refused}; }`, ply, late);
+  assert.equal(status, 3);
+  assert.match(stderr, /b\.rgs: it exists/);
+  assert.equal(readFileSync(late, "utf8"), "kept");
+  assert.deepEqual(readdirSync(place).sort(), ["a.rgs", "b.rgs"]);
+});
+
+test("a signal while the file is written leaves nothing", { skip: process.platform === "win32" && "Windows has no signals" }, () => {
+  const place = join(common, "stopped");
+  mkdirSync(place);
+  for (const name of ["SIGINT", "SIGTERM"]) {
+    const { status, signal } = runLinking(`() => new Promise(() => { setInterval(() => undefined, 1000); process.kill(process.pid, "${name}"); })`, ply, join(place, "a.rgs"));
+    assert.deepEqual({ status, signal }, { status: null, signal: name });
+    assert.deepEqual(readdirSync(place), []);
+  }
 });
