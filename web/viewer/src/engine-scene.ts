@@ -80,8 +80,8 @@ function lacking(images: readonly string[]): Error {
 /** Replaces errors that the engine throws at damaged files by sentences. */
 function asSentence(kind: EngineKind, error: unknown): Error {
   if (error instanceof TypeError || error instanceof RangeError) {
-    const parts = kind === "sog" ? "the zip archive or its meta.json" : "the file";
-    return Object.assign(new Error(), { code: "bad_header", text: `${parts} lacks what ${kind.toUpperCase()} must have` });
+    const text = kind === "sog" ? "the zip archive or its meta.json lacks what a SOG must have" : "the file lacks what a compressed PLY must have";
+    return Object.assign(new Error(), { code: "bad_header", text });
   }
   const text = String((error as { message?: string } | null)?.message ?? error).replace(/^Error: /, "");
   // The engine says so wherever a PLY ends too early.

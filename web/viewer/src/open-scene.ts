@@ -107,6 +107,8 @@ export interface OpenScene {
   /** To which others are turned that declare theirs. */
   axes: Axes;
   side: Side;
+  /** That is drawn. */
+  shDegree: number;
   onProgress: OnProgress;
   /** In pages that are read later, and of single Gaussians. */
   on: Trouble;

@@ -72,7 +72,8 @@ export class Opening {
     if (!page.isWhole || !page.isFull || location.protocol === "file:") return;
     const url = "sample.rgs";
     const answer = await fetch(url, { method: "HEAD" }).catch(() => null);
-    if (!answer?.ok) return;
+    // Some servers answer every address by their page.
+    if (!answer?.ok || answer.headers.get("content-type")?.startsWith("text/html")) return;
     page.element("sample", HTMLButtonElement).hidden = false;
     page.onClick("sample", () => void this.openUrl({ name: url, url }));
   }
@@ -139,7 +140,7 @@ export class Opening {
       const beside = read.kind === "rgs" ? undefined : await Promise.race([next?.catch(() => undefined), cancelled]);
       const axes = scenesBefore[0]?.axes ?? (beside?.kind === "rgs" ? beside.opened.file.declarations.axes : kPlyAxes);
       const how = { onProgress: progressOf(store), on: this.troubleOf(name), signal: stop.signal };
-      const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(page.search, this.manifest), axes, side, ...how });
+      const opened = openScene(stage, { name, read, spzAxes: spzAxesOf(page.search, this.manifest), axes, side, shDegree: store.state.shDegree, ...how });
       scene = await Promise.race([opened, cancelled]).catch((error: unknown) => {
         // One that comes too late goes again.
         void opened.then((late) => late.destroy(), () => undefined);

@@ -25,7 +25,6 @@ export class SplatScene extends Scene {
   readonly box: Box;
   override readonly shDegree: number;
   override readonly up: Vector3 | null;
-  private shown = 3;
 
   static async open(stage: Stage, kind: "ply" | "spz", options: OpenOther): Promise<Scene> {
     const { answer, spzAxes, axes, onProgress, signal, on, name } = options;
@@ -39,7 +38,7 @@ export class SplatScene extends Scene {
     signal.throwIfAborted();
     if (nDrawn < read.n) on.damaged({ code: "gaussians_damaged", text: `${read.n - nDrawn} of ${read.n}` });
     const source = kind === "ply" ? options.source : undefined;
-    return new SplatScene(name, Number(answer.headers.get("content-length") ?? 0), source, read, axes, box, first, stage, options.side);
+    return new SplatScene(name, Number(answer.headers.get("content-length") ?? 0), source, read, axes, box, first, stage, options.side, options.shDegree);
   }
 
   private constructor(
@@ -52,6 +51,7 @@ export class SplatScene extends Scene {
     override readonly firstView: FirstView | null,
     stage: Stage,
     side: OpenOther["side"],
+    private shown: number,
   ) {
     super(name, bytes, stage, side, read.origin);
     this.box = { min: add(box.min, read.origin), max: add(box.max, read.origin) };

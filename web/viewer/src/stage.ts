@@ -15,9 +15,7 @@ export interface StageEvents extends Omit<RendererEvents, "failed"> {
 }
 
 async function startEngine(canvas: HTMLCanvasElement, on: RendererEvents): Promise<EngineRenderer> {
-  const { EngineRenderer } = await loadEngine().catch((error: unknown) => {
-    throw Object.assign(new Error(), { code: "open_failed", text: String(error) });
-  });
+  const { EngineRenderer } = await loadEngine();
   return EngineRenderer.start(canvas, on);
 }
 

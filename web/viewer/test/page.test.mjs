@@ -291,6 +291,13 @@ inBrowser("without a sample beside the page none is offered, after one request",
   assert.deepEqual(server.requests.filter((request) => request.includes("sample")), ["HEAD sample.rgs"]);
 });
 
+inBrowser("the page of a server that answers every address by it is no sample", { allowed: [k404] }, async ({ page }) => {
+  await page.route("**/sample.rgs", (route) => route.fulfill({ contentType: "text/html; charset=utf-8", body: "" }));
+  await page.reload();
+  await page.waitForSelector("rgs-view[data-ready]", { state: "attached" });
+  assert.ok(await page.locator("#sample").isHidden());
+});
+
 inBrowser("a sample beside the page is offered where there is no scene", { files: { "sample.rgs": join(golden, "first_view.rgs") }, allowed: [k404] }, async ({ page, server }) => {
   await page.getByRole("button", { name: "Look at a sample" }).click();
   await page.waitForFunction(() => byId("title").textContent === "sample.rgs");
@@ -905,7 +912,7 @@ inBrowser("a zip that is no SOG, and an empty list of cameras, are said in sente
     await page.waitForFunction((name) => [...byId("errors").children].some((p) => p.textContent.startsWith(name)), name);
     return (await errors(page)).at(-1);
   };
-  assert.match(await refused("a.sog", zipOf("meta.json", "{}")), /^a\.sog is damaged: .*meta\.json lacks what SOG must have \(bad_header\)/);
+  assert.match(await refused("a.sog", zipOf("meta.json", "{}")), /^a\.sog is damaged: .*meta\.json lacks what a SOG must have \(bad_header\)/);
   assert.match(await refused("b.sog", zipOf("meta.json", "{}").subarray(0, 60)), /^b\.sog (is damaged|could not be opened): [^T]/);
   assert.match(await refused("c.json", "[]"), /^c\.json could not be opened: the camera file holds no cameras\./);
 });

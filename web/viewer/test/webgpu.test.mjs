@@ -297,6 +297,10 @@ test("by WebGPU", async (t) => {
   await t.test("an engine that cannot be fetched is said to be what is missing", async (t) => {
     const { page } = await begin(t, ["packed.rgs"], { isAsked: false, allowed: [/Failed to load|ERR_FAILED/], before: (page) => page.route(/engine-/, (route) => route.abort()) });
     assert.match(await page.locator("#errors p").textContent(), /^The PlayCanvas engine could not be fetched/);
+    const compressed = join(folder, "d.compressed.ply");
+    execFileSync(program("rgs-convert"), ["--quiet", join(scenes(), "scene.ply"), compressed]);
+    const other = await begin(t, ["d.compressed.ply"], { more: { "scenes/0/d.compressed.ply": compressed }, allowed: [/Failed to load|ERR_FAILED/], before: (page) => page.route(/engine-/, (route) => route.abort()) });
+    assert.match(await other.page.locator("#errors p").textContent(), /could not be fetched.*\(open_failed: the PlayCanvas engine: /);
   });
 
   await t.test("where the device's memory ends the engine draws", async (t) => {
