@@ -14,6 +14,7 @@ import {
   GSplatData,
   GSplatHandler,
   GSplatResource,
+  type GraphicsDevice,
   type GSplatResourceBase,
   Layer,
   LAYERID_IMMEDIATE,
@@ -306,7 +307,7 @@ export class EngineSplats implements Splats {
     this.parts = parts;
     const { graphicsDevice } = this.renderer.app;
     const isStored = more.every((part) => "geometry" in part);
-    const resource = isStored ? new RgsResource(graphicsDevice, more as StoredGaussians[]) : new GSplatResource(graphicsDevice, dataOf(more as Gaussians[], this.shDegree));
+    const resource = isStored ? new RgsResource(graphicsDevice, more as StoredGaussians[]) : resourceOf(graphicsDevice, more as Gaussians[], this.shDegree);
     const [first, ...others] = this.pieces;
     if (!first || isMore) {
       this.add(resource, more.length);
@@ -345,7 +346,16 @@ export class EngineSplats implements Splats {
   }
 }
 
-/** What the engine keeps of a PLY. */
+function resourceOf(device: GraphicsDevice, parts: readonly Gaussians[], shDegree: number): GSplatResource {
+  const data = dataOf(parts, shDegree);
+  const resource = new GSplatResource(device, data);
+  // Textures have the rest by now.
+  const { numSplats, shBands } = data;
+  resource.gsplatData = { numSplats, shBands } as GSplatData;
+  return resource;
+}
+
+/** What the engine takes of a PLY. */
 function dataOf(parts: readonly Gaussians[], shDegree: number): GSplatData {
   const count = parts.reduce((sum, { n }) => sum + n, 0);
   const nAll = ((parts[0]?.shDegree ?? 0) + 1) ** 2 - 1;

@@ -225,7 +225,14 @@ class WebGpuSplats implements Splats {
     const wanted = new Set(parts);
     // First, so that others have their room.
     for (const [part, onDevice] of this.parts) if (!wanted.has(part)) renderer.remove(onDevice);
-    this.parts = new Map(parts.map((part) => [part, this.parts.get(part) ?? renderer.add(part)]));
+    // Of arrays there are no more parts than these.
+    let nRows = parts.reduce((sum, part) => sum + (this.parts.has(part) ? 0 : part.n), 0);
+    const add = (part: Part): PartOnDevice => {
+      const added = renderer.add(part, "geometry" in part ? undefined : nRows);
+      nRows -= part.n;
+      return added;
+    };
+    this.parts = new Map(parts.map((part) => [part, this.parts.get(part) ?? add(part)]));
     this.shDegree = shDegree;
     renderer.setParts([...this.parts.values()], tints);
     this.on.changed();

@@ -48,6 +48,12 @@ test("by WebGPU", async (t) => {
       const { requestDevice } = GPUAdapter.prototype;
       GPUAdapter.prototype.requestDevice = async function (...asked) {
         window.devices.push(await requestDevice.apply(this, asked));
+        const { createBuffer } = window.devices.at(-1);
+        window.largest = 0;
+        window.devices.at(-1).createBuffer = function (how) {
+          window.largest = Math.max(window.largest, how.size);
+          return createBuffer.call(this, how);
+        };
         if (limits) Object.defineProperty(window.devices.at(-1), "limits", { value: limits });
         return window.devices.at(-1);
       };
@@ -181,6 +187,8 @@ test("by WebGPU", async (t) => {
     const broken = join(folder, "broken.ply");
     writeFileSync(broken, readFileSync(join(scenes(), "scene.ply")).subarray(0, -1));
     const { page, hasEngine } = await begin(t, ["scene.ply", "packed.rgs"], { more: { "broken.ply": broken } });
+    // SH of 60k Gaussians of degree 3, and no room for more.
+    assert.equal(await page.evaluate(() => window.largest), 60_000 * 4 * 48);
     await fly(page, 1);
     await page.evaluate(() => byId("modes").querySelector("[value=difference]").click());
     await page.waitForFunction(() => !byId("map").hidden);

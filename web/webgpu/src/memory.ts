@@ -97,7 +97,8 @@ export class Memory {
     return Math.floor(Math.min(maxStorageBufferBindingSize, maxBufferSize) / 4 / words / kGroupRows) * kGroupRows;
   }
 
-  add(part: StoredGaussians | Gaussians): Part {
+  /** `nRows`: of this part and those that come next, if that is known. */
+  add(part: StoredGaussians | Gaussians, nRows?: number): Part {
     const layout = "geometry" in part ? "stored" : "arrays";
     if (this.shDegree >= 0 && (this.shDegree !== part.shDegree || this.layout !== layout)) throw new RangeError("parts of different kinds or SH degrees");
     this.shDegree = part.shDegree;
@@ -106,7 +107,7 @@ export class Memory {
     const mostRows = this.mostRows(Math.max(wordsOf(rows), wordsOf(sh)));
     const most = mostRows - (mostRows % ("geometry" in part ? part.chunkSize : kGroupRows));
     const pieces: Piece[] = [];
-    for (let begin = 0; begin < part.n; begin += most) pieces.push(this.addRows(part, begin, Math.min(most, part.n - begin), mostRows));
+    for (let begin = 0; begin < part.n; begin += most) pieces.push(this.addRows(part, begin, Math.min(most, part.n - begin), mostRows, nRows && nRows - begin));
     return { n: part.n, pieces };
   }
 
@@ -119,13 +120,13 @@ export class Memory {
   }
 
   /** `begin` is a chunk's. */
-  private addRows(part: StoredGaussians | Gaussians, begin: number, n: number, mostRows: number): Piece {
+  private addRows(part: StoredGaussians | Gaussians, begin: number, n: number, mostRows: number, nRows: number | undefined): Piece {
     const { rows, sh } = columnsOf(part);
     let row = -1;
     let block = this.blocks.find((each) => (row = each.take(n)) >= 0);
     if (!block) {
       // As many again, so that there are few blocks.
-      block = new Block(this.device, Math.max(n, Math.min(mostRows, Math.max(kLeastRows, this.nRows))), wordsOf(rows), wordsOf(sh));
+      block = new Block(this.device, Math.max(n, Math.min(mostRows, nRows ?? Math.max(kLeastRows, this.nRows))), wordsOf(rows), wordsOf(sh));
       row = block.take(n);
       this.nRows += block.nRows;
       this.blocks.push(block);

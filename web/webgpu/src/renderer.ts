@@ -82,10 +82,11 @@ export class SplatRenderer {
 
   /**
    * Copies Gaussians to the device, all of one SH degree: of readStored(), storedParts() or readPageStored(), or all FP32 arrays, of
-   * read() or from elsewhere, whose rotations need not be normalised.
+   * read() or from elsewhere, whose rotations need not be normalised. `nRows`: Gaussians of this part and those that are added next, if
+   * that is known: buffers are no larger then.
    */
-  add(part: StoredGaussians | Gaussians): Part {
-    return this.memory.add(part);
+  add(part: StoredGaussians | Gaussians, nRows?: number): Part {
+    return this.memory.add(part, nRows);
   }
 
   /** It may be drawn no more. */
