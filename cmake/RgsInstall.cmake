@@ -110,8 +110,9 @@ endif()" COMPONENT programs)
     COMPONENT programs OPTIONAL)
   # The page offers a sample that lies beside it.
   if(TARGET rgs-make-scene AND NOT CMAKE_CROSSCOMPILING)
-    install(CODE "execute_process(COMMAND sh \"${PROJECT_SOURCE_DIR}/scripts/make_sample.sh\"
-  \"$<TARGET_FILE_DIR:rgs-make-scene>\" \"${PROJECT_BINARY_DIR}/sample.rgs\" COMMAND_ERROR_IS_FATAL ANY)" COMPONENT programs)
+    install(CODE "execute_process(COMMAND \"${CMAKE_COMMAND}\" -E env \"LD_LIBRARY_PATH=${CMAKE_LIBRARY_OUTPUT_DIRECTORY}\"
+  sh \"${PROJECT_SOURCE_DIR}/scripts/make_sample.sh\" \"$<TARGET_FILE_DIR:rgs-make-scene>\" \"${PROJECT_BINARY_DIR}/sample.rgs\"
+  COMMAND_ERROR_IS_FATAL ANY)" COMPONENT programs)
     install(FILES ${PROJECT_BINARY_DIR}/sample.rgs DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer COMPONENT programs)
   endif()
 endif()
