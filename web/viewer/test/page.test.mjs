@@ -782,7 +782,11 @@ inBrowser("files that are dropped at once are opened one after the other", { all
 });
 
 inBrowser("a damaged scene leaves no view behind", { allowed: [k404] }, async ({ page }) => {
-  const small = readFileSync(join(golden, "degree3.rgs"));
+  // A file that states its first view: the view of another changes when it is chosen.
+  const path = join(folder, "small.rgs");
+  writeFileSync(join(folder, "small.ply"), firstOf(join(scenes(), "scene.ply"), 500));
+  execFileSync(program("rgs-convert"), ["--quiet", "--overwrite", join(folder, "small.ply"), path]);
+  const small = readFileSync(path);
   await drop(page, "small.rgs", small);
   await page.waitForFunction(() => location.hash !== "");
   const expected = await hashOf(page);
