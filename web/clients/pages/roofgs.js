@@ -19,7 +19,7 @@ window.draw = async (url, pinhole) => {
   if (url !== scene?.name) {
     scene?.destroy();
     const read = await readFile({ entry: { name: url, url }, onProgress: nothing });
-    scene = await openScene(stage, { name: url, read, spzAxes: "ply", axes: kPlyAxes, side: 0, onProgress: nothing, on: {}, signal: new AbortController().signal }).catch(({ text, message }) => {
+    scene = await openScene(stage, { name: url, read, spzAxes: "ply", axes: kPlyAxes, side: 0, shDegree: 3, onProgress: nothing, on: {}, signal: new AbortController().signal }).catch(({ text, message }) => {
       throw new Error(text ?? message);
     });
     await scene.complete();
