@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 # check_wheel.py - checks that wheels are what their platform tag says: python3 packaging/check_wheel.py WHEEL...
 # By PEP 600: no symbol newer than those of the tag's glibc, libstdc++ and libgcc; every library is in the wheel or on every Linux; run paths
-# find those in the wheel. SPDX-License-Identifier: Apache-2.0
+# find those in the wheel; each program is a command. SPDX-License-Identifier: Apache-2.0
 import csv
 import hashlib
 import io
@@ -91,6 +91,10 @@ def problems(wheel):
                 yield f"RECORD has another hash of {name}, or none"
         if set(recorded) != set(archive.namelist()):
             yield "RECORD names other files than are there"
+        programs, commands = ({name.rpartition("/")[2] for name in archive.namelist() if name.startswith(folder)}
+                              for folder in ("roofgs/bin/", f"{match[1]}-{match[2]}.data/scripts/"))
+        if programs != commands:
+            yield f"these are in one of roofgs/bin and .data/scripts alone: {', '.join(sorted(programs ^ commands))}"
         libraries = [path for path in root.rglob("*") if path.is_file() and path.read_bytes()[:4] == b"\x7fELF"]
         if not any(path.name == "libroofgs.so" for path in libraries):
             yield "there is no libroofgs.so"

@@ -1,9 +1,9 @@
 #!/usr/bin/python3
 # make_wheel.py - the wheel that serves every Python: python3 packaging/make_wheel.py [--bundle] BUILD OUT VERSION [-DNAME=VALUE...]
-# It is built in BUILD. With the package go the programs that it calls and, if it was built, the viewer's page in one file
-# (roofgs/viewer.html). --bundle: also libraries that not every Linux has, under names that hold their hash, found by $ORIGIN; the tag then
-# names the oldest glibc that has all symbols. The same inputs give the same bytes. build_wheel() and build_sdist() are what pip calls
-# (PEP 517, pyproject.toml). SPDX-License-Identifier: Apache-2.0
+# It is built in BUILD. With the package go the programs, as commands too, and, if it was built, the viewer's page. --bundle: also libraries
+# that not every Linux has, under names that hold their hash, found by $ORIGIN; the tag then names the oldest glibc that has all symbols.
+# The same inputs give the same bytes. build_wheel() and build_sdist() are what pip calls (PEP 517, pyproject.toml).
+# SPDX-License-Identifier: Apache-2.0
 import argparse
 import csv
 import hashlib
@@ -25,7 +25,16 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "packaging"))
 from check_wheel import SYSTEM, oldest_glibc  # noqa: E402
 
-PROGRAMS = ["rgs-audit", "rgs-convert", "rgs-prune"]
+PROGRAMS = ["rgs-audit", "rgs-convert", "rgs-diff", "rgs-info", "rgs-judge", "rgs-make-scene", "rgs-prune", "rgs-render", "rgs-view"]
+# pip puts it on PATH. A program there would not find its libraries: the way from it to the package differs between installations.
+COMMAND = """#!python
+import os
+import sys
+from importlib.util import find_spec
+
+program = os.path.join(find_spec("roofgs").submodule_search_locations[0], "bin", "{name}")
+os.execv(program, [program, *sys.argv[1:]])
+"""
 INFO = """Metadata-Version: 2.1
 Name: roofgs
 Version: {version}
@@ -82,28 +91,37 @@ def licences(libraries, folder):
 
 
 def build(folder, options):
+    """Those of PROGRAMS that there are: rgs-view needs Boost."""
     shutil.rmtree(folder / "python/package", ignore_errors=True)  # files that the package no longer has
     subprocess.run(["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release", "-DRGS_BUILD_PYTHON=ON", "-DRGS_BUILD_TESTS=OFF",
-                    "-DRGS_BUILD_SAMPLES=OFF", *options], check=True, stdout=sys.stderr)
+                    *options], check=True, stdout=sys.stderr)
+    has_view = re.search(r"^RGS_ENABLE_VIEW:BOOL=(1|ON|TRUE)$", (folder / "CMakeCache.txt").read_text(), re.MULTILINE)
+    programs = [name for name in PROGRAMS if has_view or name != "rgs-view"]
     subprocess.run(["cmake", "--build", folder, "--parallel", os.environ.get("RGS_JOBS", str(os.cpu_count())),
-                    "--target", "rgs_python_package", *PROGRAMS], check=True, stdout=sys.stderr)
+                    "--target", "rgs_python_package", *programs], check=True, stdout=sys.stderr)
+    return programs
 
 
 def metadata(version):
     return INFO.format(version=version) + (ROOT / "docs/user/PYTHON.md").read_text()
 
 
-def pack(built, out, version, is_bundle):
+def pack(built, programs, out, version, is_bundle):
     """The wheel's path."""
     with tempfile.TemporaryDirectory() as temporary:
         tree = Path(temporary)
         shutil.copytree(built / "python/package/roofgs", tree / "roofgs", ignore=shutil.ignore_patterns("__pycache__"))
         (tree / "roofgs/bin").mkdir()
-        for program in PROGRAMS:
-            shutil.copy(built / "bin" / program, tree / "roofgs/bin")
-        page = ROOT / "web/viewer/dist-single/page.html"
-        if page.exists():
-            shutil.copyfile(page, tree / "roofgs/viewer.html")
+        commands = tree / f"roofgs-{version}.data/scripts"
+        commands.mkdir(parents=True)
+        for name in programs:
+            shutil.copy(built / "bin" / name, tree / "roofgs/bin")
+            (commands / name).write_text(COMMAND.format(name=name))
+        page = tree / "roofgs/share/roofgs/viewer"  # where rgs-view looks
+        if (ROOT / "web/viewer/dist-single/page.html").exists():
+            shutil.copytree(ROOT / "web/viewer/dist", page)
+            shutil.copyfile(ROOT / "web/viewer/dist-single/page.html", page / "single.html")
+            run("sh", ROOT / "scripts/make_sample.sh", built / "bin", page / "sample.rgs")
         files = [tree / "roofgs/lib/libroofgs.so", *sorted((tree / "roofgs/bin").iterdir())]
         info = tree / f"roofgs-{version}.dist-info"
         run("strip", "--strip-unneeded", *files)
@@ -131,7 +149,8 @@ def pack(built, out, version, is_bundle):
             for path in [*files, info / "RECORD"]:
                 entry = zipfile.ZipInfo(str(path.relative_to(tree)))
                 # Of regular files alone pip keeps the bits of programs.
-                entry.external_attr = (stat.S_IFREG | (0o755 if ".so" in path.name or path.parent.name == "bin" else 0o644)) << 16
+                is_program = ".so" in path.name or path.parent.name in ("bin", "scripts")
+                entry.external_attr = (stat.S_IFREG | (0o755 if is_program else 0o644)) << 16
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 archive.writestr(entry, path.read_bytes())
         return wheel
@@ -145,8 +164,8 @@ def source_version():
 # CMAKE_ARGS holds options for CMake.
 def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
     folder = ROOT / "build/pip"
-    build(folder, shlex.split(os.environ.get("CMAKE_ARGS", "")))
-    return pack(folder, Path(wheel_directory), source_version(), False).name
+    programs = build(folder, shlex.split(os.environ.get("CMAKE_ARGS", "")))
+    return pack(folder, programs, Path(wheel_directory), source_version(), False).name
 
 
 def build_sdist(sdist_directory, config_settings=None):
@@ -168,8 +187,8 @@ def main():
     parser.add_argument("out", type=Path)
     parser.add_argument("version", nargs="?", default=source_version())
     arguments, options = parser.parse_known_args()
-    build(arguments.build, options)
-    print(pack(arguments.build, arguments.out, arguments.version, arguments.bundle))
+    programs = build(arguments.build, options)
+    print(pack(arguments.build, programs, arguments.out, arguments.version, arguments.bundle))
 
 
 if __name__ == "__main__":

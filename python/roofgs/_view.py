@@ -13,7 +13,7 @@ from typing import Union
 from ._errors import argument_error, local_name, make
 from ._scene import Scene, StreamedScene
 
-_PAGE = Path(__file__).parent / "viewer.html"
+_PAGE = Path(__file__).parent / "share/roofgs/viewer/single.html"
 _MARK = "<!-- rgs-view:insert -->"
 
 

@@ -58,8 +58,20 @@ class CheckWheel(unittest.TestCase):
         stale.touch()
         cache.touch()
         with mock.patch.object(make_wheel.subprocess, "run"):
-            make_wheel.build(self.root, [])
+            programs = make_wheel.build(self.root, [])
         self.assertEqual((stale.exists(), cache.exists()), (False, True))
+        self.assertNotIn("rgs-view", programs)
+
+    def test_commands(self):
+        program, site = self.root / "site/roofgs/bin/rgs-info", self.root / "site/roofgs"
+        program.parent.mkdir(parents=True)
+        (site / "__init__.py").write_text("raise ImportError('a command loads no package')\n")
+        program.write_text("#!/bin/sh\nprintf '%s|' \"$@\"\nexit 4\n")
+        program.chmod(0o755)
+        command = make_wheel.COMMAND.format(name="rgs-info")
+        run = subprocess.run([sys.executable, "-c", command, "-a", "b c", b"\xe9"], env={"PYTHONPATH": str(site.parent)},
+                             capture_output=True)
+        self.assertEqual((run.returncode, run.stdout), (4, b"-a|b c|\xe9|"), run.stderr)
 
     def test_libraries(self):
         own = self.library("libown-0123abcd.so.1")
@@ -84,6 +96,7 @@ class CheckWheel(unittest.TestCase):
         self.assertIn("WHEEL does not say", self.problems(stated="linux_x86_64"))
         self.assertIn("another hash of roofgs/libroofgs", self.problems(spoil=lambda files: files.update(
             {name: data + b"x" for name, data in files.items() if name.endswith(".so")})))
+        self.assertIn("alone: rgs-info", self.problems(spoil=lambda files: files.update({"roofgs/bin/rgs-info": b""})))
         self.assertIn("other files than are there", self.problems(spoil=lambda files: files.update({"roofgs/more.py": b""})))
 
 

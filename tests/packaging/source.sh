@@ -10,6 +10,7 @@ PYTHONPATH=packaging $python -c 'import make_wheel; make_wheel.build_sdist("buil
 tar -tzf build/source/roofgs-*.tar.gz | sed 's|^[^/]*/||' | grep -vx PKG-INFO | sort >build/source/files
 git ls-files | sort | diff - build/source/files
 CMAKE_ARGS="-G Ninja -DRGS_ENABLE_CUDA=OFF" $python -m pip install --no-index --no-deps --target build/source/site .
+PYTHONPATH=build/source/site build/source/site/bin/rgs-info tests/golden/packed_degree3.rgs
 PYTHONPATH=build/source/site $python - <<'END'
 import roofgs
 
