@@ -6,31 +6,57 @@ import operator
 import reprlib
 import sys
 import threading
-from typing import Any, Dict, List, Literal, Optional, Tuple, get_args
+from typing import Any, Callable, Dict, Iterator, List, Literal, MutableMapping, Optional, Tuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import cameras
 from ._arrays import float_array, host_array, is_tensor
-from ._camera import Camera
+from ._camera import Camera, packed as packed_cameras
 from ._errors import argument_error
+from ._library import work
 from ._render import Renderer
 from ._scene import AntiAliasing, Scene
 
 _SH0 = 0.28209479177387814  # Y of degree 0
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 _NEWER = {"global_z_order": True}  # arguments of later gsplat versions with a default other than None or False
+_OF_GAUSSIANS = ("batch_ids", "camera_ids", "gaussian_ids", "radii", "means2d", "depths", "conics", "opacities")
 _local = threading.local()
 
 Floats = NDArray[np.float32]
 
 
-class Meta(Dict[str, Any]):
-    """The sizes of a call. KeyError for what only gsplat's own stages have."""
+class Meta(MutableMapping[str, Any]):
+    """gsplat's meta without its lists of tiles. What it says of each Gaussian is computed when it is first asked for."""
 
-    def __missing__(self, key: str) -> Any:
-        raise KeyError(f"{key!r}: RoofGS does not have gsplat's stages; meta holds {', '.join(self)} alone")
+    def __init__(self, sizes: Dict[str, int], project: Callable[[], Dict[str, Any]]) -> None:
+        self._values: Dict[str, Any] = {**dict.fromkeys(_OF_GAUSSIANS, ...), **sizes}
+        self._project = project
+
+    def __getitem__(self, key: str) -> Any:
+        if key not in self._values:
+            raise KeyError(f"{key!r}: RoofGS does not have gsplat's lists of tiles; meta holds {', '.join(self)} alone")
+        if self._values[key] is ...:
+            found = self._project()
+            self._values.update((name, found[name]) for name in _OF_GAUSSIANS if self._values.get(name) is ...)
+        return self._values[key]
+
+    def __setitem__(self, key: str, value: Any) -> None:
+        self._values[key] = value
+
+    def __delitem__(self, key: str) -> None:
+        del self._values[key]
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
 
 
 def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: Any, viewmats: Any, Ks: Any, width: int,
@@ -69,7 +95,9 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     render_mode : "RGB", "D", "ED", "RGB+D" or "RGB+ED"
         D is the accumulated depth, the sum of weight times z; ED is D / alpha.
     rasterize_mode : "classic" or "antialiased"
-    packed, tile_size, channel_chunk, segmented
+    packed : bool
+        How `meta` lists Gaussians.
+    tile_size, channel_chunk, segmented
         Ignored: they say how gsplat computes.
     radius_clip, sparse_grad, absgrad, distributed, camera_model, covars, and gsplat's other arguments
         Only their defaults are accepted.
@@ -79,8 +107,15 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     colors : [..., C, height, width, X]
         X is D, 1 or D + 1 channels, depth last. Depth has no background.
     alphas : [..., C, height, width, 1]
-    meta : dict
-        "width", "height", "n_cameras", "n_batches".
+    meta : mapping
+        "width", "height", "n_cameras", "n_batches"; and of each Gaussian and camera, computed on the CPU when first asked
+        for, as gsplat has it from version 1.5 on: "means2d" [..., C, N, 2], centres in pixels, those of pixels at halves;
+        "radii" int32 [..., C, N, 2], half the width and height of the box outside which its alpha is below 1/255, 0 if no
+        pixel can have more; "depths" [..., C, N], z in the camera's axes; "conics" [..., C, N, 3], a, b, c of the inverse
+        covariance a x^2 + 2 b x y + c y^2, 1/px^2, `eps2d` included; "opacities" [..., C, N], in mode "antialiased" as drawn.
+        Where radii are 0 the others are, but opacities. With `packed` these list, as [nnz, ...], only what has radii,
+        and "batch_ids", "camera_ids", "gaussian_ids" [nnz] say of what; else these are None. KeyError for gsplat's lists of
+        tiles.
 
     A Gaussian ends where its alpha falls below 1/255, alpha is at most 0.99, and a pixel stops at a transmittance of 1e-4.
     Pictures differ from those of a gsplat version with other thresholds.
@@ -131,20 +166,30 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     n_out = (n_channels if with_colour else 0) + (depth_mode in ("D", "ED"))
     out = np.empty((n_batches, n_cameras, height, width, n_out), np.float32)
     alphas = np.empty((n_batches, n_cameras, height, width, 1), np.float32)
+    seen: List[Scene] = []  # by batch; their colours do not matter
     for b in range(n_batches):
         for c in range(n_cameras):
             if c == 0 or per_camera:
                 sets = [Scene._of_sh(centres[b], rotations[b], deviations[b], weights[b], sh,
                                      "mip" if rasterize_mode == "antialiased" else "classic", eps2d)
                         for sh in harmonics[b][c if per_camera else 0]]
+            if c == 0:
+                seen.append(sets[0])
             _render_one(sets if with_colour else sets[:1], views[b * n_cameras + c], behind[b, c], with_colour, depth_mode,
                         near_plane, far_plane, out[b, c], alphas[b, c])
             below = lowest[b, c if per_camera else 0]
             if with_colour and below.any():
                 out[b, c, ..., :n_channels] += below * alphas[b, c]
     shape = (*batch, n_cameras, height, width)
+
+    def project() -> Dict[str, Any]:
+        found = _project(seen, views, n, near_plane, far_plane, packed)
+        return {name: None if array is None
+                else _like(tensor, array if packed else array.reshape(*batch, n_cameras, *array.shape[2:]))
+                for name, array in found.items()}
+
     return (_like(tensor, out.reshape(*shape, n_out)), _like(tensor, alphas.reshape(*shape, 1)),
-            Meta(width=width, height=height, n_cameras=n_cameras, n_batches=n_batches))
+            Meta(dict(width=width, height=height, n_cameras=n_cameras, n_batches=n_batches), project))
 
 
 def _render_one(sets: List[Scene], view: Camera, behind: Floats, with_colour: bool, depth_mode: str, near_plane: float,
@@ -166,6 +211,26 @@ def _render_one(sets: List[Scene], view: Camera, behind: Floats, with_colour: bo
             alpha[..., 0] = frame.alpha
             if frame.depth is not None:
                 out[..., -1] = frame.depth if depth_mode == "ED" else frame.depth * frame.alpha
+
+
+def _project(scenes: List[Scene], views: List[Camera], n: int, near_plane: float, far_plane: float,
+             packed: bool) -> "Dict[str, Optional[NDArray[Any]]]":
+    """_OF_GAUSSIANS, [batch, camera, n, ...] or packed."""
+    n_cameras = len(views) // len(scenes) if scenes else 0
+    shape = (len(scenes), n_cameras, n)
+    found: "Dict[str, NDArray[Any]]" = dict(
+        radii=np.zeros((*shape, 2), np.int32), means2d=np.zeros((*shape, 2), np.float32), depths=np.zeros(shape, np.float32),
+        conics=np.zeros((*shape, 3), np.float32), opacities=np.zeros(shape, np.float32))
+    for i, view in enumerate(views):
+        b, c = divmod(i, n_cameras)
+        work("project", scene=scenes[b]._native, near_plane=float(near_plane),
+             far_plane=0.0 if far_plane == np.inf else float(far_plane), **packed_cameras([view]),
+             **{name: array[b, c] for name, array in found.items()})
+    if not packed:
+        return {**dict.fromkeys(("batch_ids", "camera_ids", "gaussian_ids")), **found}
+    has_radii = found["radii"][..., 0] > 0
+    ids = dict(zip(("batch_ids", "camera_ids", "gaussian_ids"), np.nonzero(has_radii)))
+    return {**ids, **{name: array[has_radii] for name, array in found.items()}}
 
 
 def _renderer() -> Renderer:

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -11,6 +12,8 @@
 
 #include "calls.hpp"
 #include "rgs/image.hpp"
+#include "rgs/math/coverage.hpp"
+#include "rgs/math/projection.hpp"
 #include "rgs/renderer.hpp"
 
 // Of Python's stable ABI; the process that has loaded this library holds them.
@@ -121,6 +124,46 @@ Json frame_stats(const Json& a) {
   return list;
 }
 
+// Where a camera sees each Gaussian, by gsplat's definition: FP32 means2d [n, 2], depths [n], conics [n, 3] and
+// opacities [n], int32 radii [n, 2]. Of one that is not in the picture only the opacity is written.
+Json project(const Json& a) {
+  constexpr float kLargestRadius = 2147483520.0F;  // that an int32 holds
+  const Scene held_scene = scene_of(a);
+  const SceneView scene = take(held_scene.view());
+  const RenderOptions options = with_declarations({}, held_scene.declarations());
+  const Camera camera = cameras_of(a).front();
+  double matrix[16];
+  std::ranges::copy(row_major(camera.world_to_camera), matrix);
+  const auto view = math::make_view<float>(matrix, camera.width, camera.height, camera.fx, camera.fy, camera.cx,
+                                           camera.cy, a.at("near_plane"), a.at("far_plane"));
+  const auto width = static_cast<float>(camera.width), height = static_cast<float>(camera.height);
+  auto* const means2d = address<float>(a, "means2d");
+  auto* const depths = address<float>(a, "depths");
+  auto* const conics = address<float>(a, "conics");
+  auto* const opacities = address<float>(a, "opacities");
+  auto* const radii = address<std::int32_t>(a, "radii");
+  for (std::size_t i = 0; i < scene.n; ++i) {
+    const float *m = &scene.mean[3 * i], *r = &scene.rotation[4 * i], *s = &scene.scale[3 * i];
+    opacities[i] = scene.opacity[i];
+    const auto p = math::project<float>(view, {m[0], m[1], m[2]}, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]},
+                                        scene.opacity[i], *options.low_pass, *options.anti_aliasing);
+    if (!p.footprint.valid) continue;
+    const float level = -2 * math::power_cutoff(p.footprint.opacity);
+    if (!(level > 0)) continue;
+    const float u = p.mean.u + 0.5F, v = p.mean.v + 0.5F;  // gsplat's pixel centres are at the halves
+    const float radius_x = std::min(std::ceil(std::sqrt(level * p.footprint.cov.xx)), kLargestRadius);
+    const float radius_y = std::min(std::ceil(std::sqrt(level * p.footprint.cov.yy)), kLargestRadius);
+    if (u + radius_x <= 0 || u - radius_x >= width || v + radius_y <= 0 || v - radius_y >= height) continue;
+    means2d[2 * i] = u, means2d[2 * i + 1] = v;
+    depths[i] = p.z;
+    conics[3 * i] = p.footprint.conic.a, conics[3 * i + 1] = p.footprint.conic.b;
+    conics[3 * i + 2] = p.footprint.conic.c;
+    opacities[i] = p.footprint.opacity;
+    radii[2 * i] = static_cast<std::int32_t>(radius_x), radii[2 * i + 1] = static_cast<std::int32_t>(radius_y);
+  }
+  return nullptr;
+}
+
 // ---- arrays in GPU memory
 
 Json allocate(const Json& a) {
@@ -176,6 +219,7 @@ Calls render_calls() {
           {"refine", refine},
           {"prepare", prepare},
           {"frame_stats", frame_stats},
+          {"project", project},
           {"allocate", allocate},
           {"dlpack", dlpack}};
 }

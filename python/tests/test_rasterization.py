@@ -27,8 +27,9 @@ def splats(n=12, seed=5):
 CAMERAS = dict(viewmats=np.stack([turned(), second_view()]), Ks=np.stack([K, K]), width=W, height=H)
 
 
-def expected(means, quats, scales, opacities, colors, view, k, eps2d=0.3, antialiased=False, near=0.01, clamp=True):
-    """Colours, alpha and accumulated depth in FP64, pixel by pixel: Zwicker's EWA splatting as 3DGS and gsplat define it."""
+def projected(means, quats, scales, opacities, view, k, eps2d=0.3, antialiased=False, near=0.01, clamp=True):
+    """Centre, z, covariance and opacity of each Gaussian on the image in FP64, None if it is too near: Zwicker's EWA splatting
+    as 3DGS and gsplat define it."""
     half = np.array([W / k[0, 0], H / k[1, 1]]) / 2  # pictures, as slopes
     low = -k[:2, 2] / np.diag(k)[:2] - 0.3 * half
     high = low + 2.6 * half
@@ -40,22 +41,31 @@ def expected(means, quats, scales, opacities, colors, view, k, eps2d=0.3, antial
     axes = rotation * scales[:, None, :]
     covariance = axes @ axes.transpose(0, 2, 1)
     at = means @ view[:3, :3].T + view[:3, 3]
-    v, u = np.mgrid[0:H, 0:W] + 0.5
-    colour, depth, left = np.zeros((H, W, colors.shape[-1])), np.zeros((H, W)), np.ones((H, W))
-    for i in np.argsort(at[:, 2], kind="stable"):
+    found = []
+    for i in range(len(means)):
         px, py, pz = at[i]
         if pz < near:
+            found.append(None)
             continue
         sx, sy = np.clip((px / pz, py / pz), low, high) if clamp else (px / pz, py / pz)
         jacobian = np.array([[k[0, 0], 0, -k[0, 0] * sx], [0, k[1, 1], -k[1, 1] * sy]]) / pz
         m = jacobian @ view[:3, :3]
         before = m @ covariance[i] @ m.T
-        projected = before + eps2d * np.eye(2)
-        weight = opacities[i]
-        if antialiased:
-            weight = weight * np.sqrt(max(np.linalg.det(before) / np.linalg.det(projected), 0))
-        d = np.stack([u - (k[0, 0] * px / pz + k[0, 2]), v - (k[1, 1] * py / pz + k[1, 2])], axis=-1)
-        distance = np.einsum("hwi,ij,hwj->hw", d, np.linalg.inv(projected), d)
+        after = before + eps2d * np.eye(2)
+        share = np.sqrt(max(np.linalg.det(before) / np.linalg.det(after), 0)) if antialiased else 1
+        found.append((np.array([k[0, 0] * px / pz + k[0, 2], k[1, 1] * py / pz + k[1, 2]]), pz, after, opacities[i] * share))
+    return found
+
+
+def expected(means, quats, scales, opacities, colors, view, k, **options):
+    """Colours, alpha and accumulated depth in FP64, pixel by pixel."""
+    found = projected(means, quats, scales, opacities, view, k, **options)
+    v, u = np.mgrid[0:H, 0:W] + 0.5
+    colour, depth, left = np.zeros((H, W, colors.shape[-1])), np.zeros((H, W)), np.ones((H, W))
+    for i in sorted((i for i, each in enumerate(found) if each), key=lambda i: found[i][1]):
+        centre, pz, covariance, weight = found[i]
+        d = np.stack([u - centre[0], v - centre[1]], axis=-1)
+        distance = np.einsum("hwi,ij,hwj->hw", d, np.linalg.inv(covariance), d)
         alpha = np.minimum(weight * np.exp(-distance / 2), 0.99)
         alpha = np.where((alpha >= 1 / 255) & (left > 1e-4), alpha, 0)
         colour += (alpha * left)[..., None] * colors[i]
@@ -78,7 +88,8 @@ def test_pictures_alpha_and_depth(antialiased, eps2d):
     colors, alphas, meta = roofgs.rasterization(**given, **CAMERAS, render_mode="RGB+D", eps2d=eps2d,
                                                 rasterize_mode="antialiased" if antialiased else "classic")
     assert colors.shape == (2, H, W, 4) and alphas.shape == (2, H, W, 1) and colors.dtype == np.float32
-    assert dict(meta) == dict(width=W, height=H, n_cameras=2, n_batches=1)
+    assert {name: meta[name] for name in ("width", "height", "n_cameras", "n_batches")} == \
+        dict(width=W, height=H, n_cameras=2, n_batches=1)
     for c in range(2):
         colour, alpha, depth = expected(**given, view=CAMERAS["viewmats"][c], k=K, eps2d=eps2d, antialiased=antialiased)
         assert alpha.max() > 0.8
@@ -359,11 +370,88 @@ def test_low_passes_are_numbers(eps2d):
     assert "from_arrays" not in str(caught.value) and len(str(caught.value)) < 150
 
 
-def test_meta_says_what_it_lacks():
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("eps2d", [0.3, 0.8])
+def test_meta_of_each_gaussian(antialiased, eps2d):
+    given = splats(60)
+    given["means"] *= 2  # some beside the picture
+    given["means"][8:11] -= 30 * turned()[2, :3]  # behind the cameras
+    given["opacities"][::7] = 0.003
+    given["opacities"][3] = 1
+    _, _, meta = roofgs.rasterization(**given, **CAMERAS, eps2d=eps2d, packed=False,
+                                      rasterize_mode="antialiased" if antialiased else "classic")
+    assert meta["radii"].shape == (2, 60, 2) and meta["radii"].dtype == np.int32
+    assert meta["batch_ids"] is meta["camera_ids"] is meta["gaussian_ids"] is None
+    del given["colors"]
+    counts = dict(drawn=0, faint=0, beside=0, behind=0)
+    for c, view in enumerate(CAMERAS["viewmats"]):
+        for i, each in enumerate(projected(**given, view=view, k=K, eps2d=eps2d, antialiased=antialiased)):
+            radii = [0, 0]
+            if each is None:
+                counts["behind"] += 1
+            elif each[3] < 1 / 255:
+                counts["faint"] += 1
+            else:
+                box = np.ceil(np.sqrt(2 * np.log(255 * each[3]) * np.diag(each[2])))
+                is_beside = (each[0] + box <= 0).any() or (each[0] - box >= (W, H)).any()
+                counts["beside" if is_beside else "drawn"] += 1
+                radii = [0, 0] if is_beside else box
+            np.testing.assert_array_equal(meta["radii"][c, i], radii)
+            shown = {name: meta[name][c, i] for name in ("means2d", "depths", "conics", "opacities")}
+            if not any(radii):
+                assert not any(shown[name].any() for name in ("means2d", "depths", "conics"))
+                assert shown["opacities"] == np.float32(given["opacities"][i])
+                continue
+            (a, b), (_, d) = np.linalg.inv(each[2])
+            np.testing.assert_allclose(shown["means2d"], each[0], rtol=1e-4, atol=1e-3)
+            np.testing.assert_allclose(shown["depths"], each[1], rtol=1e-5)
+            np.testing.assert_allclose(shown["conics"], (a, b, d), rtol=1e-4, atol=1e-5 * max(a, d))
+            np.testing.assert_allclose(shown["opacities"], each[3], rtol=1e-4)
+    assert min(counts.values()) > 3, counts
+
+
+def test_packed_meta_lists_what_is_drawn():
+    given = splats(60)
+    given["means"] *= 2
+    batches = {name: np.stack([each, each[::-1]]) for name, each in given.items()}
+    cameras = {**CAMERAS, "viewmats": np.stack([CAMERAS["viewmats"]] * 2), "Ks": np.stack([CAMERAS["Ks"]] * 2)}
+    _, _, whole = roofgs.rasterization(**batches, **cameras, packed=False)
+    _, _, packed = roofgs.rasterization(**batches, **cameras)
+    b, c, i = ids = (packed["batch_ids"], packed["camera_ids"], packed["gaussian_ids"])
+    assert all(each.dtype == np.int64 for each in ids) and 0 < len(i) < 2 * 2 * 60
+    assert sorted(zip(*ids)) == list(zip(*ids)) and len(i) == (whole["radii"] > 0).all(axis=-1).sum()
+    for name in ("radii", "means2d", "depths", "conics", "opacities"):
+        assert np.array_equal(packed[name], whole[name][b, c, i])
+    assert np.array_equal(whole["conics"][1], whole["conics"][0][:, ::-1])
+
+
+def test_meta_without_gaussians_or_cameras():
+    given = splats()
+    for n, cameras in ((0, 2), (12, 0)):
+        _, _, meta = roofgs.rasterization(**{name: each[:n] for name, each in given.items()}, viewmats=CAMERAS["viewmats"][:cameras],
+                                          Ks=CAMERAS["Ks"][:cameras], width=W, height=H, packed=False)
+        assert meta["conics"].shape == (cameras, n, 3) and meta["radii"].shape == (cameras, n, 2)
+
+
+def test_meta_is_of_what_was_drawn():
+    given = {name: np.ascontiguousarray(each, np.float32) for name, each in splats().items()}
+    _, _, before = roofgs.rasterization(**given, **CAMERAS)
+    _, _, after = roofgs.rasterization(**given, **CAMERAS)
+    assert before["depths"].max() > 1
+    for each in given.values():
+        each[:] = 1
+    assert np.array_equal(before["depths"], after["depths"]) and np.array_equal(before["opacities"], after["opacities"])
+
+
+def test_meta_is_a_mapping():
     _, _, meta = roofgs.rasterization(**splats(), **CAMERAS)
-    with pytest.raises(KeyError, match="means2d.*stages"):
-        meta["means2d"]
-    assert meta.get("radii") is None and "radii" not in meta
+    with pytest.raises(KeyError, match="isect_ids.*lists of tiles.*means2d"):
+        meta["isect_ids"]
+    assert meta.get("isect_ids") is None and "isect_ids" not in meta and "means2d" in meta
+    meta["radii"] = "mine"
+    del meta["depths"]
+    assert len(meta) == len(list(meta)) == 11 and "depths" not in meta
+    assert {**meta}["conics"].shape == meta["means2d"].shape[:1] + (3,) and meta["radii"] == "mine"
 
 
 class Tensor:
@@ -396,9 +484,10 @@ def test_gradients_are_refused_at_once(name):
 def test_torch_tensors():
     torch = pytest.importorskip("torch", reason="torch is not installed")
     given = {name: torch.from_numpy(value).float() for name, value in splats().items()}
-    colors, alphas, _ = roofgs.rasterization(**given, viewmats=torch.from_numpy(CAMERAS["viewmats"]),
-                                             Ks=torch.from_numpy(CAMERAS["Ks"]), width=W, height=H)
+    colors, alphas, meta = roofgs.rasterization(**given, viewmats=torch.from_numpy(CAMERAS["viewmats"]),
+                                                Ks=torch.from_numpy(CAMERAS["Ks"]), width=W, height=H)
     assert isinstance(colors, torch.Tensor) and colors.shape == (2, H, W, 3) and alphas.device.type == "cpu"
+    assert meta["means2d"].shape == meta["radii"].shape and meta["gaussian_ids"].dtype == torch.int64
     expected_colors, _, _ = roofgs.rasterization(**splats(), **CAMERAS)
     np.testing.assert_allclose(colors.numpy(), expected_colors, atol=1e-4)
     halves, _, _ = roofgs.rasterization(**{**given, "colors": given["colors"].bfloat16()}, **CAMERAS)
