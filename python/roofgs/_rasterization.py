@@ -83,7 +83,7 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
         0 to 1, not logits.
     colors : [..., (C,) N, D], or with `sh_degree` [..., (C,) N, K, 3]
         Colours or other features, any number of channels, either sign; or coefficients of spherical harmonics. A channel
-        with negative values is exact to a millionth of its lowest value.
+        with negative values is exact to a millionth of its lowest value. For depth alone it may be None.
     viewmats : [..., C, 4, 4]
         World to camera, OpenCV axes.
     Ks : [..., C, 3, 3]
@@ -141,6 +141,8 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
         if not 0 <= sh_degree <= 3:
             raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
     tensor = means if is_tensor(means) else None
+    if colors is None and "RGB" not in render_mode:
+        colors, sh_degree = np.zeros((*np.shape(means)[:-1], 1), np.float32), None
     means, colors, viewmats = (host_array(value, name) for name, value in
                                dict(means=means, colors=colors, viewmats=viewmats).items())  # once, from whatever device
 
