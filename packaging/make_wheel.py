@@ -85,7 +85,7 @@ def licences(libraries, folder):
     """The copyright files of the Debian packages that the libraries are from."""
     folder.mkdir(parents=True)
     shutil.copyfile(ROOT / "LICENSE", folder / "roofgs")
-    patterns = [f"*/{Path(library).name}" for library in libraries]
+    patterns = [f"*-linux-gnu/{Path(library).name}" for library in libraries]  # not those for other processors
     for package in sorted(set(re.findall(r"^([^:]+)(?::\w+)?: ", run("dpkg", "-S", *patterns), re.MULTILINE)) if patterns else []):
         shutil.copyfile(f"/usr/share/doc/{package}/copyright", folder / package)
 

@@ -57,7 +57,7 @@ strip "$out"/bin/*
 
 cp "$(dirname "$0")/../LICENSE" "$out/licenses/roofgs"
 # "libfmt9:amd64: /usr/lib/x86_64-linux-gnu/libfmt.so.9"
-for library in "$out"/lib/*.so*; do echo "*/${library##*/}"; done | xargs dpkg -S 2>/dev/null | cut -d: -f1 | sort -u |
+for library in "$out"/lib/*.so*; do echo "*-linux-gnu/${library##*/}"; done | xargs dpkg -S 2>/dev/null | cut -d: -f1 | sort -u |
   while read -r package; do
     [ ! -e "/usr/share/doc/$package/copyright" ] || cp -L "/usr/share/doc/$package/copyright" "$out/licenses/$package"
   done

@@ -23,8 +23,9 @@ namespace {
 // A library below OpenImageIO starts so many threads while it is loaded, and ends the program if it cannot.
 constexpr unsigned kLoadingThreads = 4;
 
-// Where the module may be: in a build, installed, and where a build of another project has it.
-constexpr const char* kModuleFolders[] = {"$ORIGIN/../lib/roofgs", "$ORIGIN/../" RGS_LIBDIR "/roofgs",
+// Where the module may be: in a build, installed, beside the shared library that this may be in, and where a build of
+// another project has it.
+constexpr const char* kModuleFolders[] = {"$ORIGIN/../lib/roofgs", "$ORIGIN/../" RGS_LIBDIR "/roofgs", "$ORIGIN/roofgs",
 #ifdef RGS_MODULE_FOLDER
                                           RGS_MODULE_FOLDER
 #endif
