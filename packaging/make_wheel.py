@@ -1,7 +1,8 @@
 #!/usr/bin/python3
 # make_wheel.py - the wheel that serves every Python: python3 packaging/make_wheel.py [--bundle] BUILD OUT VERSION [-DNAME=VALUE...]
 # It is built in BUILD. With the package go the programs, as commands too, and, if it was built, the viewer's page. --bundle: also libraries
-# that not every Linux has, under names that hold their hash, found by $ORIGIN; the tag then names the oldest glibc that has all symbols.
+# that not every Linux has and those that module and programs share, under names that hold their hash, found by $ORIGIN; the tag then
+# names the oldest glibc that has all symbols.
 # The same inputs give the same bytes. build_wheel() and build_sdist() are what pip calls (PEP 517, pyproject.toml).
 # SPDX-License-Identifier: Apache-2.0
 import argparse
@@ -47,28 +48,33 @@ Description-Content-Type: text/markdown
 """
 
 
-def run(*command):
-    return subprocess.run([str(word) for word in command], check=True, capture_output=True, text=True).stdout
+def run(*command, **environment):
+    return subprocess.run([str(word) for word in command], check=True, capture_output=True, text=True,
+                          env={**os.environ, **environment}).stdout
 
 
 def needed(path):
     return re.findall(r"\(NEEDED\).*\[(.*)\]", run("readelf", "--wide", "--dynamic", path))
 
 
-def bundle(files, folder):
-    """Copies what `files` need, directly or not, into `folder`, and makes all of it be found there."""
+def bundle(files, built, folder):
+    """Copies what `files` need, directly or not, into `folder`, and makes all of it be found there. The paths of those that are not
+    from the folder `built`."""
     paths = {}
     for file in files:
-        paths.update(re.findall(r"^\s*(\S+) => (/\S+)", run("ldd", file), re.MULTILINE))
+        paths.update(re.findall(r"^\s*(\S+) => (/\S+)", run("ldd", file, LD_LIBRARY_PATH=str(built)), re.MULTILINE))
     renamed = {}
     for name, path in sorted(paths.items()):
         if name not in SYSTEM:
             digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()[:8]
             renamed[name] = re.sub(r"\.so", f"-{digest}.so", name, count=1)
     folder.mkdir()
+    own = {name for name in renamed if Path(paths[name]).is_relative_to(built)}
     for name, new in renamed.items():
         shutil.copyfile(paths[name], folder / new)
         (folder / new).chmod(0o755)
+        if name in own:
+            run("strip", "--strip-unneeded", folder / new)
     for path in [*files, *folder.iterdir()]:
         inside = path.parent == folder
         # One change a call: patchelf 0.14 mixes up the strings of several.
@@ -78,7 +84,7 @@ def bundle(files, folder):
                 run("patchelf", "--replace-needed", name, renamed[name], path)
         if inside:
             run("patchelf", "--set-soname", path.name, path)
-    return sorted(paths[name] for name in renamed)
+    return sorted(paths[name] for name in renamed if name not in own)
 
 
 def licences(libraries, folder):
@@ -90,11 +96,11 @@ def licences(libraries, folder):
         shutil.copyfile(f"/usr/share/doc/{package}/copyright", folder / package)
 
 
-def build(folder, options):
+def build(folder, is_bundle, options):
     """Those of PROGRAMS that there are: rgs-view needs Boost."""
     shutil.rmtree(folder / "python/package", ignore_errors=True)  # files that the package no longer has
     subprocess.run(["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release", "-DRGS_BUILD_PYTHON=ON", "-DRGS_BUILD_TESTS=OFF",
-                    *options], check=True, stdout=sys.stderr)
+                    f"-DBUILD_SHARED_LIBS={'ON' if is_bundle else 'OFF'}", *options], check=True, stdout=sys.stderr)
     has_view = re.search(r"^RGS_ENABLE_VIEW:BOOL=(1|ON|TRUE)$", (folder / "CMakeCache.txt").read_text(), re.MULTILINE)
     programs = [name for name in PROGRAMS if has_view or name != "rgs-view"]
     subprocess.run(["cmake", "--build", folder, "--parallel", os.environ.get("RGS_JOBS", str(os.cpu_count())),
@@ -125,7 +131,7 @@ def pack(built, programs, out, version, is_bundle):
         files = [tree / "roofgs/lib/libroofgs.so", *sorted((tree / "roofgs/bin").iterdir())]
         info = tree / f"roofgs-{version}.dist-info"
         run("strip", "--strip-unneeded", *files)
-        licences(bundle(files, tree / "roofgs.libs") if is_bundle else [], info / "licenses")
+        licences(bundle(files, (built / "lib").resolve(), tree / "roofgs.libs") if is_bundle else [], info / "licenses")
         platform = "linux_" + os.uname().machine
         if is_bundle:
             glibc = oldest_glibc(path for path in tree.rglob("*") if path.is_file() and path.read_bytes()[:4] == b"\x7fELF")
@@ -164,7 +170,7 @@ def source_version():
 # CMAKE_ARGS holds options for CMake.
 def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
     folder = ROOT / "build/pip"
-    programs = build(folder, shlex.split(os.environ.get("CMAKE_ARGS", "")))
+    programs = build(folder, False, shlex.split(os.environ.get("CMAKE_ARGS", "")))
     return pack(folder, programs, Path(wheel_directory), source_version(), False).name
 
 
@@ -187,7 +193,7 @@ def main():
     parser.add_argument("out", type=Path)
     parser.add_argument("version", nargs="?", default=source_version())
     arguments, options = parser.parse_known_args()
-    programs = build(arguments.build, options)
+    programs = build(arguments.build, arguments.bundle, options)
     print(pack(arguments.build, programs, arguments.out, arguments.version, arguments.bundle))
 
 

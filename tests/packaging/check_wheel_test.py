@@ -58,7 +58,7 @@ class CheckWheel(unittest.TestCase):
         stale.touch()
         cache.touch()
         with mock.patch.object(make_wheel.subprocess, "run"):
-            programs = make_wheel.build(self.root, [])
+            programs = make_wheel.build(self.root, True, [])
         self.assertEqual((stale.exists(), cache.exists()), (False, True))
         self.assertNotIn("rgs-view", programs)
 
