@@ -13,6 +13,7 @@ from ._errors import argument_error
 
 FloatArray = NDArray[np.float32]
 _DLPACK_CPU, _DLPACK_CUDA_HOST = 1, 3
+_OUTPUTS = {"<f4": "float32", "|u1": "uint8"}  # str() of a dtype takes longer than the rest of host_output()
 
 
 def is_tensor(value: Any) -> bool:
@@ -91,8 +92,9 @@ def host_output(value: Any, name: str) -> Output:
         array = value.detach().numpy()
     if not isinstance(array, np.ndarray):
         raise argument_error(f"{name} is not a NumPy array, a torch tensor or an array on a GPU")
-    kind = str(array.dtype) if array.dtype.isnative else "?"
-    return Output(value, array.__array_interface__["data"][0], array.shape, kind, array.flags.c_contiguous, not array.flags.writeable)
+    facts = array.__array_interface__
+    kind = _OUTPUTS.get(facts["typestr"], "?")
+    return Output(value, facts["data"][0], array.shape, kind, array.flags.c_contiguous, not array.flags.writeable)
 
 
 def device_output(value: Any, name: str) -> "Optional[Tuple[Output, int]]":
@@ -108,7 +110,7 @@ def device_output(value: Any, name: str) -> "Optional[Tuple[Output, int]]":
     facts: Optional[Dict[str, Any]] = getattr(value, "__cuda_array_interface__", None)
     if facts is None:
         return None
-    kind = {"<f4": "float32", "|u1": "uint8"}.get(facts["typestr"], "?")
+    kind = _OUTPUTS.get(facts["typestr"], "?")
     shape, strides, (address, readonly) = tuple(facts["shape"]), facts.get("strides"), facts["data"]
     size = 4 if kind == "float32" else 1
     tight = [size * math.prod(shape[i + 1:]) for i in range(len(shape))]

@@ -25,6 +25,8 @@ Device = Literal["auto", "cpu", "cuda"]
 Pipeline = Literal["automatic", "baseline", "paper", "turbo"]
 ImageType = Union[None, Literal["float32", "uint8"], Type[np.float32], Type[np.uint8], "np.dtype[Any]"]
 
+_BLACK = (0.0, 0.0, 0.0)
+
 
 class Frame(NamedTuple):
     """The result of :meth:`Renderer.render` with alpha or depth."""
@@ -128,7 +130,7 @@ class Renderer:
                max_gaussians: Optional[int] = ...) -> Any: ...
 
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = None, dtype: ImageType = None, alpha: bool = False,
-               depth: bool = False, on_device: bool = False, background: Colour = (0.0, 0.0, 0.0),
+               depth: bool = False, on_device: bool = False, background: Colour = _BLACK,
                near_plane: Optional[float] = None, far_plane: Optional[float] = None, sh_degree: int = 3,
                low_pass: Optional[float] = None, anti_aliasing: Optional[AntiAliasing] = None,
                detail: Optional[float] = None, max_gaussians: Optional[int] = None) -> Any:
@@ -201,7 +203,7 @@ class Renderer:
         """Waits until every page that this view of a streamed scene wants is resident. :meth:`render` then draws the picture of
         the whole file. False: time ran out, or the budget has no room for the rest. Ctrl-C ends it."""
         _check_scene(scene)
-        options = self._options_of((0.0, 0.0, 0.0), None, None, 3, None, None, detail, max_gaussians)
+        options = self._options_of(_BLACK, None, None, 3, None, None, detail, max_gaussians)
         if not seconds >= 0:
             raise argument_error("seconds to wait are 0 or more")
         return self._drawer.refine(scene._native, scene._path, camera, float(seconds), options)
@@ -221,7 +223,7 @@ class Renderer:
                     far_plane: Optional[float], sh_degree: int, low_pass: Optional[float],
                     anti_aliasing: Optional[AntiAliasing], detail: Optional[float],
                     max_gaussians: Optional[int]) -> Handle:
-        red, green, blue = float_array(background, "background", (3,)).tolist()
+        red, green, blue = _BLACK if background is _BLACK else float_array(background, "background", (3,)).tolist()
         sh_degree = operator.index(sh_degree)  # 3.0 == 3 would be accepted
         max_gaussians = _count_or_none(max_gaussians, "max_gaussians")
         key = (red, green, blue, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail, max_gaussians)
