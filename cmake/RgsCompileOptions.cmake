@@ -41,8 +41,10 @@ if(PROJECT_IS_TOP_LEVEL)
   list(REMOVE_DUPLICATES CMAKE_INSTALL_RPATH)
   set(CMAKE_INSTALL_RPATH_USE_LINK_PATH ON)
   set(CMAKE_BUILD_WITH_INSTALL_RPATH ON)
-  # As DT_RPATH, which libraries of libraries are looked for by as well; DT_RUNPATH is for the program's own alone.
-  add_link_options(-Wl,--disable-new-dtags)
-  # A program loads what it calls. libcurl alone brings thirty libraries along, which take 20 ms to load.
-  add_link_options(-Wl,--as-needed)
+  if(NOT WIN32)
+    # As DT_RPATH, which libraries of libraries are looked for by as well; DT_RUNPATH is for the program's own alone.
+    add_link_options(-Wl,--disable-new-dtags)
+    # A program loads what it calls. libcurl alone brings thirty libraries along, which take 20 ms to load.
+    add_link_options(-Wl,--as-needed)
+  endif()
 endif()

@@ -1,12 +1,12 @@
 #!/bin/sh
 # test.sh - makes each package and uses it in a bare root: sh packaging/test.sh [STEP...]
-# Steps: deb libraries bundle wheel. Bare roots need root's rights, and a gigabyte in build/roots.
+# Steps: deb libraries bundle wheel windows. Bare roots need root's rights, and a gigabyte in build/roots.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
 sh scripts/install-deps.sh packaging
 mkdir -p build/packaging
-steps=${*:-deb libraries bundle wheel}
+steps=${*:-deb libraries bundle wheel windows}
 failed=
 
 # step NAME COMMAND...: its log is build/packaging/NAME.log.
@@ -70,6 +70,13 @@ wheel() {
       sh -c 'sh /project/tests/packaging/wheel.sh /project/build/wheels/*.whl'
   done
   step wheel-source unshare --net sh tests/packaging/source.sh
+}
+
+windows() {
+  step windows-build sh packaging/windows.sh
+  step windows-native sh -c '{ [ -f build/release/build.ninja ] || cmake --preset release; } &&
+    cmake --build build/release --parallel "${RGS_JOBS:-$(nproc)}" --target rgs-convert rgs-info'
+  step windows /usr/bin/python3 tests/packaging/windows_test.py build/windows/programs/bin build/release/bin
 }
 
 for each in $steps; do $each; done

@@ -4,6 +4,7 @@
 # `install-deps.sh python` adds those that the Python module and its tests need.
 # `install-deps.sh page` adds those that the viewer's page is built with: clang 19 and binaryen for WebAssembly, and npm where there is none.
 # `install-deps.sh test` adds those that only tests need, a browser among them; `install-deps.sh web` adds both.
+# `install-deps.sh windows` adds those that programs for Windows are built and tested with.
 # `install-deps.sh site` adds those that scripts/site.sh makes pages with.
 # Set RGS_SKIP_INSTALL=1 where the dependencies come from elsewhere.
 # SPDX-License-Identifier: Apache-2.0
@@ -19,6 +20,7 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
   patchelf python3-pip libdlpack-dev"
 [ "${1:-}" != python ] || packages="$packages libdlpack-dev python3-venv python3-pytest mypy
   python3-nbformat python3-nbclient python3-ipykernel"
+[ "${1:-}" != windows ] || packages="$packages dpkg-dev g++-mingw-w64-x86-64-posix libz-mingw-w64-dev wine wine64"
 [ "${1:-}" != site ] || packages="$packages doxygen python3-sphinx python3-myst-parser python3-breathe python3-numpydoc furo
   libdlpack-dev"
 case ${1:-} in test | web) packages="$packages chromium pkgconf nginx-light openssl valgrind" ;; esac

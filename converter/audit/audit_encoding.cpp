@@ -1,9 +1,8 @@
-// audit_encoding.cpp - SHA-256 (FIPS 180-4) and percent-encoding (RFC 3986).
+// audit_encoding.cpp - percent-encoding (RFC 3986).
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_encoding.hpp"
 
 #include <fmt/format.h>
-#include <openssl/sha.h>
 
 #include <iterator>
 
@@ -16,13 +15,6 @@ bool is_unreserved(char c) {
 }
 
 }  // namespace
-
-std::array<std::byte, 32> sha256(std::string_view text) {
-  std::array<std::byte, 32> digest{};
-  SHA256(reinterpret_cast<const unsigned char*>(text.data()), text.size(),
-         reinterpret_cast<unsigned char*>(digest.data()));
-  return digest;
-}
 
 std::string link_to_file(std::string_view name) {
   std::string out = "./";

@@ -25,6 +25,7 @@
 #include "info_escape.hpp"
 #include "input_files.hpp"
 #include "rgs/file.hpp"
+#include "rgs/utf8_path.hpp"
 #include "scene_list.hpp"
 
 namespace rgs::audit {
@@ -58,7 +59,7 @@ bool holds_no_splats(const std::string& path, const ReadOptions& options) {
 
 std::string file_names(const std::vector<std::string>& paths) {
   std::string text;
-  for (const std::string& path : paths) text += (text.empty() ? "" : ", ") + fs::path(path).filename().string();
+  for (const std::string& path : paths) text += (text.empty() ? "" : ", ") + detail::path_of(path).filename().string();
   return text;
 }
 
@@ -79,7 +80,7 @@ Pair choose(const Candidates& c) {
 // A folder with an entry for each pair, or one path for all.
 std::string own_or_common(const std::string& path, const std::string& own) {
   std::error_code ignored;
-  const fs::path candidate = fs::path(path) / own;
+  const fs::path candidate = detail::path_of(path) / detail::path_of(own);
   return !path.empty() && fs::exists(candidate, ignored) ? candidate.string() : path;
 }
 
@@ -148,14 +149,14 @@ std::string text_of(const MappedFile& file) {
 
 class Folder {
  public:
-  explicit Folder(const FolderOptions& options) : options_(options), out_(options.out) {}
+  explicit Folder(const FolderOptions& options) : options_(options), out_(detail::path_of(options.out)) {}
 
   Outcome<std::vector<FolderRow>> run() {
     const auto pairs = pairs_of(options_.audit);
     if (!pairs) return tl::unexpected(pairs.error());
     for (const auto& pair : *pairs) {
       // A pair may lie in a subfolder.
-      const fs::path folder = (out_ / pair.first).parent_path();
+      const fs::path folder = (out_ / detail::path_of(pair.first)).parent_path();
       std::error_code failed;
       fs::create_directories(folder, failed);
       if (failed)
@@ -193,7 +194,7 @@ class Folder {
     inputs.add_pictures(options.photos);
     const auto fingerprint = audit::fingerprint(options);
     if (!fingerprint) return failed_row(stem, fingerprint.error());
-    const fs::path json = out_ / (stem + ".json"), page = out_ / (stem + ".html");
+    const fs::path json = out_ / detail::path_of(stem + ".json"), page = out_ / detail::path_of(stem + ".html");
     std::error_code ignored;
     const auto earlier = earlier_audit(json.string(), *fingerprint, options_.conditions);
     if (earlier) {
@@ -366,7 +367,7 @@ class Folder {
   // A pair may lie in a subfolder; the rest of its name is not a path.
   static std::string link_to_report(const std::string& stem) {
     std::string link = ".";
-    for (const fs::path& part : fs::path(stem + ".html")) link += link_to_file(part.string()).substr(1);
+    for (const fs::path& part : detail::path_of(stem + ".html")) link += link_to_file(part.string()).substr(1);
     return link;
   }
 
@@ -400,7 +401,7 @@ class Folder {
 
 Outcome<std::map<std::string, Pair>> pairs_of(const Options& options) {
   std::error_code ignored;
-  const bool one_folder = fs::equivalent(options.source, options.asset, ignored);
+  const bool one_folder = fs::equivalent(detail::path_of(options.source), detail::path_of(options.asset), ignored);
   std::map<std::string, Candidates> candidates;
   std::map<std::string, Pair> pairs;
   const auto collect = [&](const std::string& folder, const std::string& other, bool is_source) -> Outcome<void> {

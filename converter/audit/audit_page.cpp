@@ -3,7 +3,7 @@
 #include "audit_page.hpp"
 
 #include "audit_encoding.hpp"
-#include "base64.hpp"
+#include "encoding.hpp"
 #include "info_escape.hpp"
 
 namespace rgs::audit {
@@ -194,7 +194,7 @@ addEventListener('load', () => { if (location.hash === '#self-test') selfTest();
 
 // The source expression of a policy that admits exactly this text.
 std::string allowed(std::string_view text) {
-  return "'sha256-" + tool::base64(sha256(text)) + "'";
+  return "'sha256-" + tool::base64(tool::sha256(text)) + "'";
 }
 
 }  // namespace

@@ -8,7 +8,7 @@
 #include <cstdint>
 #include <utility>
 
-#include "base64.hpp"
+#include "encoding.hpp"
 #include "image_file.hpp"
 
 namespace rgs::audit {

@@ -21,6 +21,7 @@
 #include "rgs/checksum.hpp"
 #include "rgs/file.hpp"
 #include "rgs/paged_file.hpp"
+#include "rgs/utf8_path.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
 
@@ -41,7 +42,7 @@ bool is_rgs(std::span<const std::byte> bytes) {
 }
 
 std::string file_name(const std::string& path) {
-  return fs::path(path).filename().string();
+  return detail::path_of(path).filename().string();
 }
 
 // Bytes of a Gaussian's FP32 attributes in a renderer without compression.
@@ -131,8 +132,9 @@ Outcome<std::uint64_t> hash_path(const std::string& path) {
   if (path.empty()) return 0;
   std::error_code failed;
   std::vector<fs::path> files;
-  if (fs::is_directory(path, failed)) {
-    for (fs::recursive_directory_iterator it(path, failed), end; !failed && it != end; it.increment(failed))
+  if (fs::is_directory(detail::path_of(path), failed)) {
+    for (fs::recursive_directory_iterator it(detail::path_of(path), failed), end; !failed && it != end;
+         it.increment(failed))
       if (it->is_regular_file(failed)) files.push_back(it->path());
     if (failed)
       return make_error(path, {Errc::open_failed, Error::kNone, "cannot read the folder", Error::kNone, Error::kNone,
@@ -141,7 +143,7 @@ Outcome<std::uint64_t> hash_path(const std::string& path) {
   } else {
     tool::InputFiles scene;
     scene.add_scene(path);
-    files.assign(scene.paths().begin(), scene.paths().end());
+    for (const std::string& file : scene.paths()) files.push_back(detail::path_of(file));
   }
   Hasher hasher;
   for (const fs::path& name : files) {

@@ -11,6 +11,7 @@
 #include "image_file.hpp"
 #include "photo_folder.hpp"
 #include "rgs/camera_file.hpp"
+#include "rgs/utf8_path.hpp"
 
 namespace rgs::audit {
 namespace {
@@ -56,7 +57,7 @@ Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& o
     const auto extent = read_image_extent(view.photo);
     if (!extent) return make_error(view.photo, extent.error());
     if (extent->width != view.camera.width || extent->height != view.camera.height)
-      different.push_back(fmt::format("{} ({}x{}, its camera {}x{})", fs::path(view.photo).filename().string(),
+      different.push_back(fmt::format("{} ({}x{}, its camera {}x{})", detail::path_of(view.photo).filename().string(),
                                       extent->width, extent->height, view.camera.width, view.camera.height));
   }
   if (!missing.empty())

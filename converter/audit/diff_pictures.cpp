@@ -13,6 +13,7 @@
 #include "diff.hpp"
 #include "image_file.hpp"
 #include "rgs/renderer.hpp"
+#include "rgs/utf8_path.hpp"
 
 namespace rgs::audit {
 namespace {
@@ -46,7 +47,7 @@ Outcome<std::vector<DiffView>> draw_differences(const std::string& folder, const
   const auto views = choose_views(options, {}, kNoOrigin);
   if (!views) return tl::unexpected(views.error());
   std::error_code failed;
-  std::filesystem::create_directories(folder, failed);
+  std::filesystem::create_directories(detail::path_of(folder), failed);
   if (failed)
     return make_error(folder, {Errc::write_failed, Error::kNone, "cannot make the folder", Error::kNone, Error::kNone,
                                failed.value()});

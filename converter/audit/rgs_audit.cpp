@@ -24,6 +24,7 @@
 #include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/file.hpp"
+#include "rgs/utf8_path.hpp"
 #include "rgs/version.hpp"
 #include "spz_axes.hpp"
 
@@ -72,7 +73,8 @@ int write_junit(const Arguments& a, const audit::FolderRow& row) {
 
 // Ends the audit early and removes an earlier JUnit file, which must not keep reporting success.
 int fail(const Arguments& a, const audit::Failure& failure) {
-  const int written = write_junit(a, audit::failed_row(fs::path(a.audit.asset).filename().string(), failure));
+  const int written =
+      write_junit(a, audit::failed_row(rgs::detail::path_of(a.audit.asset).filename().string(), failure));
   return tool::worse_exit_code(report_failure(failure), written);
 }
 
@@ -105,7 +107,8 @@ struct Earlier {
 };
 std::optional<Earlier> earlier(const Arguments& a, const std::vector<audit::Condition>& conditions) {
   std::error_code ignored;
-  if (a.json.empty() || a.json == "-" || a.report == "-" || !fs::exists(a.json, ignored)) return {};
+  if (a.json.empty() || a.json == "-" || a.report == "-" || !fs::exists(rgs::detail::path_of(a.json), ignored))
+    return {};
   const auto fingerprint = audit::fingerprint(a.audit);
   if (!fingerprint) return {};
   auto known = audit::earlier_audit(a.json, *fingerprint, conditions);
@@ -124,7 +127,7 @@ int report_earlier(const Earlier& earlier, const Arguments& a) {
   if (audit.changed)
     if (const auto ok = audit::write_text(a.json, audit.json, true); !ok) return fail(a, {a.json, ok.error()});
   audit::FolderRow row;
-  row.stem = fs::path(a.audit.asset).filename().string();
+  row.stem = rgs::detail::path_of(a.audit.asset).filename().string();
   row.gate = audit.gate;
   row.headline = audit.verdict.headline;
   row.status = audit::holds(audit.gate) ? audit::FolderRow::Status::passed : audit::FolderRow::Status::gate_failed;
@@ -143,7 +146,7 @@ int report_earlier(const Earlier& earlier, const Arguments& a) {
 bool may_replace_page(const Arguments& a) {
   std::error_code ignored;
   if (a.overwrite) return true;
-  if (a.json.empty() || a.json == "-" || fs::exists(a.json, ignored)) return false;
+  if (a.json.empty() || a.json == "-" || fs::exists(rgs::detail::path_of(a.json), ignored)) return false;
   const std::string page = a.report == "-" ? "" : read_text(a.report);
   if (!audit::is_audit_page(page)) return false;
   const auto fingerprint = audit::fingerprint(a.audit);
@@ -199,18 +202,20 @@ int check_folders(const Arguments& a) {
     return fail(a, pairs.error());
   }
   std::error_code ignored;
-  const fs::path out(a.report), cameras(a.audit.cameras), photos(a.audit.photos);
+  const fs::path out = rgs::detail::path_of(a.report), cameras = rgs::detail::path_of(a.audit.cameras),
+                 photos = rgs::detail::path_of(a.audit.photos);
   std::vector<std::string> outputs{a.junit};
   for (const char* name : {"index.csv", "index.json", "index.html"}) outputs.push_back((out / name).string());
   for (const auto& [stem, pair] : *pairs) {
     inputs.add_scene(pair.source);
     inputs.add_scene(pair.asset);
-    const std::string own = (cameras / (stem + ".json")).string();
-    if (!cameras.empty() && fs::exists(own, ignored)) inputs.add(own);
-    if (!photos.empty()) inputs.add_pictures((photos / stem).string());
+    const fs::path own = cameras / rgs::detail::path_of(stem + ".json");
+    if (!cameras.empty() && fs::exists(own, ignored)) inputs.add(own.string());
+    if (!photos.empty()) inputs.add_pictures((photos / rgs::detail::path_of(stem)).string());
     // audit_folder() rejects a pair named like the tables and writes nothing.
     if (stem == "index") continue;
-    for (const char* extension : {".json", ".html"}) outputs.push_back((out / (stem + extension)).string());
+    for (const char* extension : {".json", ".html"})
+      outputs.push_back((out / rgs::detail::path_of(stem + extension)).string());
   }
   return inputs.check_outputs(outputs);
 }
@@ -223,7 +228,7 @@ int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
   if (!a.audit.also.empty()) return tool::report_usage("--also requires one pair, not two folders");
   if (const int code = check_folders(a); code != tool::kSuccess) return code;
   std::error_code failed;
-  fs::create_directories(a.report, failed);  // --junit may lie there
+  fs::create_directories(rgs::detail::path_of(a.report), failed);  // --junit may lie there
   if (failed)
     return tool::report(a.report, {rgs::Errc::write_failed, rgs::Error::kNone, "cannot create the folder",
                                    rgs::Error::kNone, rgs::Error::kNone, failed.value()});
@@ -234,7 +239,8 @@ int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
     if (row.exit_code != tool::kSuccess)
       tool::print_error(fmt::format("rgs-audit: {}: {}\n", tool::printable(row.stem),
                                     tool::printable(row.error.empty() ? row.headline : row.error)));
-  if (!a.quiet) tool::print(fmt::format("table: {}\n", tool::printable((fs::path(a.report) / "index.html").string())));
+  if (!a.quiet)
+    tool::print(fmt::format("table: {}\n", tool::printable((rgs::detail::path_of(a.report) / "index.html").string())));
   return audit::exit_code_of(*rows);
 }
 
@@ -267,8 +273,8 @@ int audit_main(Arguments& a) {
                                                   : std::max(1u, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
   std::error_code ignored;
-  const bool folders = fs::is_directory(a.audit.source, ignored);
-  if (folders != fs::is_directory(a.audit.asset, ignored))
+  const bool folders = fs::is_directory(rgs::detail::path_of(a.audit.source), ignored);
+  if (folders != fs::is_directory(rgs::detail::path_of(a.audit.asset), ignored))
     return tool::report_usage("source and asset must be two files or two folders");
   return folders ? audit_pairs(a, std::move(conditions)) : audit_pair(a, std::move(conditions));
 }

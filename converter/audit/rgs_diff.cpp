@@ -14,6 +14,7 @@
 #include "diff.hpp"
 #include "input_files.hpp"
 #include "max_expansion.hpp"
+#include "rgs/utf8_path.hpp"
 #include "rgs/version.hpp"
 #include "spz_axes.hpp"
 
@@ -46,7 +47,8 @@ int check_outputs(const Arguments& o, const tool::InputFiles& inputs, bool print
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   for (const std::string& output : outputs) {
     std::error_code ignored;
-    if (!output.empty() && output != "-" && !o.overwrite && std::filesystem::exists(output, ignored))
+    if (!output.empty() && output != "-" && !o.overwrite &&
+        std::filesystem::exists(rgs::detail::path_of(output), ignored))
       return tool::report(
           output, {rgs::Errc::output_exists, rgs::Error::kNone, "the output exists; pass --overwrite to replace it"});
   }

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <filesystem>
 
+#include "rgs/utf8_path.hpp"
 #include "rgs_convert.hpp"
 #include "sibling_program.hpp"
 
@@ -13,7 +14,7 @@ void add_audit(CLI::App& app, bool& audit) {
 }
 
 std::string audit_report(const std::string& output) {
-  return std::filesystem::path(output).replace_extension(".audit.html").string();
+  return detail::path_of(output).replace_extension(".audit.html").string();
 }
 
 int find_auditor(const ConvertArguments& arguments, const std::string& option, std::string& program) {
@@ -36,7 +37,7 @@ int check_audit(const ConvertArguments& arguments, std::string& program) {
   if (const int code = find_auditor(arguments, "--audit", program); code != tool::kSuccess) return code;
   std::error_code ignored;
   const std::string report = audit_report(arguments.scene.output());
-  if (!arguments.output.convert.output.overwrite && std::filesystem::exists(report, ignored))
+  if (!arguments.output.convert.output.overwrite && std::filesystem::exists(detail::path_of(report), ignored))
     return tool::report(report,
                         {Errc::output_exists, Error::kNone, "the report exists; pass --overwrite to replace it"});
   return tool::kSuccess;

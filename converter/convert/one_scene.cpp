@@ -1,7 +1,5 @@
 // one_scene.cpp - the options of what is written, and how one scene is converted: row by row, tile by tile or in memory.
 // SPDX-License-Identifier: Apache-2.0
-#include <sys/resource.h>
-#include <sys/stat.h>
 #include <tbb/global_control.h>
 
 #include <algorithm>
@@ -18,9 +16,11 @@
 #include "rgs/camera_file.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/ply.hpp"
+#include "rgs/utf8_path.hpp"
 #include "rgs/version.hpp"
 #include "rgs_convert.hpp"
 #include "stage_clock.hpp"
+#include "system.hpp"
 
 namespace rgs {
 namespace {
@@ -237,15 +237,6 @@ Outcome<ConvertSummary> convert_inputs(ConvertArguments& arguments, const std::d
   return outcome(std::move(summary));
 }
 
-// Raises the limit on open files: inputs stay open until the output is renamed.
-void allow_open_files(std::size_t n) {
-  constexpr std::size_t kOthers = 64;  // output, scratch files
-  rlimit limit{};
-  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur >= n + kOthers) return;
-  limit.rlim_cur = std::min<rlim_t>(limit.rlim_max, n + kOthers);
-  (void)::setrlimit(RLIMIT_NOFILE, &limit);  // on failure, opening reports the file
-}
-
 }  // namespace
 
 void OutputOptions::add_to(CLI::App& app) {
@@ -440,19 +431,20 @@ Outcome<OpenInputs> open_inputs(ConvertArguments& arguments) {
   tool::InputFiles scenes;
   const std::span<const std::string> paths = arguments.scene.inputs();
   for (const std::string& path : paths) scenes.add_scene(path);
-  allow_open_files(scenes.paths().size());
+  constexpr std::size_t kOthers = 64;                       // output, scratch files
+  tool::allow_open_files(scenes.paths().size() + kOthers);  // inputs stay open until the output is renamed
   for (const std::string& path : paths) {
     if (const Status s = inputs.scenes.emplace_back().open(path); !s) return failed(path, s.error());
     unchanged.push_back(&inputs.scenes.back().file());
   }
-  std::set<std::pair<dev_t, ino_t>> identities;
+  std::set<std::pair<std::uint64_t, std::uint64_t>> identities;
   for (const std::string& path : scenes.paths()) {
-    struct stat info {};
-    if (path != "-" && ::stat(path.c_str(), &info) == 0) identities.emplace(info.st_dev, info.st_ino);
+    if (path == "-") continue;
+    if (const auto status = detail::status_of(path)) identities.emplace(status->device, status->inode);
   }
   arguments.output.convert.is_input = [read = std::move(identities)](const std::string& path) {
-    struct stat info {};
-    return ::stat(path.c_str(), &info) == 0 && read.contains({info.st_dev, info.st_ino});
+    const auto status = detail::status_of(path);
+    return status && read.contains({status->device, status->inode});
   };
   // A tileset may have more files than may be open, often 1,024: later ones are not watched for changes.
   constexpr std::size_t kMostBeside = 900;
@@ -482,7 +474,7 @@ Outcome<ConvertSummary> convert_open(ConvertArguments& arguments, const std::deq
   arguments.output.convert.encode.provenance = Provenance{source_bytes, 0, name, "rgs-convert " RGS_VERSION};
   std::string& scratch = arguments.output.convert.scratch;
   const std::string& output = arguments.scene.output();
-  if (scratch.empty() && output != "-") scratch = std::filesystem::path(output).parent_path().string();
+  if (scratch.empty() && output != "-") scratch = detail::path_of(output).parent_path().string();
   auto summary = convert_inputs(arguments, inputs, arguments.output.format_of(output), observe(progress));
   if (!summary) return tl::unexpected(explained(std::move(summary.error()), inputs));
   summary->source_name = name;

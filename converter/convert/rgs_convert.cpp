@@ -4,6 +4,7 @@
 
 #include <filesystem>
 
+#include "rgs/utf8_path.hpp"
 #include "rgs/version.hpp"
 
 namespace {
@@ -56,13 +57,14 @@ int parse_and_convert(int argc, char** argv) {
   note_options(app, arguments);
   if (!parts.step.empty()) return parts.convert(app, arguments, many.list);
   for (const char* name : {"--lod-input", "--ranges"}) {
-    if (app.get_option(name)->count() != 0)
+    if (const CLI::Option* option = app.get_option_no_throw(name); option != nullptr && option->count() != 0)
       return tool::report_usage(std::string(name) + " requires --lod-partition or --lod-build");
   }
   const std::vector<std::string>& files = arguments.scene.files;
   if (files.empty()) return tool::report_usage("files are required: rgs-convert INPUT OUTPUT");
   std::error_code ignored;
-  if (!many.list.empty() || std::filesystem::is_directory(files.front(), ignored)) return many.convert(arguments);
+  if (!many.list.empty() || std::filesystem::is_directory(rgs::detail::path_of(files.front()), ignored))
+    return many.convert(arguments);
   if (files.size() < 2) return tool::report_usage("an input needs an output: rgs-convert INPUT OUTPUT");
   for (const CLI::Option* option : app.get_options()) {
     if (option->count() != 0 && option->get_group() == rgs::kBatchGroup)

@@ -18,6 +18,7 @@
 #include "rgs/layout.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/splat_edit.hpp"
+#include "rgs/utf8_path.hpp"
 
 namespace rgs {
 namespace {
@@ -26,7 +27,7 @@ namespace {
 std::string read_prj(const std::string& path) {
   constexpr std::string_view kBlank = " \t\r\n", kBom = "\xEF\xBB\xBF";
   std::error_code ignored;
-  if (!std::filesystem::is_regular_file(path, ignored)) return {};
+  if (!std::filesystem::is_regular_file(detail::path_of(path), ignored)) return {};
   const auto file = MappedFile::open(path);
   if (!file || file->bytes().size() > 2 * std::size_t{kMaxCrsText}) return {};
   std::string text(reinterpret_cast<const char*>(file->bytes().data()), file->bytes().size());
@@ -50,9 +51,10 @@ Status SceneInput::open(const std::string& path) {
     if (const std::string prj = tool::prj_of(path); !prj.empty()) prj_ = read_prj(prj);
     return {};
   }
-  std::vector<std::byte> buffer(std::size_t{1} << 20);
+  constexpr unsigned kAtOnce = 1U << 20;
+  std::vector<std::byte> buffer(kAtOnce);
   for (;;) {
-    const ssize_t n = ::read(STDIN_FILENO, buffer.data(), buffer.size());
+    const ssize_t n = ::read(STDIN_FILENO, buffer.data(), kAtOnce);
     if (n < 0 && errno == EINTR) continue;
     if (n < 0) {
       return make_error(Errc::read_failed, Error::kNone, "cannot read standard input", Error::kNone, Error::kNone,
@@ -67,7 +69,7 @@ Status SceneInput::open(const std::string& path) {
 }
 
 std::string SceneInput::name() const {
-  std::string name = path_ == "-" ? "stdin" : std::filesystem::path(path_).filename().string();
+  std::string name = path_ == "-" ? "stdin" : detail::path_of(path_).filename().string();
   name.resize(std::min<std::size_t>(name.size(), kMaxProvenanceText));
   return name;
 }
@@ -94,7 +96,7 @@ Result<LevelTree> SceneInput::levels(const ReadOptions& options) const {
     const bool alone = !bytes_.empty() && (bytes_.front() == std::byte{'P'} || bytes_.front() == std::byte{'R'});
     return alone ? open_levels(bytes_, "", options) : LevelTree();
   }
-  const std::string folder = std::filesystem::path(path_).parent_path().string();
+  const std::string folder = detail::path_of(path_).parent_path().string();
   return open_levels(bytes_, folder.empty() ? "." : folder, options);
 }
 

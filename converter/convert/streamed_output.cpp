@@ -5,23 +5,26 @@
 #include <zlib.h>
 
 #include <cerrno>
-#include <cstdlib>
 #include <filesystem>
 #include <initializer_list>
 #include <string_view>
 #include <system_error>
 
+#include "rgs/utf8_path.hpp"
+
 namespace rgs {
 namespace {
 
 namespace fs = std::filesystem;
+using detail::path_of;
 
-tl::unexpected<Error> cannot(const char* what, int code) {
-  return make_error(Errc::write_failed, Error::kNone, what, Error::kNone, Error::kNone, code);
+tl::unexpected<Error> cannot(const char* what, std::error_code code) {
+  return make_error(Errc::write_failed, Error::kNone, what, Error::kNone, Error::kNone,
+                    code.default_error_condition().value());
 }
 
 std::string folder_of(const std::string& path) {
-  const std::string folder = fs::path(path).parent_path().string();
+  const std::string folder = path_of(path).parent_path().string();
   return folder.empty() ? "." : folder;
 }
 
@@ -34,7 +37,7 @@ void append(std::vector<std::byte>& to, std::initializer_list<std::uint64_t> val
 }  // namespace
 
 std::string folder_of_tiles(const std::string& path) {
-  std::string name = fs::path(follow_links(path)).filename().string();
+  std::string name = path_of(follow_links(path)).filename().string();
   constexpr std::string_view kTiles = "tiles", kEnding = ".json";
   if (name == "tileset.json") return std::string(kTiles);
   if (name.ends_with(kEnding)) name.resize(name.size() - kEnding.size());
@@ -62,22 +65,23 @@ Result<StreamedOutput> StreamedOutput::create(const std::string& path, const Ato
   output.options_ = options;
   output.is_input_ = is_input;
   std::error_code failed;
-  if (path != "-") output.made_folder_ = fs::create_directories(folder_of(output.path_), failed);
-  if (failed) return cannot("cannot make the output's folder", failed.value());
+  if (path != "-") output.made_folder_ = fs::create_directories(path_of(folder_of(output.path_)), failed);
+  if (failed) return cannot("cannot make the output's folder", failed);
   auto file = AtomicFile::create(path, options);
   if (!file) return tl::unexpected(file.error());
   output.file_ = std::move(*file);
   if (!path.ends_with(".json")) return output;
   std::string name = output.path_ + ".tmp-XXXXXX";
-  if (::mkdtemp(name.data()) == nullptr) return cannot("cannot make a temporary folder", errno);
+  if (!detail::make_scratch_folder(name))
+    return cannot("cannot make a temporary folder", {errno, std::generic_category()});
   output.staging_ = name;
   return output;
 }
 
 StreamedOutput::~StreamedOutput() {
   std::error_code ignored;
-  if (!staging_.empty()) fs::remove_all(staging_, ignored);
-  if (made_folder_) fs::remove(folder_of(path_), ignored);  // if it is empty
+  if (!staging_.empty()) fs::remove_all(path_of(staging_), ignored);
+  if (made_folder_) fs::remove(path_of(folder_of(path_)), ignored);  // if it is empty
 }
 
 Status StreamedOutput::put(const std::string& name, std::span<const std::byte> bytes) {
@@ -87,10 +91,10 @@ Status StreamedOutput::put(const std::string& name, std::span<const std::byte> b
 // Errors: output_exists, output_unusable.
 Status StreamedOutput::check_free(const std::string& path) const {
   std::error_code ignored;
-  if (!options_.overwrite && fs::exists(path, ignored))
+  if (!options_.overwrite && fs::exists(path_of(path), ignored))
     return make_error(Errc::output_exists, Error::kNone,
                       "a file of the output's folder exists already; pass --overwrite to replace it");
-  if (fs::is_directory(path, ignored))
+  if (fs::is_directory(path_of(path), ignored))
     return make_error(Errc::output_unusable, Error::kNone, "a file of the output's folder is a directory");
   if (is_input_ && is_input_(path))
     return make_error(Errc::output_unusable, Error::kNone,
@@ -100,12 +104,12 @@ Status StreamedOutput::check_free(const std::string& path) const {
 
 Status StreamedOutput::put_in_folder(const std::string& name, std::span<const std::byte> bytes) {
   bytes_ += bytes.size();
-  if (fs::path(name).filename() == name) return file_.write_at(0, bytes);
+  if (path_of(name).filename() == path_of(name)) return file_.write_at(0, bytes);
   if (Status s = check_free(folder_of(path_) + "/" + name); !s) return s;
   std::error_code failed;
   const std::string staged = staging_ + "/" + name;
-  fs::create_directories(folder_of(staged), failed);
-  if (failed) return cannot("cannot make a folder", failed.value());
+  fs::create_directories(path_of(folder_of(staged)), failed);
+  if (failed) return cannot("cannot make a folder", failed);
   auto file = AtomicFile::create(staged, {.sync = options_.sync});
   if (!file) return tl::unexpected(file.error());
   if (Status s = file->write_at(0, bytes); !s) return s;
@@ -169,15 +173,15 @@ Result<double> StreamedOutput::commit() {
   const std::string folder = folder_of(path_) + "/";
   for (const std::string& name : names_) {
     if (Status s = check_free(folder + name); !s) return tl::unexpected(s.error());
-    fs::create_directories(folder_of(folder + name), failed);
-    if (failed) return cannot("cannot make a folder", failed.value());
+    fs::create_directories(path_of(folder_of(folder + name)), failed);
+    if (failed) return cannot("cannot make a folder", failed);
   }
   // The old scene's lod-meta.json must not name files of the new one.
-  if (options_.overwrite) fs::remove(path_, failed);
+  if (options_.overwrite) fs::remove(path_of(path_), failed);
   for (const std::string& name : names_) {
-    if (!failed) fs::rename(staging_ + "/" + name, folder + name, failed);
+    if (!failed) fs::rename(path_of(staging_ + "/" + name), path_of(folder + name), failed);
   }
-  if (failed) return cannot("cannot move a file to the output's folder", failed.value());
+  if (failed) return cannot("cannot move a file to the output's folder", failed);
   const auto synced = file_.commit();
   if (!synced) return synced;
   return *synced + sync_seconds_;

@@ -1,17 +1,16 @@
 // target.cpp - rgs-convert --target-psnr and --target-size: archives of other steps until one is as asked.
 // SPDX-License-Identifier: Apache-2.0
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
-#include <filesystem>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <utility>
 
 #include "rgs/ply.hpp"
+#include "rgs/utf8_path.hpp"
 #include "rgs_convert.hpp"
 #include "sibling_program.hpp"
 
@@ -40,14 +39,13 @@ std::uint64_t count_gaussians(const SceneOptions& scene, const std::deque<SceneI
 // Of the views of rgs-audit; else an exit code, when the error is reported.
 tl::expected<double, int> measure_psnr(const ConvertArguments& arguments, const std::string& auditor, int asset) {
   const std::string& output = arguments.scene.output();
-  const std::string folder = std::filesystem::path(output).parent_path().string();
+  const std::string folder = detail::path_of(output).parent_path().string();
   const Descriptor json{detail::open_scratch(folder.empty() ? "." : folder)};
-  // Unlike `asset` it stays open when a program starts.
-  const Descriptor inherited{::fcntl(asset, F_DUPFD, STDERR_FILENO + 1)};
-  if (json.fd < 0 || inherited.fd < 0)
+  const tool::NameForPrograms name(asset);
+  if (json.fd < 0 || name.path().empty())
     return tl::unexpected(tool::report(output, {Errc::write_failed, Error::kNone, "cannot create a temporary file",
                                                 Error::kNone, Error::kNone, errno}));
-  auto options = audit_options(arguments, "/dev/fd/" + std::to_string(inherited.fd));
+  auto options = audit_options(arguments, name.path());
   options.insert(options.end(), {"--json", "-", "--no-attribution", "--no-distances"});
   const auto code = tool::run_program_and_wait(auditor, options, json.fd);
   if (!code) return tl::unexpected(tool::report(auditor, code.error()));

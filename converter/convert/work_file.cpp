@@ -2,7 +2,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "work_file.hpp"
 
-#include <fcntl.h>
 #include <unistd.h>
 
 #include <bit>
@@ -98,22 +97,15 @@ void WorkFile::rest() {
 Status WorkFile::read(std::uint64_t offset, std::span<std::byte> bytes) {
   if (offset > end_ || bytes.size() > end_ - offset) return tl::unexpected(damaged(Errc::truncated));
   if (fd_ < 0) {
-    fd_ = ::open(path_.c_str(), O_RDONLY | O_CLOEXEC);
+    fd_ = detail::open_to_read(path_);
     if (fd_ < 0) {
       return make_error(Errc::open_failed, Error::kNone, "cannot open the file", Error::kNone, Error::kNone, errno);
     }
   }
-  while (!bytes.empty()) {
-    const ssize_t n = ::pread(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
-    if (n < 0 && errno == EINTR) continue;
-    if (n < 0) {
-      return make_error(Errc::read_failed, offset, "cannot read the file", Error::kNone, Error::kNone, errno);
-    }
-    if (n == 0) return tl::unexpected(damaged(Errc::truncated));
-    bytes = bytes.subspan(static_cast<std::size_t>(n));
-    offset += static_cast<std::uint64_t>(n);
-  }
-  return {};
+  const int error = detail::read_at(fd_, offset, bytes);
+  if (error == 0) return {};
+  if (error == detail::kFileEnded) return tl::unexpected(damaged(Errc::truncated));
+  return make_error(Errc::read_failed, offset, "cannot read the file", Error::kNone, Error::kNone, error);
 }
 
 Result<WorkFile> WorkFile::open(const std::string& path, WorkKind kind) {
@@ -138,8 +130,8 @@ Result<WorkFile> WorkFile::open(const std::string& path, WorkKind kind) {
     if (end < kWorkHeadBytes || bytes > kMost || end > ~std::uint64_t{0} - bytes) {
       return tl::unexpected(damaged(Errc::bad_header));
     }
-    const off_t size = ::lseek(file.fd_, 0, SEEK_END);
-    if (size < 0 || static_cast<std::uint64_t>(size) != end + bytes) return tl::unexpected(damaged(Errc::truncated));
+    const auto status = detail::status_of(file.fd_);
+    if (!status || status->bytes != end + bytes) return tl::unexpected(damaged(Errc::truncated));
     std::vector<std::byte> said(bytes);
     file.end_ = end + bytes;
     if (Status s = file.read(end, said); !s) return tl::unexpected(s.error());

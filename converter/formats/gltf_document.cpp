@@ -11,6 +11,7 @@
 #include "json_member.hpp"
 #include "meshopt.hpp"
 #include "quantised.hpp"
+#include "rgs/utf8_path.hpp"
 #include "signature.hpp"
 
 namespace rgs::detail {
@@ -95,7 +96,7 @@ std::optional<std::string> file_within_folder(std::string_view uri) {
     path += c;
   }
   if (path.empty() || path.front() == '/' || ("/" + path + "/").find("/../") != std::string::npos) return std::nullopt;
-  return std::filesystem::path(path).lexically_normal().string();
+  return detail::path_of(path).lexically_normal().generic_string();
 }
 
 std::optional<std::uint64_t> gltf_whole(const json& object, const char* name, std::optional<std::uint64_t> otherwise) {

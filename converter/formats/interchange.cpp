@@ -28,6 +28,7 @@
 #include "rgs/ply.hpp"
 #include "rgs/splat_edit.hpp"
 #include "rgs/tileset_files.hpp"
+#include "rgs/utf8_path.hpp"
 #include "signature.hpp"
 #include "sog.hpp"
 #include "splat_records.hpp"
@@ -488,7 +489,7 @@ SplatFormat detect_format(std::span<const std::byte> bytes) {
 }
 
 SplatFormat format_of_name(const std::string& path) {
-  std::string name = std::filesystem::path(path).filename().string();
+  std::string name = detail::path_of(path).filename().string();
   std::ranges::transform(name, name.begin(), [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   const auto* found = std::ranges::find_if(kFormats, [&](const Format& format) {
     return name.ends_with(std::string(".") + format.info.name) || (!name.empty() && name == format.info.other_name);
@@ -534,8 +535,7 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
   return detail::guard_memory([&]() -> Result<SplatFile> {
     const auto file = MappedFile::open(path);
     if (!file) return tl::unexpected(file.error());
-    const std::string parent = std::filesystem::path(path).parent_path().string(),
-                      folder = parent.empty() ? "." : parent;
+    const std::string parent = detail::path_of(path).parent_path().string(), folder = parent.empty() ? "." : parent;
     const bool maybe_gltf = options.format == SplatFormat::unknown || options.format == SplatFormat::glb;
     const bool is_gltf = maybe_gltf && detail::is_gltf_text(file->bytes());
     const bool is_streamed = detail::is_streamed_sog_meta(file->bytes());
@@ -563,16 +563,17 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
 }
 
 std::vector<std::string> files_of_tileset(const std::string& path) {
-  const std::filesystem::path parent = std::filesystem::path(path).parent_path();
+  const std::filesystem::path parent = detail::path_of(path).parent_path();
   std::vector<std::string> files;
   (void)detail::guard_memory([&]() -> Result<bool> {
     std::error_code ignored;
-    if (!std::filesystem::is_regular_file(path, ignored)) return false;
+    if (!std::filesystem::is_regular_file(detail::path_of(path), ignored)) return false;
     const auto file = MappedFile::open(path);
     if (!file || !detail::is_tileset(file->bytes())) return false;
     for (const std::string& name : detail::opened_by_tileset(file->bytes(), parent.empty() ? "." : parent.string())) {
-      std::string found = (parent / name).string();
-      if (found != path && std::filesystem::is_regular_file(found, ignored)) files.push_back(std::move(found));
+      std::string found = (parent / detail::path_of(name)).string();
+      if (found != path && std::filesystem::is_regular_file(detail::path_of(found), ignored))
+        files.push_back(std::move(found));
     }
     return true;
   });

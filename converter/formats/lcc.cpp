@@ -31,6 +31,7 @@
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/splat_edit.hpp"
+#include "rgs/utf8_path.hpp"
 #include "signature.hpp"
 #include "sog.hpp"
 #include "spz.hpp"
@@ -318,10 +319,10 @@ std::string path_within(std::string name, bool legacy) {
     if (name.starts_with('/')) name.erase(0, 1);
     if (!name.ends_with(".sog")) name += ".sog";
   }
-  const auto path = std::filesystem::path(name).lexically_normal();
-  const bool stays = !path.empty() && !path.is_absolute() && path.begin()->string() != ".." && path.has_filename() &&
+  const auto path = detail::path_of(name).lexically_normal();
+  const bool stays = !path.empty() && !path.has_root_path() && path.begin()->string() != ".." && path.has_filename() &&
                      name.find('\\') == std::string::npos && name.find('\0') == std::string::npos;
-  return stays && path != "." ? path.string() : std::string();
+  return stays && path != "." ? path.generic_string() : std::string();
 }
 
 Result<Tree> parse_tree(const json& root, const json& top) {

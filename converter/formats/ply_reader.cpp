@@ -1,7 +1,5 @@
 // ply_reader.cpp - 3DGS PLY files as random-access rows of Gaussians.
 // SPDX-License-Identifier: Apache-2.0
-#include <fcntl.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -496,7 +494,7 @@ bool PlyFile::Impl::is_standard() const {
 }
 
 Result<PlyFile> PlyFile::open(const std::string& path) {
-  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  const int fd = detail::open_to_read(path);
   if (fd < 0) {
     return make_error(Errc::open_failed, Error::kNone, "cannot open for reading", Error::kNone, Error::kNone, errno);
   }
@@ -508,21 +506,22 @@ Result<PlyFile> PlyFile::open(const std::string& path) {
 Result<PlyFile> PlyFile::open(int fd) {
   return detail::guard_memory([&]() -> Result<PlyFile> {
     auto impl = std::make_unique<Impl>();
-    struct stat info {};
-    if (::fstat(fd, &info) != 0) {
+    const auto status = detail::status_of(fd);
+    if (!status) {
       return make_error(Errc::open_failed, Error::kNone, "cannot read the file's size", Error::kNone, Error::kNone,
                         errno);
     }
     const bool at_start = ::lseek(fd, 0, SEEK_CUR) == 0;
-    if (S_ISDIR(info.st_mode) || (S_ISREG(info.st_mode) && at_start)) {
+    if (status->kind == FileStatus::Kind::folder || (status->kind == FileStatus::Kind::regular && at_start)) {
       auto mapped = MappedFile::map(fd);
       if (!mapped) return tl::unexpected(mapped.error());
       impl->file = std::move(*mapped);
       impl->source = impl->file.bytes();
     } else {
-      std::vector<std::byte> chunk(std::size_t{1} << 18);
+      constexpr unsigned kAtOnce = 1U << 18;
+      std::vector<std::byte> chunk(kAtOnce);
       while (true) {
-        const ssize_t got = ::read(fd, chunk.data(), chunk.size());
+        const ssize_t got = ::read(fd, chunk.data(), kAtOnce);
         if (got < 0 && errno == EINTR) continue;
         if (got < 0) {
           return make_error(Errc::read_failed, Error::kNone, "cannot read the input", Error::kNone, Error::kNone,

@@ -83,7 +83,7 @@ Bytes deflated(const Bytes& bytes) {
   constexpr int kRawDeflate = -15, kMemory = 8;
   if (deflateInit2(&stream, kDeflateLevel, Z_DEFLATED, kRawDeflate, kMemory, Z_DEFAULT_STRATEGY) != Z_OK)
     throw std::bad_alloc();
-  Bytes out(deflateBound(&stream, bytes.size()));
+  Bytes out(deflateBound(&stream, static_cast<uLong>(bytes.size())));
   stream.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(bytes.data()));  // zlib does not write there
   stream.avail_in = static_cast<uInt>(bytes.size());
   stream.next_out = reinterpret_cast<Bytef*>(out.data());

@@ -6,7 +6,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <cstdlib>
 #include <utility>
 
 namespace rgs::detail {
@@ -34,25 +33,18 @@ Status SpoolFile::append(std::span<const std::byte> bytes) {
 
 Status SpoolFile::flush() {
   if (fd_ < 0) {
-    const char* folder = std::getenv("TMPDIR");
-    fd_ = open_scratch(folder != nullptr && *folder != '\0' ? folder : "/tmp");
+    fd_ = open_scratch({});
     if (fd_ < 0) {
       return make_error(Errc::open_failed, Error::kNone,
-                        "cannot create a temporary file; set TMPDIR to a writable folder", Error::kNone, Error::kNone,
-                        errno);
+                        "cannot create a temporary file; set TMPDIR (Windows: TMP) to a writable folder", Error::kNone,
+                        Error::kNone, errno);
     }
     spilled_ = true;
   }
-  for (std::span<const std::byte> rest = buffer_; !rest.empty();) {
-    const ssize_t n = ::pwrite(fd_, rest.data(), rest.size(), static_cast<off_t>(written_));
-    if (n < 0 && errno == EINTR) continue;
-    if (n <= 0) {
-      return make_error(Errc::write_failed, Error::kNone,
-                        "cannot write the temporary file; set TMPDIR to a folder with more room", Error::kNone,
-                        Error::kNone, n == 0 ? ENOSPC : errno);
-    }
-    rest = rest.subspan(static_cast<std::size_t>(n));
-    written_ += static_cast<std::uint64_t>(n);
+  if (const int error = write_at(fd_, written_, buffer_); error != 0) {
+    return make_error(Errc::write_failed, Error::kNone,
+                      "cannot write the temporary file; set TMPDIR (Windows: TMP) to a folder with more room",
+                      Error::kNone, Error::kNone, error);
   }
   buffer_.clear();
   return {};

@@ -32,6 +32,7 @@
 #include "pieces.hpp"
 #include "rgs/file.hpp"
 #include "rgs/splat_edit.hpp"
+#include "rgs/utf8_path.hpp"
 #include "signature.hpp"
 #include "stated_scene.hpp"
 
@@ -486,7 +487,8 @@ class Contents {
     for (const std::string& name : tileset_.tiles[tile].contents) {
       ReadOptions rest = options_;
       rest.limits.max_gaussians -= n_;
-      auto read = read_content((std::filesystem::path(folder_) / name).string(), rest, tileset_.tiles[tile].similarity);
+      auto read = read_content((detail::path_of(folder_) / detail::path_of(name)).string(), rest,
+                               tileset_.tiles[tile].similarity);
       if (!read) return tl::unexpected(read.error());
       if (!*read) {
         ++n_other_;
@@ -668,7 +670,7 @@ std::vector<std::string> opened_by_tileset(std::span<const std::byte> bytes, con
   (void)tree.read(bytes);
   std::set<std::string> opened = tree.opened();
   for (const std::string& name : tree.opened()) {
-    const auto file = MappedFile::open((std::filesystem::path(folder) / name).string());
+    const auto file = MappedFile::open((detail::path_of(folder) / detail::path_of(name)).string());
     if (!file || is_tileset(file->bytes()) || !is_gltf_text(file->bytes())) continue;
     const json root = json::parse(text_of(file->bytes()), nullptr, false);
     const json* buffers = json_member(root, "buffers");
@@ -677,7 +679,7 @@ std::vector<std::string> opened_by_tileset(std::span<const std::byte> bytes, con
       const json* uri = json_member(buffer, "uri");
       const auto path =
           uri != nullptr && uri->is_string() ? file_within_folder(uri->get_ref<const std::string&>()) : std::nullopt;
-      if (path) opened.insert((std::filesystem::path(name).parent_path() / *path).string());
+      if (path) opened.insert((detail::path_of(name).parent_path() / detail::path_of(*path)).generic_string());
     }
   }
   return {opened.begin(), opened.end()};

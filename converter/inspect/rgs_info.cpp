@@ -2,7 +2,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <array>
 #include <charconv>
-#include <csignal>
 #include <string>
 #include <string_view>
 
@@ -15,6 +14,7 @@
 #include "max_expansion.hpp"
 #include "rgs/file.hpp"
 #include "rgs/version.hpp"
+#include "system.hpp"
 
 namespace {
 
@@ -106,6 +106,6 @@ int body(int argc, char** argv) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::signal(SIGPIPE, SIG_IGN);
+  ignore_closed_pipes();
   return run([&] { return body(argc, argv); });
 }

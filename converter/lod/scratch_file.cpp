@@ -56,17 +56,9 @@ Status ScratchFile::write(std::uint64_t offset, std::span<const std::byte> bytes
       return {};
     });
   }
-  while (!bytes.empty()) {
-    const ssize_t n = ::pwrite(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
-    if (n < 0 && errno == EINTR) continue;
-    if (n <= 0) {
-      return make_error(Errc::write_failed, Error::kNone, kNotWritten, Error::kNone, Error::kNone,
-                        n == 0 ? ENOSPC : errno);
-    }
-    bytes = bytes.subspan(static_cast<std::size_t>(n));
-    offset += static_cast<std::uint64_t>(n);
-  }
-  return {};
+  const int error = detail::write_at(fd_, offset, bytes);
+  if (error == 0) return {};
+  return make_error(Errc::write_failed, Error::kNone, kNotWritten, Error::kNone, Error::kNone, error);
 }
 
 Status ScratchFile::read(std::uint64_t offset, std::span<std::byte> bytes) const {
@@ -77,16 +69,9 @@ Status ScratchFile::read(std::uint64_t offset, std::span<std::byte> bytes) const
     std::copy_n(memory_.begin() + static_cast<std::ptrdiff_t>(offset), bytes.size(), bytes.begin());
     return {};
   }
-  while (!bytes.empty()) {
-    const ssize_t n = ::pread(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
-    if (n < 0 && errno == EINTR) continue;
-    if (n <= 0) {
-      return make_error(Errc::read_failed, Error::kNone, kNotRead, Error::kNone, Error::kNone, n == 0 ? 0 : errno);
-    }
-    bytes = bytes.subspan(static_cast<std::size_t>(n));
-    offset += static_cast<std::uint64_t>(n);
-  }
-  return {};
+  const int error = detail::read_at(fd_, offset, bytes);
+  if (error == 0) return {};
+  return make_error(Errc::read_failed, Error::kNone, kNotRead, Error::kNone, Error::kNone, std::max(error, 0));
 }
 
 }  // namespace rgs::lod

@@ -25,6 +25,7 @@
 #include "rgs/checksum.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/splat_edit.hpp"
+#include "rgs/utf8_path.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
 #include "spz_axes.hpp"
@@ -80,7 +81,7 @@ int check_outputs(const Options& o, const tool::InputFiles& inputs, SplatFormat 
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   for (const std::string& output : {o.output, o.scores}) {
     std::error_code ignored;
-    if (!output.empty() && !o.overwrite && fs::exists(output, ignored))
+    if (!output.empty() && !o.overwrite && fs::exists(rgs::detail::path_of(output), ignored))
       return tool::report(
           output, {rgs::Errc::output_exists, rgs::Error::kNone, "the output exists; pass --overwrite to replace it"});
   }
@@ -150,7 +151,7 @@ Step<rgs::ConvertSummary> write_scene(const Options& o, SplatFormat to, rgs::Spl
   options.encode = rgs::keep_declarations(std::move(options.encode), file);
   options.encode.profile = rgs::Profile::packed;
   options.encode.keep_permutation = !file.source_index.empty();  // if the .rgs kept it
-  std::string name = fs::path(o.input).filename().string();
+  std::string name = rgs::detail::path_of(o.input).filename().string();
   name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
   options.encode.provenance = rgs::Provenance{file.bytes, hash, name, "rgs-prune " RGS_VERSION};
   if (!options.encode.depth) options.cameras = std::move(cameras);  // else the .rgs's declared range

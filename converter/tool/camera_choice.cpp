@@ -1,6 +1,7 @@
 // camera_choice.cpp - chooses cameras by split, name or index.
 // SPDX-License-Identifier: Apache-2.0
 #include "camera_choice.hpp"
+#include "rgs/utf8_path.hpp"
 
 #include <fmt/format.h>
 
@@ -25,7 +26,7 @@ bool names_photograph(const std::filesystem::path& name) {
 }  // namespace
 
 std::string picture_stem(const Camera& camera, std::size_t index) {
-  const std::filesystem::path name(camera.name);
+  const std::filesystem::path name = detail::path_of(camera.name);
   std::string stem = names_photograph(name) ? name.stem().string() : name.filename().string();
   for (char& c : stem) {
     const bool plain = (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
@@ -42,8 +43,7 @@ std::vector<std::string> picture_paths(const std::string& folder, std::span<cons
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     std::string stem = picture_stem(cameras[i], i);
     while (!used.insert(stem).second) stem += fmt::format("_{:04}", i);
-    for (const char* kind : kinds)
-      paths.push_back((std::filesystem::path(folder) / (stem + "." + kind + ".png")).string());
+    for (const char* kind : kinds) paths.push_back((detail::path_of(folder) / (stem + "." + kind + ".png")).string());
   }
   return paths;
 }

@@ -2,17 +2,22 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "command_line.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <string_view>
+#include <utility>
+#include <vector>
+
+#include "system.hpp"
 
 namespace rgs::tool {
 namespace {
 
 // A message for an empty argument, "--option ''" or "--option="; empty if there is none.
-std::string empty_argument(int argc, const char* const* argv) {
-  for (int i = 1; i < argc; ++i) {
-    const std::string_view argument = argv[i], before = argv[i - 1];
+std::string empty_argument(const std::vector<std::string>& arguments) {
+  for (std::size_t i = 1; i < arguments.size(); ++i) {
+    const std::string_view argument = arguments[i], before = arguments[i - 1];
     const std::size_t equals = argument.find('=');
     if (argument.starts_with("-") && equals != argument.npos && equals + 1 == argument.size())
       return std::string(argument.substr(0, equals)) + " has an empty value";
@@ -40,9 +45,12 @@ std::string number_not_finite(const CLI::App& app) {
 }  // namespace
 
 std::optional<int> parse(CLI::App& app, int argc, const char* const* argv) {
-  if (const std::string wrong = empty_argument(argc, argv); !wrong.empty()) return report_usage(wrong);
+  std::vector<std::string> arguments = arguments_of(argc, argv);
+  if (const std::string wrong = empty_argument(arguments); !wrong.empty()) return report_usage(wrong);
   try {
-    app.parse(argc, argv);
+    std::reverse(arguments.begin(), arguments.end());
+    if (!arguments.empty()) arguments.pop_back();  // the program's name
+    app.parse(std::move(arguments));
   } catch (const CLI::CallForVersion& e) {
     print(std::string(e.what()) + "\n");
     return kSuccess;

@@ -2,7 +2,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "console.hpp"
 
-#include <errno.h>  // program_invocation_short_name
 #include <fmt/format.h>
 #include <signal.h>
 #include <unistd.h>
@@ -19,6 +18,7 @@
 #include <system_error>
 
 #include "info_escape.hpp"
+#include "system.hpp"
 
 namespace rgs::tool {
 namespace {
@@ -34,7 +34,7 @@ constexpr std::size_t kLongestText = 8192;  // bytes; paths end at 4096
 
 // The name by which the program was called, which can be anything.
 std::string program() {
-  return printable(program_invocation_short_name);
+  return printable(program_name());
 }
 
 // errno of the first failed write to standard output or standard error; 0 if none failed.
@@ -128,13 +128,15 @@ std::string describe(const Error& error) {
 
 const char* hint(const Error& error) {
   switch (error.system) {
-    case ENOSPC:
-    case EDQUOT: return "free some space or write to another disk";
+#ifdef EDQUOT
+    case EDQUOT:
+#endif
+    case ENOSPC: return "free some space or write to another disk";
     case EACCES:
     case EPERM: return "check the permissions of the file and its folder";
     case ENOENT: return "check the spelling; relative paths start at the current folder";
-    case EAGAIN: return "raise the limits on processes and memory (ulimit -u, ulimit -v)";
-    case EMFILE: return "raise the limit on open files (ulimit -n)";
+    case EAGAIN: return "raise the limits on processes and memory (Linux: ulimit -u, ulimit -v)";
+    case EMFILE: return "raise the limit on open files (Linux: ulimit -n)";
     default: break;
   }
   switch (error.code) {
@@ -146,7 +148,7 @@ const char* hint(const Error& error) {
       if (std::string_view(error.what).find("max_expansion") == std::string_view::npos) return "";
       return "if you trust the file, allow more: --max-expansion RATIO or a size such as 8GB";
     case Errc::bad_magic: return "the file has another format; its content decides, not its name";
-    case Errc::host_out_of_memory: return "raise the memory limit (ulimit -v), or use a machine with more";
+    case Errc::host_out_of_memory: return "raise the memory limit (Linux: ulimit -v), or use a machine with more";
     default: return "";
   }
 }
@@ -190,8 +192,7 @@ void print(std::string_view text) {
 void print_to_pipe(std::string_view text) {
   write(stdout, text, g_output_error);
   flush();
-  int closed = EPIPE;
-  g_output_error.compare_exchange_strong(closed, 0);
+  for (int closed : {EPIPE, EINVAL}) g_output_error.compare_exchange_strong(closed, 0);  // EINVAL: on Windows
 }
 
 void print_error(std::string_view text) {
@@ -323,7 +324,7 @@ void failpoint(const char* stage) {
 }
 
 Progress::Progress(Mode mode)
-    : quiet_(mode == Mode::quiet), json_(json_messages()), terminal_(!json_ && ::isatty(STDERR_FILENO) == 1) {}
+    : quiet_(mode == Mode::quiet), json_(json_messages()), terminal_(!json_ && ::isatty(STDERR_FILENO) != 0) {}
 
 Progress::~Progress() {
   if (open_ && terminal_ && !quiet_) print_error("\r\x1b[K");

@@ -37,6 +37,9 @@ class ImageCodec {
   virtual std::optional<Image> decode(const std::string& path) const = 0;
 };
 
+/// Errors: unavailable, host_out_of_memory.
+Result<const ImageCodec*> load_image_module();
+
 }  // namespace rgs
 
 /// The module's entry.

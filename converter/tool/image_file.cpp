@@ -2,12 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "image_file.hpp"
 
-#include <dlfcn.h>
-
 #include <algorithm>
 #include <array>
 #include <cctype>
-#include <cerrno>
 #include <filesystem>
 #include <utility>
 #include <vector>
@@ -15,42 +12,14 @@
 #include "image_codec.hpp"
 #include "jpeg_file.hpp"
 #include "png_file.hpp"
-#include "startable_threads.hpp"
+#include "rgs/utf8_path.hpp"
 
 namespace rgs {
 namespace {
 
-// A library below OpenImageIO starts so many threads while it is loaded, and ends the program if it cannot.
-constexpr unsigned kLoadingThreads = 4;
-
-// Where the module may be: in a build, installed, beside the shared library that this may be in, and where a build of
-// another project has it.
-constexpr const char* kModuleFolders[] = {"$ORIGIN/../lib/roofgs", "$ORIGIN/../" RGS_LIBDIR "/roofgs", "$ORIGIN/roofgs",
-#ifdef RGS_MODULE_FOLDER
-                                          RGS_MODULE_FOLDER
-#endif
-};
-
-Result<const ImageCodec*> load_module() {
-  if (tool::startable_threads(kLoadingThreads) < kLoadingThreads)
-    return tl::unexpected(
-        Error{.code = Errc::host_out_of_memory, .what = "cannot start the threads of OpenImageIO", .system = EAGAIN});
-  static std::string why =
-      "OpenEXR, TIFF and all formats but PNG and JPEG need lib/roofgs/librgs-pictures.so, which cannot be loaded: "
-      "install Debian's packages roofgs and roofgs-pictures, or use PNG";
-  for (const char* const place : kModuleFolders) {
-    void* const module = ::dlopen((std::string(place) + "/librgs-pictures.so").c_str(), RTLD_LAZY | RTLD_LOCAL);
-    void* const entry = module == nullptr ? nullptr : ::dlsym(module, "rgs_image_codec");
-    if (entry != nullptr) return reinterpret_cast<decltype(&rgs_image_codec)>(entry)();
-    why += std::string("; ") + ::dlerror();
-  }
-  const bool lacks_memory = why.find("annot allocate memory") != why.npos;
-  return make_error(lacks_memory ? Errc::host_out_of_memory : Errc::unavailable, Error::kNone, why.c_str());
-}
-
 // Loaded at the first picture that needs it and kept.
 const Result<const ImageCodec*>& module_codec() {
-  static const Result<const ImageCodec*> codec = load_module();
+  static const Result<const ImageCodec*> codec = load_image_module();
   return codec;
 }
 
@@ -92,7 +61,7 @@ auto read(const std::string& path, Png png, Jpeg jpeg, Other other) -> decltype(
 }  // namespace
 
 Result<ImageFormat> image_format(const std::string& path) {
-  std::string extension = std::filesystem::path(path).extension().string();
+  std::string extension = detail::path_of(path).extension().string();
   std::transform(extension.begin(), extension.end(), extension.begin(),
                  [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
   constexpr std::array<std::pair<const char*, ImageFormat>, 6> kNames{{{".png", ImageFormat::png},

@@ -2,7 +2,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "input_files.hpp"
 
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -18,11 +17,14 @@
 #include "console.hpp"
 #include "rgs/file.hpp"
 #include "rgs/tileset_files.hpp"
+#include "rgs/utf8_path.hpp"
 
 namespace rgs::tool {
 namespace {
 
 namespace fs = std::filesystem;
+using detail::path_of;
+using detail::status_of;
 
 std::string lower_case(std::string text) {
   for (char& c : text) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
@@ -47,32 +49,30 @@ std::vector<std::string> files_of(const fs::path& folder, const std::array<std::
 }  // namespace
 
 std::string prj_of(const std::string& path) {
-  const fs::path place(path);
+  const fs::path place = path_of(path);
   return lower_case(place.extension().string()) == ".ply" ? fs::path(place).replace_extension(".prj").string() : "";
 }
 
 InputFiles::State InputFiles::look(const std::string& path, int standard_stream) {
   State state;
-  struct stat info {};
+  std::optional<detail::FileStatus> status;
   if (path == "-") {
+    status = status_of(standard_stream);
     // A pipe or terminal cannot be overwritten.
-    if (::fstat(standard_stream, &info) != 0 || !S_ISREG(info.st_mode)) return state;
-  } else if (const std::string target = follow_links(path); ::stat(target.c_str(), &info) != 0) {
+    if (!status || status->kind != detail::FileStatus::Kind::regular) return state;
+  } else if (const std::string target = follow_links(path); !(status = status_of(target))) {
     // From the innermost existing folder; others are still to be made.
-    const fs::path place = fs::path(target).lexically_normal();
+    const fs::path place = path_of(target).lexically_normal();
     fs::path folder = place.parent_path();
-    while (!folder.empty() && folder != folder.root_path() && ::stat(folder.c_str(), &info) != 0)
+    while (!folder.empty() && folder != folder.root_path() && !status_of(folder.string()))
       folder = folder.parent_path();
     const fs::path from = folder.empty() ? fs::path(".") : folder;
-    if (::stat(from.c_str(), &info) == 0)
-      state.identity = FileIdentity{info.st_dev, info.st_ino, place.lexically_relative(from).string()};
+    if ((status = status_of(from.string())))
+      state.identity = FileIdentity{status->device, status->inode, place.lexically_relative(from).string()};
     return state;
   }
-  state.identity = FileIdentity{info.st_dev, info.st_ino, {}};
-  state.exists = true;
-  state.bytes = static_cast<std::uint64_t>(info.st_size);
-  state.modified[0] = info.st_mtim.tv_sec, state.modified[1] = info.st_mtim.tv_nsec;
-  state.status_changed[0] = info.st_ctim.tv_sec, state.status_changed[1] = info.st_ctim.tv_nsec;
+  state.identity = FileIdentity{status->device, status->inode, {}};
+  state.status = status;
   return state;
 }
 
@@ -84,14 +84,14 @@ void InputFiles::add(const std::string& path) {
 
 void InputFiles::add_scene(const std::string& path) {
   add(path);
-  const fs::path place(path);
+  const fs::path place = path_of(path);
   const fs::path folder = place.has_parent_path() ? place.parent_path() : ".";
   const std::string ending = lower_case(place.extension().string());
   const auto add_all = [this](const fs::path& in, const auto&... endings) {
     for (const std::string& file : files_of(in, std::array<std::string_view, sizeof...(endings)>{endings...}))
       add(file);
   };
-  if (std::error_code ignored; fs::is_regular_file(prj_of(path), ignored)) add(prj_of(path));
+  if (std::error_code ignored; fs::is_regular_file(path_of(prj_of(path)), ignored)) add(prj_of(path));
   if (place.filename() == "meta.json") add_all(folder, ".webp");
   if (ending == ".lcc" || ending == ".gltf") add_all(folder, ".bin");
   if (ending == ".rad") add_all(folder, ".radc");
@@ -113,10 +113,10 @@ void InputFiles::add_scene(const std::string& path) {
 
 void InputFiles::add_cameras(const std::string& path) {
   std::error_code ignored;
-  if (!fs::is_directory(path, ignored)) return add(path);
+  if (!fs::is_directory(path_of(path), ignored)) return add(path);
   for (const char* inside : {"", "sparse/0", "sparse"}) {
     for (const char* name : {"cameras.bin", "images.bin", "cameras.txt", "images.txt"}) {
-      const fs::path file = fs::path(path) / inside / name;
+      const fs::path file = path_of(path) / inside / name;
       if (fs::exists(file, ignored)) add(file.string());
     }
   }
@@ -125,7 +125,7 @@ void InputFiles::add_cameras(const std::string& path) {
 void InputFiles::add_pictures(const std::string& folder) {
   if (folder.empty()) return;
   constexpr std::array<std::string_view, 7> kPictures{".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".ppm"};
-  for (const std::string& picture : files_of(folder, kPictures)) add(picture);
+  for (const std::string& picture : files_of(path_of(folder), kPictures)) add(picture);
 }
 
 std::string InputFiles::clash(std::span<const std::string> outputs) const {
@@ -154,10 +154,9 @@ int InputFiles::check_outputs(std::span<const std::string> outputs) const {
 std::optional<std::string> InputFiles::changed() const {
   for (std::size_t i = 0; i < paths_.size(); ++i) {
     const State &before = states_[i], now = look(paths_[i], STDIN_FILENO);
-    if (paths_[i] == "-" || !before.exists || !now.exists) continue;
-    if (before.identity != now.identity || before.bytes != now.bytes ||
-        !std::ranges::equal(before.modified, now.modified) ||
-        !std::ranges::equal(before.status_changed, now.status_changed))
+    if (paths_[i] == "-" || !before.status || !now.status) continue;
+    if (before.identity != now.identity || before.status->bytes != now.status->bytes ||
+        before.status->modified != now.status->modified || before.status->changed != now.status->changed)
       return paths_[i];
   }
   return std::nullopt;

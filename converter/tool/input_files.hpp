@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include "rgs/file.hpp"
 #include "rgs/result.hpp"
 
 namespace rgs::tool {
@@ -57,9 +58,7 @@ class InputFiles {
  private:
   struct State {
     std::optional<FileIdentity> identity;
-    bool exists = false;
-    std::uint64_t bytes = 0;
-    std::int64_t modified[2] = {}, status_changed[2] = {};  // seconds and nanoseconds
+    std::optional<detail::FileStatus> status;  // of a file that exists
   };
   static State look(const std::string& path, int standard_stream);
 

@@ -63,7 +63,8 @@ Result<Head> read_head(const Turbo& turbo, std::span<const std::byte> file) {
   int width = 0, height = 0, sampling = 0, colours = -1;
   const auto* bytes = reinterpret_cast<const unsigned char*>(file.data());
   // It fails also for a sampling that it has no name for, which it decodes all the same.
-  (void)tjDecompressHeader3(turbo.get(), bytes, file.size(), &width, &height, &sampling, &colours);
+  (void)tjDecompressHeader3(turbo.get(), bytes, static_cast<unsigned long>(file.size()), &width, &height, &sampling,
+                            &colours);
   if (width < 1 || height < 1 || colours < 0) return damaged();
   // A block of most 32 x 32 pixels has a bit at least.
   constexpr std::uint64_t kMostPixelsPerByte = 8 * 32 * 32;
@@ -82,7 +83,7 @@ Result<std::vector<std::byte>> encode_jpeg(const Image& image, const ImageFileOp
   const int sampling = grey ? TJSAMP_GRAY : TJSAMP_444;
   std::vector<unsigned char> coded(tjBufSize(image.width, image.height, sampling));
   unsigned char* out = coded.data();
-  unsigned long size = coded.size();
+  auto size = static_cast<unsigned long>(coded.size());
   if (tjCompress2(turbo.get(), codes.data(), image.width, 0, image.height, grey ? TJPF_GRAY : TJPF_RGB, &out, &size,
                   sampling, options.jpeg_quality, TJFLAG_NOREALLOC | TJFLAG_ACCURATEDCT) != 0)
     return make_error(Errc::write_failed, Error::kNone, "the picture cannot be encoded as JPEG");
@@ -115,8 +116,9 @@ Result<Image> decode_jpeg(std::span<const std::byte> file) {
   const int format = head->cmyk ? TJPF_CMYK : channels == 1 ? TJPF_GRAY : TJPF_RGB;
   std::vector<std::uint8_t> codes(n_pixels * static_cast<std::size_t>(tjPixelSize[format]));
   // Other warnings say that something is missing, which decoders fill with grey.
-  if (tjDecompress2(turbo.get(), reinterpret_cast<const unsigned char*>(file.data()), file.size(), codes.data(), width,
-                    0, height, format, TJFLAG_LIMITSCANS) != 0 &&
+  if (tjDecompress2(turbo.get(), reinterpret_cast<const unsigned char*>(file.data()),
+                    static_cast<unsigned long>(file.size()), codes.data(), width, 0, height, format,
+                    TJFLAG_LIMITSCANS) != 0 &&
       std::strstr(tjGetErrorStr2(turbo.get()), "extraneous bytes") == nullptr)
     return damaged();
   Image image = Image::make(width, height, channels);

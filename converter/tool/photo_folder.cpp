@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "image_file.hpp"
+#include "rgs/utf8_path.hpp"
 
 namespace rgs {
 
@@ -16,7 +17,7 @@ namespace fs = std::filesystem;
 Result<PhotoFolder> PhotoFolder::open(const std::string& path) {
   std::error_code failed;
   std::vector<fs::path> files;
-  for (fs::directory_iterator it(path, failed), end; !failed && it != end; it.increment(failed))
+  for (fs::directory_iterator it(detail::path_of(path), failed), end; !failed && it != end; it.increment(failed))
     if (image_format(it->path().string())) files.push_back(it->path());
   if (failed)
     return make_error(Errc::open_failed, Error::kNone, "cannot read the folder of photographs", Error::kNone,
@@ -31,7 +32,7 @@ Result<PhotoFolder> PhotoFolder::open(const std::string& path) {
 }
 
 std::string PhotoFolder::find(const std::string& camera_name) const {
-  const fs::path name(camera_name);
+  const fs::path name = detail::path_of(camera_name);
   auto photo = files_.find(name.filename().string());
   if (photo == files_.end() && image_format(camera_name)) photo = files_.find(name.stem().string());
   return photo == files_.end() ? std::string() : photo->second;

@@ -1,7 +1,5 @@
 // run.cpp - start and end of the command-line programs, also where memory or threads are scarce.
 // SPDX-License-Identifier: Apache-2.0
-#include <errno.h>  // program_invocation_short_name
-#include <fcntl.h>
 #include <tbb/global_control.h>
 #include <unistd.h>
 
@@ -19,17 +17,10 @@
 #include "console.hpp"
 #include "rgs/file.hpp"
 #include "startable_threads.hpp"
+#include "system.hpp"
 
 namespace rgs::tool {
 namespace {
-
-// Opens something for each closed standard stream. Otherwise the next opened file could get number 2, and messages
-// would be written into it. The placeholders fail reads and writes with EBADF, as a closed stream does.
-void occupy_standard_streams() {
-  for (const int fd : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
-    if (::fcntl(fd, F_GETFD) < 0 && errno == EBADF && ::open("/", O_PATH) != fd) ::_exit(kInputOutput);
-  }
-}
 
 int report_out_of_memory() {
   return report({}, {.code = Errc::host_out_of_memory, .what = "out of memory"});
@@ -39,7 +30,7 @@ int report_out_of_memory() {
 int thread_error(const std::exception& e) {
   const std::string_view what = e.what();
   for (const int error : {EAGAIN, ENOMEM})
-    if (what.find(::strerrordesc_np(error)) != what.npos) return error;
+    if (what.find(error_text(error)) != what.npos) return error;
   return 0;
 }
 
@@ -66,9 +57,9 @@ void end_for_lack() {
     if (thread_error(e) != 0 || dynamic_cast<const std::bad_alloc*>(&e) != nullptr) {
       static constexpr std::string_view kText =
           ": too few threads or too little memory to run [host_out_of_memory]\n"
-          "  hint: raise the limits on processes and memory (ulimit -u, ulimit -v)\n";
-      for (const std::string_view part : {std::string_view(program_invocation_short_name), kText})
-        if (::write(STDERR_FILENO, part.data(), part.size()) < 0) break;
+          "  hint: raise the limits on processes and memory (Linux: ulimit -u, ulimit -v)\n";
+      for (const std::string_view part : {std::string_view(program_name()), kText})
+        if (::write(STDERR_FILENO, part.data(), static_cast<unsigned>(part.size())) < 0) break;
       ::_exit(kInputOutput);
     }
   } catch (...) {
@@ -80,7 +71,7 @@ void end_for_lack() {
 
 int run(const std::function<int()>& body) {
   std::set_terminate(end_for_lack);
-  occupy_standard_streams();
+  prepare_standard_streams();
   remove_temporaries_on_signal();
   return finish(guarded([&body] {
     // Where threads are scarce, oneTBB uses half of them and leaves the others to readers and writers. Once it fails to

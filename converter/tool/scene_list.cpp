@@ -2,15 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_list.hpp"
 
-#include <dirent.h>
-#include <sys/stat.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <cerrno>
 #include <filesystem>
 #include <iterator>
-#include <memory>
 #include <set>
 #include <string_view>
 #include <utility>
@@ -18,15 +13,22 @@
 #include "input_files.hpp"
 #include "rgs/file.hpp"
 #include "rgs/tileset_files.hpp"
+#include "rgs/utf8_path.hpp"
 
 namespace rgs::tool {
 namespace {
+
+namespace fs = std::filesystem;
 
 // A streamed SOG.
 const std::string kScene = "lod-meta.json";
 constexpr std::string_view kGltfText = ".gltf";  // never an output, so unknown to format_of_name()
 
 using Identity = std::pair<std::uint64_t, std::uint64_t>;  // device and inode
+
+Identity identity(const detail::FileStatus& status) {
+  return {status.device, status.inode};
+}
 
 std::string_view text_of(std::span<const std::byte> bytes) {
   return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
@@ -73,29 +75,28 @@ class Walk {
  public:
   Walk(const std::vector<std::string>& without, bool hidden) : hidden_(hidden) {
     for (const std::string& folder : without) {
-      struct stat info {};
-      if (::stat(folder.c_str(), &info) == 0) without_.emplace_back(info.st_dev, info.st_ino);
+      if (const auto status = detail::status_of(folder)) without_.push_back(identity(*status));
     }
   }
 
   Status folder(const std::string& path, const std::string& prefix) {
-    struct stat info {};
-    const std::unique_ptr<DIR, int (*)(DIR*)> open(::opendir(path.c_str()), ::closedir);
-    if (open == nullptr || ::fstat(::dirfd(open.get()), &info) != 0)
+    const auto status = detail::status_of(path);
+    if (!status)
       return rgs::make_error(Errc::open_failed, Error::kNone, "cannot read the folder", Error::kNone, Error::kNone,
                              errno);
-    const Identity self(info.st_dev, info.st_ino);
+    const Identity self = identity(*status);
     if (std::ranges::find(without_, self) != without_.end()) return {};
     if (std::ranges::find(above_, self) != above_.end()) {
       list_.refused.push_back(prefix.substr(0, prefix.size() - 1));
       return {};
     }
     std::vector<std::string> names;
-    errno = 0;
-    while (const dirent* entry = ::readdir(open.get())) names.emplace_back(entry->d_name);
-    if (errno != 0)
-      return rgs::make_error(Errc::read_failed, Error::kNone, "cannot read the whole folder", Error::kNone,
-                             Error::kNone, errno);
+    std::error_code failed;
+    for (fs::directory_iterator it(detail::path_of(path), failed), end; !failed && it != end; it.increment(failed))
+      names.push_back(it->path().filename().string());
+    if (failed)
+      return rgs::make_error(Errc::open_failed, Error::kNone, "cannot read the folder", Error::kNone, Error::kNone,
+                             failed.value());
     std::ranges::sort(names);
     const std::string inside = path + "/";
     // Folders that a streamed SOG names hold parts of it at several levels, and no scenes; so do others that have the
@@ -106,10 +107,10 @@ class Walk {
       if (file && detect_format(file->bytes()) == SplatFormat::ssog) streamed = text_of(file->bytes());
     }
     if (!streamed.empty()) {
-      for (const std::filesystem::path part : files_of_scene(inside + kScene))
-        if (part.filename() != kScene && is_level_and_number(part.parent_path().filename().string()) &&
-            ::stat(part.c_str(), &info) == 0)
-          parts_.emplace(info.st_dev, info.st_ino);
+      for (const std::string& file : files_of_scene(inside + kScene)) {
+        const fs::path part = detail::path_of(file);
+        if (part.filename() != kScene && is_level_and_number(part.parent_path().filename().string())) add_part(file);
+      }
     }
     const auto is_part = [&streamed](const std::string& name) {
       return streamed.find('"' + name + '/') != streamed.npos || streamed.find('"' + name + "\\/") != streamed.npos;
@@ -121,11 +122,9 @@ class Walk {
              (hidden_ || name[0] != '.') && !is_unfinished(name);
     });
     for (const std::string& name : texts) {
-      if (::stat((inside + name).c_str(), &info) != 0 || !S_ISREG(info.st_mode) ||
-          parts_.contains({info.st_dev, info.st_ino}))
-        continue;
-      for (const std::string& part : files_of_tileset(inside + name))
-        if (::stat(part.c_str(), &info) == 0) parts_.emplace(info.st_dev, info.st_ino);
+      const auto text = detail::status_of(inside + name);
+      if (!text || text->kind != detail::FileStatus::Kind::regular || parts_.contains(identity(*text))) continue;
+      for (const std::string& part : files_of_tileset(inside + name)) add_part(part);
     }
     above_.push_back(self);
     // So are the chunks that an .lcc2 names.
@@ -136,8 +135,7 @@ class Walk {
       return text.find("\"data/") != text.npos || text.find("\"data\\/") != text.npos;
     });
     for (const std::string& name : names)
-      if (name != "." && name != ".." && !(chunks && name == "data") && !is_part(name))
-        entry(inside + name, prefix + name, name[0] == '.');
+      if (!(chunks && name == "data") && !is_part(name)) entry(inside + name, prefix + name, name[0] == '.');
     above_.pop_back();
     return {};
   }
@@ -150,27 +148,31 @@ class Walk {
   }
 
  private:
+  void add_part(const std::string& path) {
+    if (const auto status = detail::status_of(path)) parts_.insert(identity(*status));
+  }
+
   void entry(const std::string& path, const std::string& name, bool is_hidden) {
     if (is_hidden && !hidden_) return;
     ListedScene scene{name, path, SplatFormat::unknown, 0, {}};
     const SplatFormat by_name = is_unfinished(name) ? SplatFormat::unknown : format_of_name(name);
-    struct stat info {};
-    if (::stat(path.c_str(), &info) != 0) {
+    const auto status = detail::status_of(path);
+    if (!status) {
       // A dangling link, or a file that vanished meanwhile.
       if (by_name == SplatFormat::unknown) return void(++list_.n_others);
       scene.readable =
           rgs::make_error(Errc::open_failed, Error::kNone, "cannot open file", Error::kNone, Error::kNone, errno);
       return list_.scenes.push_back(std::move(scene));
     }
-    if (S_ISDIR(info.st_mode)) {
+    if (status->kind == detail::FileStatus::Kind::folder) {
       if (is_hidden) return;
       scene.readable = folder(path, name + "/");
       if (!scene.readable) list_.scenes.push_back(std::move(scene));
       return;
     }
-    if (parts_.contains({info.st_dev, info.st_ino})) return;
-    if (!S_ISREG(info.st_mode) || is_unfinished(name)) return void(++list_.n_others);
-    scene.bytes = static_cast<std::uint64_t>(info.st_size);
+    if (parts_.contains(identity(*status))) return;
+    if (status->kind != detail::FileStatus::Kind::regular || is_unfinished(name)) return void(++list_.n_others);
+    scene.bytes = status->bytes;
     const auto file = MappedFile::open(path);
     if (file) scene.format = format_of(file->bytes(), by_name);
     if (!file && by_name != SplatFormat::unknown) scene.readable = tl::unexpected(file.error());
@@ -182,8 +184,9 @@ class Walk {
       return void(++list_.n_others);
     if (format_info(scene.format).in_folder) {
       for (const std::string& file_of_it : files_of_scene(path)) {
-        if (file_of_it == path || ::stat(file_of_it.c_str(), &info) != 0) continue;
-        scene.bytes += static_cast<std::uint64_t>(info.st_size);
+        const auto of_it = detail::status_of(file_of_it);
+        if (file_of_it == path || !of_it) continue;
+        scene.bytes += of_it->bytes;
         const bool is_walked = scene.format != SplatFormat::lcc2 && scene.format != SplatFormat::tileset &&
                                scene.format != SplatFormat::ssog;
         n_beside_ += is_walked ? 1 : 0;

@@ -30,6 +30,7 @@
 #include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/scene_first_view.hpp"
+#include "rgs/utf8_path.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
 #include "spz_axes.hpp"
@@ -115,10 +116,10 @@ int name_files(std::vector<Shot>& shots, const Options& options) {
                         shots.size(), *target));
       shots.front().*field = *target;
     } else {
-      if (fs::path(*target).has_extension() && !fs::is_directory(*target))
+      if (rgs::detail::path_of(*target).has_extension() && !fs::is_directory(rgs::detail::path_of(*target)))
         return tool::report_usage("'" + *target + "' ends neither as a picture (.png .jpg .tif .exr) nor as a folder");
       std::error_code failed;
-      fs::create_directories(*target, failed);
+      fs::create_directories(rgs::detail::path_of(*target), failed);
       if (failed)
         return tool::report(*target, {rgs::Errc::write_failed, rgs::Error::kNone, "cannot make the folder",
                                       rgs::Error::kNone, rgs::Error::kNone, failed.value()});
@@ -127,7 +128,7 @@ int name_files(std::vector<Shot>& shots, const Options& options) {
         std::string stem = rgs::picture_stem(shots[i].camera, i);
         if (!used.insert(stem).second) used.insert(stem += fmt::format("_{:04}", i));
         const std::string name = depth ? stem + "_depth.exr" : stem + "." + options.format;
-        shots[i].*field = (fs::path(*target) / name).string();
+        shots[i].*field = (rgs::detail::path_of(*target) / name).string();
       }
     }
     // Reported before the first frame is rendered, not after the last.
@@ -135,7 +136,7 @@ int name_files(std::vector<Shot>& shots, const Options& options) {
       std::error_code ignored;
       if (const auto known = rgs::load_image_format(*rgs::image_format(shot.*field)); !known)
         return tool::report(shot.*field, known.error());
-      if (!options.overwrite && fs::exists(shot.*field, ignored))
+      if (!options.overwrite && fs::exists(rgs::detail::path_of(shot.*field), ignored))
         return tool::report(shot.*field, {rgs::Errc::output_exists, rgs::Error::kNone,
                                           "the output exists; pass --overwrite to replace it"});
     }

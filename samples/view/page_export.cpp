@@ -6,7 +6,7 @@
 
 #include <span>
 
-#include "base64.hpp"
+#include "encoding.hpp"
 
 namespace rgs::view {
 namespace {

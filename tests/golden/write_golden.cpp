@@ -43,7 +43,7 @@ int main(int argc, char** argv) {
   }
   const std::filesystem::path reject = folder / "reject";
   std::filesystem::create_directories(reject);
-  std::ofstream list(reject / "reject.txt");
+  std::ofstream list(reject / "reject.txt", std::ios::binary);
   list << "# file, error, byte offset\n";
   for (const auto& c : rgs::test::reject_cases(folder)) {
     if (!write(reject / (c.name + ".rgs"), c.bytes)) return 1;

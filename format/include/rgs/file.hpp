@@ -1,9 +1,11 @@
-// file.hpp - files for the programs: mapped for reading, all-or-nothing for writing (POSIX).
+// file.hpp - files for the programs: mapped for reading, all-or-nothing for writing.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -11,6 +13,20 @@
 #include "rgs/result.hpp"
 
 namespace RGS_API rgs {
+
+namespace detail {
+/// What a file system says of a file.
+struct FileStatus {
+  enum class Kind { regular, folder, other } kind = Kind::other;
+  std::uint64_t device = 0, inode = 0, bytes = 0, n_names = 0;
+  std::array<std::int64_t, 2> modified{}, changed{};  ///< of contents, of anything (not on Windows): s and ns
+  /// Whether `now`, a later status, shows the same contents. Writers may reset the time of modification, not of change.
+  /// Making or removing a link changes that too, and does no harm.
+  bool is_unchanged(const FileStatus& now) const {
+    return now.bytes == bytes && now.modified == modified && (now.changed == changed || now.n_names != n_names);
+  }
+};
+}  // namespace detail
 
 /// A whole regular file mapped read-only. The system reads pages when they are touched. Move-only.
 class MappedFile {
@@ -38,10 +54,7 @@ class MappedFile {
   const std::byte* data_ = nullptr;
   std::size_t size_ = 0;
   int fd_ = -1;  // of its own
-  struct Stamp {
-    std::int64_t modified[2] = {}, changed[2] = {};  // seconds and nanoseconds
-    std::uint64_t n_names = 0;
-  } stamp_;
+  detail::FileStatus stamp_;
 };
 
 /// An output that appears under its name complete or not at all. Its bytes go to a file without a name in the same folder,
@@ -52,7 +65,8 @@ class MappedFile {
 /// A symbolic link is followed: its target is replaced. The new file takes over the old one's permissions, and owner and
 /// group if the process may set them; access control lists, extended attributes and other hard links stay with the old
 /// file. Path "-" is standard output: commit() copies out an unnamed file in $TMPDIR (/tmp if unset). No descriptor is a
-/// standard stream's number, so messages cannot end up in a file. Move-only; several threads may write.
+/// standard stream's number, so messages cannot end up in a file. On Windows all bytes go to `PATH.tmp-XXXXXX`, which
+/// Ctrl-C removes and a killed process leaves behind. Move-only; several threads may write.
 class AtomicFile {
  public:
   struct Options {
@@ -101,9 +115,23 @@ void remove_temporaries_on_signal();
 std::string follow_links(const std::string& path);
 
 namespace detail {
-/// A scratch file in `folder`, without a name: its bytes are released when it is closed, whatever ends the process. Returns
-/// a descriptor above the standard streams' numbers, or -1 and errno.
+/// A scratch file in `folder` (empty: the system's folder for such, $TMPDIR), without a name: its bytes are released when it is
+/// closed, whatever ends the process. Returns a descriptor above the standard streams' numbers, or -1 and errno.
 int open_scratch(const std::string& folder);
+/// Makes a folder, after it has put other letters for the Xs at the end of `name`, "...XXXXXX". False and errno on failure.
+bool make_scratch_folder(std::string& name);
+/// A descriptor for reading, above the standard streams' numbers, or -1 and errno. Without `wait` it does not wait
+/// for the writer of a pipe.
+int open_to_read(const std::string& path, bool wait = true);
+/// Of the file at a path, through links, or of an open one; nothing and errno on failure.
+std::optional<FileStatus> status_of(const std::string& path);
+std::optional<FileStatus> status_of(int fd);
+/// Of an open regular file. Errors: open_failed.
+Result<FileStatus> status_of_regular(int fd);
+/// Writes or reads all bytes at `offset`, which moves on with them. Returns 0, errno, or kFileEnded. Thread-safe.
+int write_at(int fd, std::uint64_t& offset, std::span<const std::byte> bytes);
+int read_at(int fd, std::uint64_t& offset, std::span<std::byte> bytes);
+inline constexpr int kFileEnded = -1;
 }  // namespace detail
 
 }  // namespace rgs

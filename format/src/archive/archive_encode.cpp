@@ -232,7 +232,7 @@ class Encoder {
     }
   }
 
-  Result<WrittenScene> run(Sink sink, std::span<const std::uint32_t> source_index) {
+  Result<WrittenScene> run(std::vector<std::byte>& bytes, std::span<const std::uint32_t> source_index) {
     // The largest coefficient is to blame, even if the transforms that it bends fail for another Gaussian first.
     const auto with_largest_sh = [&] {
       const auto sh = leaves().sh;
@@ -251,7 +251,7 @@ class Encoder {
       if (s.error().code == Errc::bad_value) s.error().found = name_in_source(source_index, s.error().found);
       return tl::unexpected(s.error());
     }
-    std::vector<std::byte> bytes;
+    bytes.clear();
     auto written = pages_ != nullptr ? assemble_pages(bytes, source_index) : assemble(bytes, source_index);
     if (!written) return written;
     const Status verified = pages_ != nullptr ? verify_archive_levels(bytes, splats_, order_, n_threads())
@@ -262,8 +262,6 @@ class Encoder {
       // An internal error has no position in the source.
       return make_error(Errc::internal, Error::kNone, s.error().what, Error::kNone, s.error().offset);
     }
-    if (Status s = sink.write_at(0, bytes); !s) return tl::unexpected(s.error());
-    if (Status s = sink.truncate(bytes.size()); !s) return tl::unexpected(s.error());
     return written;
   }
 
@@ -783,14 +781,14 @@ class Encoder {
 
 namespace detail {
 
-Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const SplatView& splats,
+Result<WrittenScene> write_archive(std::vector<std::byte>& file, const EncodePlan& plan, const SplatView& splats,
                                    std::span<const std::uint32_t> source_index) {
   assert(plan.options.profile == Profile::archive && splats.n == plan.header.n_gaussians && splats.n != 0);
   assert(source_index.size() == splats.n && splats.sh_degree == plan.header.sh_degree);
   // Equal Gaussians may compress so well that readers reject the file for its expansion; smaller frames make it larger.
   EncodePlan smaller = plan;
   for (;; smaller.archive_rows /= 8) {
-    auto written = Encoder(smaller, splats, nullptr).run(sink, source_index);
+    auto written = Encoder(smaller, splats, nullptr).run(file, source_index);
     if (written || written.error().code != Errc::limit_exceeded) return written;
     if (smaller.frame_rows() == plan.header.chunk_size) {
       return make_error(Errc::limit_exceeded, Error::kNone,
@@ -800,10 +798,10 @@ Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const Spla
   }
 }
 
-Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, const SplatView& splats,
+Result<WrittenScene> write_archive_levels(std::vector<std::byte>& file, const EncodePlan& plan, const SplatView& splats,
                                           const PageTable& table, std::span<const std::uint32_t> source_index) {
   assert(plan.options.profile == Profile::archive && source_index.size() == plan.header.n_gaussians);
-  return Encoder(plan, splats, &table).run(sink, source_index);
+  return Encoder(plan, splats, &table).run(file, source_index);
 }
 
 }  // namespace detail

@@ -14,17 +14,16 @@
 
 namespace rgs::detail {
 
-/// Writes the whole file. `splats`: the plan's Gaussians, sound and in Morton order (frames are cut along it);
-/// `source_index` [n]: their positions in the source. Frames have an order of their own. Takes about 50 bytes a Gaussian;
-/// `splats` may lie in the sink, which is written last. The result has been decoded and compared with `splats`: see
-/// verify_archive(). Errors: bad_value (a value too large for the requested steps; `found` is the Gaussian's
-/// source_index), those of verify_archive() and the sink.
-Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const SplatView& splats,
+/// Makes the whole `file`. `splats`: the plan's Gaussians, sound and in Morton order (frames are cut along it);
+/// `source_index` [n]: their positions in the source. Frames have an order of their own. Takes about 50 bytes a Gaussian.
+/// The result has been decoded and compared with `splats`: see verify_archive(). Errors: bad_value (a value too large for
+/// the requested steps; `found` is the Gaussian's source_index), those of verify_archive().
+Result<WrittenScene> write_archive(std::vector<std::byte>& file, const EncodePlan& plan, const SplatView& splats,
                                    std::span<const std::uint32_t> source_index);
 
 /// The same for a file with levels: `splats` are the Gaussians of all pages of `table` in order; its leaves are the
 /// plan's Gaussians, and `source_index` [n leaves] holds their positions in the source.
-Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, const SplatView& splats,
+Result<WrittenScene> write_archive_levels(std::vector<std::byte>& file, const EncodePlan& plan, const SplatView& splats,
                                           const PageTable& table, std::span<const std::uint32_t> source_index);
 
 /// Opens and decodes `file`, of Profile::archive, and checks Gaussian i against Gaussian order[i] of `splats` by the

@@ -52,4 +52,10 @@ Result<SplatView> ArchiveRows::view() {
   return SplatView{n_, sh_degree_, field(3), field(3), field(4), field(1), field(sh_values())};
 }
 
+Status ArchiveRows::replace(std::span<const std::byte> file) {
+  mapped_ = {};  // Windows shortens no mapped file
+  if (Status s = sink_.write_at(0, file); !s) return s;
+  return sink_.truncate(file.size());
+}
+
 }  // namespace rgs::detail

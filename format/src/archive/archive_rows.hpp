@@ -20,8 +20,10 @@ class ArchiveRows {
   static Result<ArchiveRows> create(Sink sink, std::uint64_t n, int sh_degree);
   /// Several threads may set different rows. Limits `splats` to what codes can hold. Errors: Sink::write_at()'s.
   Status set(std::uint64_t first, std::span<Splat> splats);
-  /// All rows, until the sink is written to. Errors: Sink::view()'s.
+  /// All rows, until replace(). Errors: Sink::view()'s.
   Result<SplatView> view();
+  /// Makes `file` the sink's contents. Errors: Sink::write_at()'s and truncate()'s.
+  Status replace(std::span<const std::byte> file);
 
  private:
   ArchiveRows(Sink sink, std::uint64_t n, int sh_degree) : sink_(sink), n_(n), sh_degree_(sh_degree) {}

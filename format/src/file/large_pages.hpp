@@ -8,7 +8,9 @@ namespace rgs::detail {
 
 inline constexpr std::size_t kLargePage = std::size_t{2} << 20;
 
-/// A hint: first touches of memory spend most of their time on page faults. Both arguments are multiples of kLargePage.
-void ask_for_large_pages(void* memory, std::size_t bytes);
+/// Uninitialised memory; null if it runs out. `bytes` is a multiple of `alignment`. With an alignment of kLargePage the
+/// system is asked for large pages: first touches of memory spend most of their time on page faults.
+void* allocate_aligned(std::size_t alignment, std::size_t bytes);
+void free_aligned(void* memory);
 
 }  // namespace rgs::detail

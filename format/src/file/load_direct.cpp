@@ -34,9 +34,7 @@ std::byte* allocate(std::uint64_t bytes) {
   const std::uint64_t alignment = bytes >= 2 * detail::kLargePage ? detail::kLargePage : 64;
   if (bytes > std::numeric_limits<std::size_t>::max() - alignment) return nullptr;
   const auto size = static_cast<std::size_t>(detail::align_up(std::max<std::uint64_t>(bytes, 1), alignment));
-  void* memory = std::aligned_alloc(static_cast<std::size_t>(alignment), size);
-  if (memory != nullptr && alignment == detail::kLargePage) detail::ask_for_large_pages(memory, size);
-  return static_cast<std::byte*>(memory);
+  return static_cast<std::byte*>(detail::allocate_aligned(static_cast<std::size_t>(alignment), size));
 }
 
 struct Worker {
@@ -117,7 +115,7 @@ Status decode_archive(const FileView& view, std::span<const CodedPart> parts, un
 }  // namespace
 
 void DirectData::Free::operator()(std::byte* memory) const {
-  std::free(memory);
+  detail::free_aligned(memory);
 }
 
 Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,

@@ -43,10 +43,8 @@ bool same_box(std::span<const ChunkEntry> chunks, const Box& full) {
 }  // namespace
 
 struct SceneWriter::State {
-  State(Sink to, detail::EncodePlan planned)
-      : sink(to), plan(std::move(planned)), file(to, plan.sections, plan.n_frames()) {}
+  State(Sink to, detail::EncodePlan planned) : plan(std::move(planned)), file(to, plan.sections, plan.n_frames()) {}
 
-  Sink sink;
   detail::EncodePlan plan;
   detail::SectionWriter file;
   detail::SceneTables tables;
@@ -133,7 +131,11 @@ Result<WrittenScene> SceneWriter::finish() {
     if (state_->plan.options.profile == Profile::archive) {
       const auto splats = state_->rows->view();
       if (!splats) return tl::unexpected(splats.error());
-      return detail::write_archive(state_->sink, state_->plan, *splats, state_->tables.source_index);
+      std::vector<std::byte> file;
+      auto written = detail::write_archive(file, state_->plan, *splats, state_->tables.source_index);
+      if (!written) return written;
+      if (Status s = state_->rows->replace(file); !s) return tl::unexpected(s.error());
+      return written;
     }
     if (!same_box(state_->tables.chunks, state_->plan.declarations.full))
       return tl::unexpected(detail::source_changed().error());

@@ -1,6 +1,8 @@
 // single_thread.cpp - replaces workers.cpp and large_pages.cpp on platforms without threads: runs every job on the
 // caller's thread.
 // SPDX-License-Identifier: Apache-2.0
+#include <cstdlib>
+
 #include "file/large_pages.hpp"
 #include "file/workers.hpp"
 
@@ -17,6 +19,12 @@ Status run_jobs(std::uint64_t n, unsigned, const std::function<Status(unsigned w
   return {};
 }
 
-void ask_for_large_pages(void*, std::size_t) {}
+void* allocate_aligned(std::size_t alignment, std::size_t bytes) {
+  return std::aligned_alloc(alignment, bytes);
+}
+
+void free_aligned(void* memory) {
+  std::free(memory);
+}
 
 }  // namespace rgs::detail

@@ -295,7 +295,6 @@ Status read_record(std::span<const std::byte> record, const lod::Page& page, Enc
 }  // namespace
 
 struct LevelsWriter::State {
-  Sink sink;
   EncodePlan plan;
   PageTable table;                  // Profile::archive, until it is written
   std::optional<LevelsFile> file;   // other profiles
@@ -350,7 +349,7 @@ Result<LevelsWriter> LevelsWriter::create(Sink sink, const SceneScan& leaves, co
                         leaves.n_kept(), n_leaves);
     }
     if (!(quality_db >= 0 && std::isfinite(quality_db))) return bad("the quality of pages is negative or not finite");
-    auto state = std::make_unique<State>(State{sink, *std::move(plan), {}, {}, {}, {}, 0, {}});
+    auto state = std::make_unique<State>(State{*std::move(plan), {}, {}, {}, {}, 0, {}});
     PageTable table;
     table.pages = std::move(pages);
     table.quality_db = quality_db;
@@ -420,7 +419,11 @@ Result<WrittenScene> LevelsWriter::finish() {
     if (s.archive()) {
       const auto splats = s.rows->view();
       if (!splats) return tl::unexpected(splats.error());
-      return write_archive_levels(s.sink, s.plan, *splats, s.table, given);
+      std::vector<std::byte> file;
+      auto written = write_archive_levels(file, s.plan, *splats, s.table, given);
+      if (!written) return written;
+      if (Status replaced = s.rows->replace(file); !replaced) return tl::unexpected(replaced.error());
+      return written;
     }
     Declarations d = s.plan.declarations;
     if (s.leaves.full.min != d.full.min || s.leaves.full.max != d.full.max) {

@@ -10,6 +10,7 @@
 #include "cameras/camera_records.hpp"
 #include "rgs/file.hpp"
 #include "rgs/guard_memory.hpp"
+#include "rgs/utf8_path.hpp"
 
 namespace rgs {
 namespace {
@@ -59,7 +60,8 @@ void split_by_name(CameraSet& set) {
 Result<CameraSet> read_camera_set(const std::string& path) {
   return detail::guard_memory([&]() -> Result<CameraSet> {
     std::error_code ignored;
-    if (std::filesystem::is_directory(path, ignored)) return read_colmap(path);
+    if (const auto folder = detail::path_of(path); std::filesystem::is_directory(folder, ignored))
+      return read_colmap(folder);
     const auto file = MappedFile::open(path);
     if (!file) return tl::unexpected(file.error());
     std::string_view text = text_of(*file);

@@ -1,11 +1,9 @@
-// memory_files.cpp - replaces format/src/file/file.cpp: outputs and scratch files are blocks of memory.
+// memory_files.cpp - replaces file.cpp and file_posix.cpp of format/src/file: outputs and scratch files are blocks of memory.
 // SPDX-License-Identifier: Apache-2.0
-#include <sys/types.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cstdint>
-#include <cstdlib>
 #include <memory>
 #include <span>
 #include <utility>
@@ -128,18 +126,27 @@ Result<double> AtomicFile::commit() {
 int detail::open_scratch(const std::string&) {
   return open_blocks();
 }
+int detail::write_at(int fd, std::uint64_t& offset, std::span<const std::byte> bytes) {
+  of(fd).write(offset, bytes);
+  offset += bytes.size();
+  return 0;
+}
+int detail::read_at(int fd, std::uint64_t& offset, std::span<std::byte> bytes) {
+  const std::size_t n = of(fd).read(offset, bytes);
+  offset += n;
+  return n == bytes.size() ? 0 : kFileEnded;
+}
+// There are no names.
+int detail::open_to_read(const std::string&, bool) {
+  return -1;
+}
+std::optional<detail::FileStatus> detail::status_of(int) {
+  return std::nullopt;
+}
 
 }  // namespace rgs
 
-// Of scratch files. They replace the C library's, which would need files from JavaScript.
-extern "C" ssize_t pwrite(int fd, const void* from, size_t size, off_t offset) {
-  rgs::of(fd).write(static_cast<std::uint64_t>(offset), {static_cast<const std::byte*>(from), size});
-  return static_cast<ssize_t>(size);
-}
-extern "C" ssize_t pread(int fd, void* to, size_t size, off_t offset) {
-  return static_cast<ssize_t>(
-      rgs::of(fd).read(static_cast<std::uint64_t>(offset), {static_cast<std::byte*>(to), size}));
-}
+// They replace the C library's, which would need files and an environment from JavaScript.
 extern "C" int close(int fd) {
   rgs::files[static_cast<std::size_t>(fd - rgs::kFirst)] = {};
   return 0;

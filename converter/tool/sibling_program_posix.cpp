@@ -1,7 +1,8 @@
-// sibling_program.cpp - /proc/self/exe and posix_spawn.
+// sibling_program_posix.cpp - /proc/self/exe and posix_spawn.
 // SPDX-License-Identifier: Apache-2.0
 #include "sibling_program.hpp"
 
+#include <fcntl.h>
 #include <spawn.h>
 #include <sys/wait.h>
 #include <unistd.h>  // environ, with GNU extensions (the default of g++ and clang++)
@@ -51,6 +52,14 @@ Result<int> run_program_and_wait(const std::string& path, const std::vector<std:
       return make_error(Errc::internal, Error::kNone, "cannot wait for the program", Error::kNone, Error::kNone, errno);
   }
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+}
+
+NameForPrograms::NameForPrograms(int fd) : inherited_(::fcntl(fd, F_DUPFD, STDERR_FILENO + 1)) {
+  if (inherited_ >= 0) path_ = "/dev/fd/" + std::to_string(inherited_);
+}
+
+NameForPrograms::~NameForPrograms() {
+  if (inherited_ >= 0) ::close(inherited_);
 }
 
 }  // namespace rgs::tool
