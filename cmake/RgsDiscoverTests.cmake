@@ -9,8 +9,8 @@ if(NOT CMAKE_SCRIPT_MODE_FILE)
   function(rgs_discover_tests target label)
     set(tests ${CMAKE_CURRENT_BINARY_DIR}/${target}-tests.cmake)
     add_custom_command(TARGET ${target} POST_BUILD BYPRODUCTS ${tests} VERBATIM
-      COMMAND ${CMAKE_COMMAND} -D PROGRAM=$<TARGET_FILE:${target}> -D LABEL=${label}
-        -D TESTS=${tests} -P ${RGS_DISCOVER_TESTS_SCRIPT})
+      COMMAND ${CMAKE_COMMAND} -D PROGRAM=$<TARGET_FILE:${target}> -D LABEL=${label} -D TESTS=${tests}
+        -D "RUNNER=${CMAKE_CROSSCOMPILING_EMULATOR}" -P ${RGS_DISCOVER_TESTS_SCRIPT})
     # A program that was never built is a failing test, not a missing one.
     file(WRITE ${tests}.include "if(EXISTS \"${tests}\")\n  include(\"${tests}\")\nelse()\n"
       "  add_test(\"${label}: not built\" \"${target} is not built\")\nendif()\n")
@@ -19,7 +19,8 @@ if(NOT CMAKE_SCRIPT_MODE_FILE)
   return()
 endif()
 
-execute_process(COMMAND ${PROGRAM} --list-test-cases --no-colors
+list(APPEND RUNNER ${PROGRAM})
+execute_process(COMMAND ${RUNNER} --list-test-cases --no-colors
   OUTPUT_VARIABLE listing ERROR_VARIABLE listing RESULT_VARIABLE status)
 if(NOT status EQUAL 0)
   message(FATAL_ERROR "${PROGRAM} --list-test-cases: ${status}\n${listing}")
@@ -37,6 +38,7 @@ string(JOIN "|" slow
   "render: what a file declares"
   "runtime: a scene on a grid"
   "runtime: images of one pixel")
+list(JOIN RUNNER "]==] [==[" words)
 set(script "")
 set(number 0)
 set(seen "\n")
@@ -55,7 +57,7 @@ while(listing MATCHES "^([^\n]*)\n(.*)$")
   string(APPEND seen "${name}\n")
   # What counts instructions runs under valgrind, and has a label of its own.
   set(label ${LABEL})
-  set(command "[==[${PROGRAM}]==]")
+  set(command "[==[${words}]==]")
   if(name MATCHES "^growth: (.*)")
     set(label growth)
     set(name "${LABEL}: ${CMAKE_MATCH_1}")

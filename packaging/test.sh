@@ -1,12 +1,12 @@
 #!/bin/sh
 # test.sh - makes each package and uses it in a bare root: sh packaging/test.sh [STEP...]
-# Steps: deb libraries bundle wheel windows. Bare roots need root's rights, and a gigabyte in build/roots.
+# Steps: deb libraries bundle wheel arm64 windows. Bare roots need root's rights, and a gigabyte in build/roots.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
 sh scripts/install-deps.sh packaging
 mkdir -p build/packaging
-steps=${*:-deb libraries bundle wheel windows}
+steps=${*:-deb libraries bundle wheel arm64 windows}
 failed=
 
 # step NAME COMMAND...: its log is build/packaging/NAME.log.
@@ -72,10 +72,23 @@ wheel() {
   step wheel-source unshare --net sh tests/packaging/source.sh
 }
 
+# Programs for other machines do what those of this one do.
+native() {
+  step native sh -c '
+    cmake --preset release && cmake --build build/release --parallel "${RGS_JOBS:-$(nproc)}" \
+      --target rgs-audit rgs-convert rgs-diff rgs-info rgs-prune rgs-render'
+}
+
+arm64() {
+  native
+  step arm64-build sh packaging/arm64.sh
+  step arm64 sh -c '/usr/bin/python3 tests/packaging/foreign_test.py \
+    "qemu-aarch64 -L $(sed -n "s/^RGS_ROOT:.*=//p" build/arm64/CMakeCache.txt)" build/arm64/bin build/release/bin'
+}
+
 windows() {
+  native
   step windows-build sh packaging/windows.sh
-  step windows-native sh -c '{ [ -f build/release/build.ninja ] || cmake --preset release; } &&
-    cmake --build build/release --parallel "${RGS_JOBS:-$(nproc)}" --target rgs-convert rgs-info'
   step windows /usr/bin/python3 tests/packaging/windows_test.py build/windows/programs/bin build/release/bin
 }
 

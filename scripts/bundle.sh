@@ -3,9 +3,16 @@
 #   sh scripts/bundle.sh [BUILD_FOLDER] OUT    BUILD_FOLDER is build/cuda by default; OUT.tar.gz becomes an archive
 # OUT/bin/PROGRAM runs on a Linux of the same processor family with the same or a newer glibc; CUDA needs a driver, but no toolkit. The
 # folder may be moved; it is smallest from a build with -DBUILD_SHARED_LIBS=ON -DRGS_ENABLE_CUDA=OFF. Pictures are PNG and JPEG:
-# OpenImageIO, for others, would bring 260 libraries.
+# OpenImageIO, for others, would bring 260 libraries. RGS_ROOT: a folder with the libraries of a build for arm64 (packaging/arm64.sh).
 # SPDX-License-Identifier: Apache-2.0
 set -eu
+root=${RGS_ROOT:-}
+strip='strip'
+ldd=/usr/bin/ldd
+if [ -n "$root" ]; then
+  strip=aarch64-linux-gnu-strip
+  ldd="/usr/bin/qemu-aarch64 -L $root $root/lib/ld-linux-aarch64.so.1 --list"
+fi
 programs="rgs-audit rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-diff rgs-info rgs-judge rgs-make-scene rgs-prune
   rgs-render rgs-view rgs_test_kernels"
 case $# in
@@ -36,7 +43,7 @@ case $out in
     ;;
 esac
 # glibc must be that of the machine that runs the programs.
-glibc='^(linux-vdso|ld-linux[^/]*|libc|libm|libdl|librt|libpthread|libresolv|libutil|libmvec|libanl|libnsl|libnss_[a-z]*)\.so'
+glibc='^(linux-vdso|(/lib[^/]*/)?ld-linux[^/]*|libc|libm|libdl|librt|libpthread|libresolv|libutil|libmvec|libanl|libnsl|libnss_[a-z]*)\.so'
 
 mkdir -p "$out/bin" "$out/lib" "$out/licenses"
 for program in $programs; do
@@ -48,18 +55,18 @@ for program in $programs; do
 done
 
 # "libfmt.so.9 => /lib/x86_64-linux-gnu/libfmt.so.9 (0x...)", for libraries of libraries as well
-for program in "$out"/bin/*; do ldd "$build/bin/${program##*/}"; done |
+for program in "$out"/bin/*; do $ldd "$build/bin/${program##*/}"; done |
   awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | sort -u | while read -r name path; do
-    echo "$name" | grep -qE "$glibc" || cp -L "$path" "$out/lib/$name"
+    echo "$name" | grep -qE "$glibc" || cp -L "$root$path" "$out/lib/$name"
   done
-for library in "$out"/lib/librgs_*; do [ ! -e "$library" ] || strip "$library"; done
-strip "$out"/bin/*
+for library in "$out"/lib/librgs_*; do [ ! -e "$library" ] || $strip "$library"; done
+$strip "$out"/bin/*
 
 cp "$(dirname "$0")/../LICENSE" "$out/licenses/roofgs"
-# "libfmt9:amd64: /usr/lib/x86_64-linux-gnu/libfmt.so.9"
-for library in "$out"/lib/*.so*; do echo "*-linux-gnu/${library##*/}"; done | xargs dpkg -S 2>/dev/null | cut -d: -f1 | sort -u |
-  while read -r package; do
-    [ ! -e "/usr/share/doc/$package/copyright" ] || cp -L "/usr/share/doc/$package/copyright" "$out/licenses/$package"
+# "libfmt9:amd64: /usr/lib/x86_64-linux-gnu/libfmt.so.9"; in other folders are those of cross compilers.
+for library in "$out"/lib/*.so*; do echo "*-linux-gnu/${library##*/}"; done |
+  xargs dpkg-query --admindir="$root/var/lib/dpkg" -S 2>/dev/null | cut -d: -f1 | sort -u | while read -r package; do
+    [ ! -e "$root/usr/share/doc/$package/copyright" ] || cp -L "$root/usr/share/doc/$package/copyright" "$out/licenses/$package"
   done
 if [ -x "$out/bin/rgs-view" ]; then
   mkdir -p "$out/share/roofgs"
@@ -77,8 +84,8 @@ fi
 
 # In an empty environment every library is found in the bundle or belongs to glibc.
 for program in "$out"/bin/*; do
-  env -i /usr/bin/ldd "$program" | awk -v lib="/../" -v glibc="$glibc" '
-    $1 !~ glibc && $1 !~ /^\/lib.*\/ld-linux/ && index($3, lib) == 0 { print "bundle.sh: not bundled: " $0; bad = 1 }
+  env -i $ldd "$program" | awk -v lib="/../" -v glibc="$glibc" '
+    $2 == "=>" && $1 !~ glibc && index($3, lib) == 0 { print "bundle.sh: not bundled: " $0; bad = 1 }
     END { exit bad }' >&2
 done
 if [ -n "$archive" ]; then

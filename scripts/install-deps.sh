@@ -17,7 +17,7 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
 
 [ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf
-  patchelf python3-pip libdlpack-dev"
+  patchelf python3-pip libdlpack-dev g++-aarch64-linux-gnu qemu-user"
 [ "${1:-}" != python ] || packages="$packages libdlpack-dev python3-venv python3-pytest mypy
   python3-nbformat python3-nbclient python3-ipykernel"
 [ "${1:-}" != windows ] || packages="$packages dpkg-dev g++-mingw-w64-x86-64-posix libz-mingw-w64-dev wine wine64"
