@@ -89,7 +89,8 @@ for program in "$out"/bin/*; do
     END { exit bad }' >&2
 done
 if [ -n "$archive" ]; then
-  tar -C "$folder" --sort=name --owner=0 --group=0 --numeric-owner -czf "$archive" "$(basename "$out")"
+  tar -C "$folder" --sort=name --owner=0 --group=0 --numeric-owner \
+    ${SOURCE_DATE_EPOCH:+--mtime=@$SOURCE_DATE_EPOCH} -czf "$archive" "$(basename "$out")"
   out=$archive
 fi
 du -sh "$out" | awk '{ print $2 ": " $1 }'

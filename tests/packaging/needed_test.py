@@ -8,9 +8,9 @@ from pathlib import Path
 LANGUAGE = {"libstdc++.so.6", "libm.so.6", "libgcc_s.so.1", "libc.so.6", "ld-linux-x86-64.so.2"}
 NEEDED = {
     "librgs_format.so": {"libhwy.so.1", "libxxhash.so.0", "libzstd.so.1"},
-    "librgs_cameras.so": {"librgs_format.so.0.1"},
-    "librgs_interchange.so": {"librgs_format.so.0.1", "libhwy.so.1", "libz.so.1", "libwebp.so.7", "libzip.so.4", "libzstd.so.1"},
-    "librgs_runtime.so": {"librgs_format.so.0.1", "librgs_cameras.so.0.1", "libtbb.so.12", "libcurl.so.4", "libhwy.so.1"},
+    "librgs_cameras.so": {"librgs_format.so"},
+    "librgs_interchange.so": {"librgs_format.so", "libhwy.so.1", "libz.so.1", "libwebp.so.7", "libzip.so.4", "libzstd.so.1"},
+    "librgs_runtime.so": {"librgs_format.so", "librgs_cameras.so", "libtbb.so.12", "libcurl.so.4", "libhwy.so.1"},
 }
 
 folder = Path(sys.argv[1])
@@ -20,6 +20,8 @@ if "--without-runtime" in sys.argv:
 found = {}
 for library in sorted(folder.glob("lib*.so")):
     text = subprocess.run(["readelf", "-d", library], check=True, capture_output=True, text=True).stdout
+    # Our own by their names without the version.
+    text = re.sub(r"(librgs_\w+\.so)[.\d]+", r"\1", text)
     found[library.name] = set(re.findall(r"\(NEEDED\).*\[(.*)\]", text)) - LANGUAGE
 if found != expected:
     sys.exit(f"libraries need {found}\nand should need {expected}")
