@@ -7,6 +7,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import argparse
 import csv
+import gzip
 import hashlib
 import io
 import os
@@ -176,9 +177,16 @@ def build_wheel(wheel_directory, config_settings=None, metadata_directory=None):
 
 def build_sdist(sdist_directory, config_settings=None):
     name = f"roofgs-{source_version()}"
-    with tarfile.open(Path(sdist_directory) / f"{name}.tar.gz", "w:gz", format=tarfile.PAX_FORMAT) as archive:
+    epoch = int(os.environ.get("SOURCE_DATE_EPOCH", 0)) or None
+
+    def same_everywhere(entry):
+        entry.uid, entry.gid, entry.uname, entry.gname, entry.mtime = 0, 0, "", "", epoch or entry.mtime
+        return entry
+
+    with gzip.GzipFile(Path(sdist_directory) / f"{name}.tar.gz", "wb", mtime=epoch) as zipped, \
+            tarfile.open(fileobj=zipped, mode="w", format=tarfile.PAX_FORMAT) as archive:
         for file in run("git", "-C", ROOT, "ls-files", "-z").split("\0")[:-1]:
-            archive.add(ROOT / file, f"{name}/{file}")
+            archive.add(ROOT / file, f"{name}/{file}", filter=same_everywhere)
         data = metadata(source_version()).encode()
         entry = tarfile.TarInfo(f"{name}/PKG-INFO")
         entry.size = len(data)

@@ -117,6 +117,16 @@ class Release(unittest.TestCase):
         self.script("set_version.py", "8.1.0")
         self.assertIn("lists nothing", self.script("set_version.py", "8.2.0", code=2))
 
+    def test_a_source_distribution_has_one_date(self):
+        done = run(self.root, "/usr/bin/python3", "-c", "import sys; sys.path.insert(0, 'packaging'); import make_wheel; "
+                   "print(make_wheel.build_sdist('.'))")
+        self.assertEqual(done.returncode, 0, done.stderr)
+        made = self.root / done.stdout.strip()
+        self.assertEqual(int.from_bytes(made.read_bytes()[4:8], "little"), 1000000000)
+        with tarfile.open(made) as archive:
+            self.assertEqual({(each.mtime, each.uid, each.uname) for each in archive if not each.name.endswith("/PKG-INFO")},
+                             {(1000000000, 0, "")})
+
     def test_notes_say_what_has_changed(self):
         self.script("set_version.py", "7.8.9")
         self.commit()
