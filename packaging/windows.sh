@@ -104,11 +104,9 @@ for program in $programs; do
   x86_64-w64-mingw32-strip -o "$root/$out/$program.exe" "$root/programs/bin/$program.exe"
 done
 cp LICENSE "$root/$out/licenses/RoofGS"
-for library in libzstd highway libzip libwebp onetbb libpng1.6 libjpeg-turbo; do
-  cp "$root/source/$library/debian/copyright" "$root/$out/licenses/$library"
-done
+# Of libraries from source those of their packages here, which have the same version.
 for package in libz-mingw-w64-dev mingw-w64-x86-64-dev gcc-mingw-w64-base libexpected-dev libfmt-dev libcli11-dev nlohmann-json3-dev \
-  libxxhash-dev libglm-dev; do
+  libxxhash-dev libglm-dev libzstd1 libhwy-dev libzip-dev libwebp-dev libpng-dev libturbojpeg0-dev libtbb-dev; do
   cp -L "/usr/share/doc/$package/copyright" "$root/$out/licenses/$package"
 done
 (cd "$root" && cmake -E tar cf "$out.zip" --format=zip "$out")

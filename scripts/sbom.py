@@ -77,7 +77,7 @@ def contents(path):
         if name.endswith(".dist-info/METADATA"):
             for package in re.findall(r"^Requires-Dist: ([\w.-]+)", data.decode(), re.MULTILINE):
                 yield "DEPENDS_ON", {"name": package}
-        if name.endswith(("roofgs/viewer.html", "viewer/single.html")):
+        if name.endswith("viewer/single.html"):
             yield "CONTAINS", npm("@roofgs/viewer")
 
 
