@@ -34,7 +34,10 @@ import os
 import sys
 from importlib.util import find_spec
 
-program = os.path.join(find_spec("roofgs").submodule_search_locations[0], "bin", "{name}")
+package = find_spec("roofgs")
+if package is None:
+    sys.exit("{name}: Python does not find the package roofgs, whose programs this calls")
+program = os.path.join(package.submodule_search_locations[0], "bin", "{name}")
 os.execv(program, [program, *sys.argv[1:]])
 """
 INFO = """Metadata-Version: 2.1
@@ -101,7 +104,7 @@ def build(folder, is_bundle, options):
     """Those of PROGRAMS that there are: rgs-view needs Boost."""
     shutil.rmtree(folder / "python/package", ignore_errors=True)  # files that the package no longer has
     subprocess.run(["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release", "-DRGS_BUILD_PYTHON=ON", "-DRGS_BUILD_TESTS=OFF",
-                    f"-DBUILD_SHARED_LIBS={'ON' if is_bundle else 'OFF'}", *options], check=True, stdout=sys.stderr)
+                    *options, f"-DBUILD_SHARED_LIBS={'ON' if is_bundle else 'OFF'}"], check=True, stdout=sys.stderr)
     has_view = re.search(r"^RGS_ENABLE_VIEW:BOOL=(1|ON|TRUE)$", (folder / "CMakeCache.txt").read_text(), re.MULTILINE)
     programs = [name for name in PROGRAMS if has_view or name != "rgs-view"]
     subprocess.run(["cmake", "--build", folder, "--parallel", os.environ.get("RGS_JOBS", str(os.cpu_count())),

@@ -29,18 +29,21 @@ Floats = NDArray[np.float32]
 
 
 class Meta(MutableMapping[str, Any]):
-    """gsplat's meta without its lists of tiles. What it says of each Gaussian is computed when it is first asked for."""
+    """gsplat's meta without its tiles. What it says of each Gaussian is computed when it is first asked for; until
+    then it keeps the call's Gaussians."""
 
     def __init__(self, sizes: Dict[str, int], project: Callable[[], Dict[str, Any]]) -> None:
         self._values: Dict[str, Any] = {**dict.fromkeys(_OF_GAUSSIANS, ...), **sizes}
-        self._project = project
+        self._project: Optional[Callable[[], Dict[str, Any]]] = project
+        self._lock = threading.Lock()
 
     def __getitem__(self, key: str) -> Any:
         if key not in self._values:
-            raise KeyError(f"{key!r}: RoofGS does not have gsplat's lists of tiles; meta holds {', '.join(self)} alone")
-        if self._values[key] is ...:
-            found = self._project()
-            self._values.update((name, found[name]) for name in _OF_GAUSSIANS if self._values.get(name) is ...)
+            raise KeyError(f"{key!r}: RoofGS does not have gsplat's tiles and lists of them; meta holds {', '.join(self)} alone")
+        with self._lock:
+            if self._values[key] is ... and self._project is not None:
+                found, self._project = self._project(), None
+                self._values.update((name, found[name]) for name in _OF_GAUSSIANS if self._values.get(name) is ...)
         return self._values[key]
 
     def __setitem__(self, key: str, value: Any) -> None:
@@ -57,6 +60,15 @@ class Meta(MutableMapping[str, Any]):
 
     def __len__(self) -> int:
         return len(self._values)
+
+    def __repr__(self) -> str:
+        return f"Meta({', '.join(self)})"
+
+    def __reduce__(self) -> Any:
+        return dict, (self.copy(),)
+
+    def copy(self) -> Dict[str, Any]:
+        return dict(self)
 
 
 def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: Any, viewmats: Any, Ks: Any, width: int,
@@ -113,9 +125,9 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
         "radii" int32 [..., C, N, 2], half the width and height of the box outside which its alpha is below 1/255, 0 if no
         pixel can have more; "depths" [..., C, N], z in the camera's axes; "conics" [..., C, N, 3], a, b, c of the inverse
         covariance a x^2 + 2 b x y + c y^2, 1/px^2, `eps2d` included; "opacities" [..., C, N], in mode "antialiased" as drawn.
-        Where radii are 0 the others are, but opacities. With `packed` these list, as [nnz, ...], only what has radii,
-        and "batch_ids", "camera_ids", "gaussian_ids" [nnz] say of what; else these are None. KeyError for gsplat's lists of
-        tiles.
+        Where radii are 0, so are the others, except opacities. With `packed` these list, as [nnz, ...], only what has radii,
+        and "batch_ids", "camera_ids", "gaussian_ids" [nnz] say of what; else these are None. KeyError for gsplat's
+        tiles and lists of them.
 
     A Gaussian ends where its alpha falls below 1/255, alpha is at most 0.99, and a pixel stops at a transmittance of 1e-4.
     Pictures differ from those of a gsplat version with other thresholds.
@@ -145,6 +157,7 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
         colors, sh_degree = np.zeros((*np.shape(means)[:-1], 1), np.float32), None
     means, colors, viewmats = (host_array(value, name) for name, value in
                                dict(means=means, colors=colors, viewmats=viewmats).items())  # once, from whatever device
+    device = None if tensor is None else tensor.device
 
     if means.ndim < 2:
         raise argument_error(f"means has the shape {list(means.shape)}, not [..., n, 3]")
@@ -161,7 +174,7 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     harmonics, lowest, n_channels = _harmonics(colors, batch, n_cameras, n, sh_degree)
     per_camera = lowest.shape[1] == n_cameras
     behind = np.zeros((n_batches, n_cameras, n_channels), np.float32)
-    if backgrounds is not None:
+    if backgrounds is not None and "RGB" in render_mode:
         behind = _flat(backgrounds, "backgrounds", batch, (n_cameras, n_channels))
 
     with_colour, depth_mode = "RGB" in render_mode, render_mode.rpartition("+")[2]
@@ -187,10 +200,10 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     def project() -> Dict[str, Any]:
         found = _project(seen, views, n, near_plane, far_plane, packed)
         return {name: None if array is None
-                else _like(tensor, array if packed else array.reshape(*batch, n_cameras, *array.shape[2:]))
+                else _like(device, array if packed else array.reshape(*batch, n_cameras, *array.shape[2:]))
                 for name, array in found.items()}
 
-    return (_like(tensor, out.reshape(*shape, n_out)), _like(tensor, alphas.reshape(*shape, 1)),
+    return (_like(device, out.reshape(*shape, n_out)), _like(device, alphas.reshape(*shape, 1)),
             Meta(dict(width=width, height=height, n_cameras=n_cameras, n_batches=n_batches), project))
 
 
@@ -287,8 +300,9 @@ def _harmonics(colors: "NDArray[Any]", batch: Tuple[int, ...], n_cameras: int, n
              for of_batch in sh], lowest, n_channels)
 
 
-def _like(tensor: Any, array: Floats) -> Any:
-    if tensor is None:
+def _like(device: Any, array: Floats) -> Any:
+    """A torch tensor on the device, or the array itself."""
+    if device is None:
         return array
     torch: Any = sys.modules["torch"]  # torch is loaded: a tensor exists
-    return torch.from_numpy(array).to(tensor.device)
+    return torch.from_numpy(array).to(device)

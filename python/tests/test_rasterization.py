@@ -1,5 +1,6 @@
 """rasterization(), against the formulas that gsplat documents. SPDX-License-Identifier: Apache-2.0"""
 import math
+import pickle
 import warnings
 
 import numpy as np
@@ -445,13 +446,23 @@ def test_meta_is_of_what_was_drawn():
 
 def test_meta_is_a_mapping():
     _, _, meta = roofgs.rasterization(**splats(), **CAMERAS)
-    with pytest.raises(KeyError, match="isect_ids.*lists of tiles.*means2d"):
+    with pytest.raises(KeyError, match="isect_ids.*tiles and lists of them.*means2d"):
         meta["isect_ids"]
     assert meta.get("isect_ids") is None and "isect_ids" not in meta and "means2d" in meta
     meta["radii"] = "mine"
     del meta["depths"]
     assert len(meta) == len(list(meta)) == 11 and "depths" not in meta
+    for copied in (meta.copy(), pickle.loads(pickle.dumps(meta))):
+        assert isinstance(copied, dict) and list(copied) == list(meta) and np.array_equal(copied["conics"], meta["conics"])
+    assert repr(meta).startswith("Meta(")
     assert {**meta}["conics"].shape == meta["means2d"].shape[:1] + (3,) and meta["radii"] == "mine"
+
+
+def test_depth_has_no_background():
+    given = {**splats(), **CAMERAS, "colors": None, "render_mode": "ED"}
+    plain, _, _ = roofgs.rasterization(**given)
+    behind, _, _ = roofgs.rasterization(**given, backgrounds=np.ones((len(CAMERAS["viewmats"]), 3)))
+    assert np.array_equal(plain, behind)
 
 
 class Tensor:

@@ -13,6 +13,9 @@ NEEDED = {
     "librgs_runtime.so": {"librgs_format.so", "librgs_cameras.so", "libtbb.so.12", "libcurl.so.4", "libhwy.so.1"},
 }
 
+HEADER = (Path(__file__).resolve().parents[2] / "format/include/rgs/version.hpp").read_text()
+VERSION = r"\.".join(re.search(rf"RGS_VERSION_{part} (\d+)", HEADER)[1] for part in ("MAJOR", "MINOR"))
+
 folder = Path(sys.argv[1])
 expected = {name: set(libraries) for name, libraries in NEEDED.items()}
 if "--without-runtime" in sys.argv:
@@ -20,8 +23,8 @@ if "--without-runtime" in sys.argv:
 found = {}
 for library in sorted(folder.glob("lib*.so")):
     text = subprocess.run(["readelf", "-d", library], check=True, capture_output=True, text=True).stdout
-    # Our own by their names without the version.
-    text = re.sub(r"(librgs_\w+\.so)[.\d]+", r"\1", text)
+    # Our own by their names without the version, which must be this tree's.
+    text = re.sub(rf"(librgs_\w+\.so)\.{VERSION}(?=\])", r"\1", text)
     found[library.name] = set(re.findall(r"\(NEEDED\).*\[(.*)\]", text)) - LANGUAGE
 if found != expected:
     sys.exit(f"libraries need {found}\nand should need {expected}")
