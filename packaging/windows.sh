@@ -109,5 +109,10 @@ for package in libz-mingw-w64-dev mingw-w64-x86-64-dev gcc-mingw-w64-base libexp
   libxxhash-dev libglm-dev libzstd1 libhwy-dev libzip-dev libwebp-dev libpng-dev libturbojpeg0-dev libtbb-dev; do
   cp -L "/usr/share/doc/$package/copyright" "$root/$out/licenses/$package"
 done
+# The viewer's page in one file, if it was built.
+if [ -f web/viewer/dist-single/page.html ]; then
+  cp web/viewer/dist-single/page.html "$root/$out/viewer.html"
+  cp web/viewer/NOTICE "$root/$out/licenses/viewer"
+fi
 (cd "$root" && cmake -E tar cf "$out.zip" --format=zip "$out")
 echo "build/windows/$out.zip"
