@@ -1,6 +1,6 @@
 #!/bin/sh
 # arm64.sh - cross-builds rgs-convert and rgs-info for 64-bit ARM, and packs them: build/arm64/roofgs-VERSION-linux-arm64.tar.gz
-# The libraries are Debian's, unpacked in build/roots; this system's packages stay as they are. Runs them in qemu-user.
+# The libraries are Debian's, unpacked in build/roots; this system's packages stay as they are. Lists their libraries with qemu-user.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."

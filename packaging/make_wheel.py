@@ -184,6 +184,7 @@ def build_sdist(sdist_directory, config_settings=None):
 
     def same_everywhere(entry):
         entry.uid, entry.gid, entry.uname, entry.gname, entry.mtime = 0, 0, "", "", epoch or entry.mtime
+        entry.mode = 0o755 if entry.mode & 0o100 else 0o644
         return entry
 
     with gzip.GzipFile(Path(sdist_directory) / f"{name}.tar.gz", "wb", mtime=epoch) as zipped, \
@@ -191,7 +192,7 @@ def build_sdist(sdist_directory, config_settings=None):
         for file in run("git", "-C", ROOT, "ls-files", "-z").split("\0")[:-1]:
             archive.add(ROOT / file, f"{name}/{file}", filter=same_everywhere)
         data = metadata(source_version()).encode()
-        entry = tarfile.TarInfo(f"{name}/PKG-INFO")
+        entry = same_everywhere(tarfile.TarInfo(f"{name}/PKG-INFO"))
         entry.size = len(data)
         archive.addfile(entry, io.BytesIO(data))
     return f"{name}.tar.gz"

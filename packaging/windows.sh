@@ -114,5 +114,7 @@ if [ -f web/viewer/dist-single/page.html ]; then
   cp web/viewer/dist-single/page.html "$root/$out/viewer.html"
   cp web/viewer/NOTICE "$root/$out/licenses/viewer"
 fi
-(cd "$root" && cmake -E tar cf "$out.zip" --format=zip "$out")
+# Not by cmake -E tar: its entries also hold when the files were read and changed.
+[ -z "${SOURCE_DATE_EPOCH:-}" ] || find "$root/$out" -exec touch -d "@$SOURCE_DATE_EPOCH" {} +
+(cd "$root" && TZ=UTC /usr/bin/python3 -m zipfile -c "$out.zip" "$out")
 echo "build/windows/$out.zip"

@@ -11,8 +11,8 @@ echo "$version" | grep -qE '^(0|[1-9][0-9]*)(\.(0|[1-9][0-9]*)){2}$' ||
   refuse "'$version' is no version: give MAJOR.MINOR.PATCH, such as 1.2.3"
 [ -z "$(git status --porcelain)" ] || refuse "there are changes that are not committed: commit or remove them"
 stated=$(/usr/bin/python3 scripts/set_version.py)
-newest=$({ git tag --list 'v[0-9]*' | sed 's/^v//'; echo "$stated"; } | sort -V | tail -n 1)
-# What the tree states may be released unless it is.
+newest=$({ git tag | sed -nE 's/^v([0-9]+(\.[0-9]+){2})$/\1/p'; echo "$stated"; } | sort -V | tail -n 1)
+# The version that the tree states may be released if it has no tag yet.
 [ "$(printf '%s\n' "$version" "$newest" | sort -V | tail -n 1)" = "$version" ] &&
   ! git rev-parse -q --verify "refs/tags/v$version" >/dev/null || refuse "$version is not newer than $newest"
 out=$PWD/build/release-$version
@@ -33,7 +33,8 @@ date="@$SOURCE_DATE_EPOCH +0000"
 quiet commit env GIT_COMMITTER_DATE="$date" git commit --all --date "$date" -m "Release $version"
 
 quiet deb sh packaging/deb.sh
-quiet bundle-configure cmake -S . -B build/shared -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_CUDA=OFF -DBUILD_SHARED_LIBS=ON
+quiet bundle-configure cmake -S . -B build/shared -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_CUDA=OFF \
+  -DBUILD_SHARED_LIBS=ON -DRGS_MANUAL=ON
 quiet bundle-build cmake --build build/shared --parallel "$jobs"
 quiet bundle sh scripts/bundle.sh build/shared "$made/roofgs-$version-linux-$(uname -m).tar.gz"
 quiet wheel sh packaging/wheel.sh
@@ -56,7 +57,8 @@ mv "$work/build/SHA256SUMS" "$made/"
 mv "$made" "$out"
 ls -l "$out" | awk 'NF > 2 { printf "%12d  %s\n", $5, $NF }'
 cat <<END
-All is in build/release-$version; nothing is tagged or sent. Next, when its tests pass (bash .ci/run, in build/releasing):
-  git fetch build/releasing && git merge --ff-only FETCH_HEAD
+All is in build/release-$version; nothing is tagged or sent. Next, here, where the tests find their data:
+  git fetch build/releasing && git merge --ff-only FETCH_HEAD && bash .ci/run
+When all pass:
   git tag -a v$version --cleanup=whitespace -F build/release-$version/NOTES.md && git push origin HEAD v$version
 END

@@ -56,8 +56,8 @@ def main():
     version = set_version.stated()
     part = re.search(rf"^## {re.escape(version)} .*?\n(.*?)(?=^## |\Z)", set_version.CHANGELOG.read_text(), re.MULTILINE | re.DOTALL)
     lines = [f"# RoofGS {version}", "", part[1].strip() if part else "", "", "## Formats and interfaces", ""]
-    tags = git("tag", "--merged", "HEAD", "--sort=-v:refname", "--list", "v[0-9]*").split()
-    last = next((tag for tag in tags if tag != f"v{version}"), None)
+    tags = git("tag", "--merged", "HEAD", "--sort=-v:refname").split()
+    last = next((tag for tag in tags if re.fullmatch(r"v\d+\.\d+\.\d+", tag) and tag != f"v{version}"), None)
     lines += [f"Files are written in version {format_version('HEAD')} of the format.", ""]
     if last is None:
         lines += ["No earlier version is tagged, so nothing is compared."]

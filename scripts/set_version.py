@@ -57,6 +57,9 @@ def set_version(version):
     if not re.search(r"^## Unreleased\n+[^#\n]", changes, re.MULTILINE):
         print('set_version.py: CHANGELOG.md lists nothing under "## Unreleased": write there what is new', file=sys.stderr)
         return 2
+    if re.search(rf"^## {re.escape(version)}(?!\S)", changes, re.MULTILINE):
+        print(f"set_version.py: CHANGELOG.md has a part of {version} already", file=sys.stderr)
+        return 2
     heading = f"## Unreleased\n\n## {version} ({date():%Y-%m-%d})\n"
     CHANGELOG.write_text(changes.replace("## Unreleased\n", heading, 1))
     for part, number in zip(PARTS, version.split(".")):

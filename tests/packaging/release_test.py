@@ -107,7 +107,8 @@ class Release(unittest.TestCase):
     def test_what_cannot_be_released_is_refused(self):
         for version in ("", "1", "1.2", "v1.2.3", "1.02.3", "1.2.3-rc1", "0.0.1"):
             self.assertIn(version, self.script("release.sh", version, code=2))
-        self.git("tag", "v8.0.0")
+        for tag in ("v8.0.0", "v8.0.0-rc1", "v2030"):
+            self.git("tag", tag)
         for version in ("7.9.9", "8.0.0"):
             self.assertIn("not newer than 8.0.0", self.script("release.sh", version, code=2))
         (self.root / "build/release-8.0.1").mkdir(parents=True)
@@ -116,16 +117,30 @@ class Release(unittest.TestCase):
         self.assertIn("not committed", self.script("release.sh", "8.1.0", code=2))
         self.script("set_version.py", "8.1.0")
         self.assertIn("lists nothing", self.script("set_version.py", "8.2.0", code=2))
+        self.edit("CHANGELOG.md", r"## Unreleased\n", "## Unreleased\n\n- More\n")
+        self.assertIn("has a part of 8.1.0", self.script("set_version.py", "8.1.0", code=2))
 
-    def test_a_source_distribution_has_one_date(self):
+    def test_a_release_is_committed_in_a_clone_and_nowhere_else(self):
+        def state():
+            return [self.git(*words) for words in (("rev-parse", "HEAD"), ("status", "--porcelain"), ("tag",), ("branch",))]
+
+        before = state()
+        self.script("release.sh", "7.8.9", code=9)
+        made = self.git("-C", "build/releasing", "log", "-1", "--format=%s, %at, %ct, %P")
+        self.assertEqual(made, f"Release 7.8.9, 1000000000, 1000000000, {before[0]}")
+        self.assertEqual(state(), before)
+
+    def test_a_source_distribution_has_one_date_and_no_umask(self):
+        (self.root / "LICENSE").chmod(0o660)
+        (self.root / "scripts/sbom.py").chmod(0o700)
         done = run(self.root, "/usr/bin/python3", "-c", "import sys; sys.path.insert(0, 'packaging'); import make_wheel; "
                    "print(make_wheel.build_sdist('.'))")
         self.assertEqual(done.returncode, 0, done.stderr)
         made = self.root / done.stdout.strip()
         self.assertEqual(int.from_bytes(made.read_bytes()[4:8], "little"), 1000000000)
         with tarfile.open(made) as archive:
-            self.assertEqual({(each.mtime, each.uid, each.uname) for each in archive if not each.name.endswith("/PKG-INFO")},
-                             {(1000000000, 0, "")})
+            self.assertEqual({(each.mtime, each.uid, each.uname) for each in archive}, {(1000000000, 0, "")})
+            self.assertEqual({each.mode for each in archive}, {0o644, 0o755})
 
     def test_notes_say_what_has_changed(self):
         self.script("set_version.py", "7.8.9")
@@ -133,7 +148,8 @@ class Release(unittest.TestCase):
         notes = self.script("release_notes.py")
         self.assertRegex(notes, r"\A# RoofGS 7\.8\.9\n\n- A new word\n\n")
         self.assertIn("nothing is compared", notes)
-        self.git("tag", "v7.8.9")
+        for tag in ("v7.8.9", "v7.8.9-rc1", "v7"):
+            self.git("tag", tag)
         self.edit("CHANGELOG.md", r"## Unreleased\n", "## Unreleased\n\n- More\n")
         self.script("set_version.py", "7.9.0")
         self.edit("format/include/rgs/layout.hpp", r"kVersionMinor = \d+", "kVersionMinor = 77")
@@ -143,7 +159,7 @@ class Release(unittest.TestCase):
         self.commit()
         notes = self.script("release_notes.py")
         self.assertNotIn("A new word", notes)
-        for wanted in ("- More", "version 1.77", "Compared with v7.8.9", "- new: `format/include/rgs/novel.hpp`", "- new: `novelty`",
+        for wanted in ("- More", "version 1.77", "Compared with v7.8.9, ", "- new: `format/include/rgs/novel.hpp`", "- new: `novelty`",
                        "changed: `format/include/rgs/layout.hpp`, `format/include/rgs/version.hpp`\n",
                        "- new: `converter/inspect: --quite-new`", "- gone: `converter/inspect: --json`"):
             self.assertIn(wanted, notes)
@@ -151,12 +167,22 @@ class Release(unittest.TestCase):
     def test_the_sbom_has_what_spdx_requires_and_what_is_inside(self):
         folder = self.root / "made"
         (folder / "deb/DEBIAN").mkdir(parents=True)
-        (folder / "deb/DEBIAN/control").write_text("Package: roofgs\nVersion: 1\nArchitecture: all\nMaintainer: a <a@b>\n"
-                                                   "Description: d\nDepends: libc6 (>= 2.36), libmade1:any | libother1\n")
         (folder / "deb/usr/viewer").mkdir(parents=True)
-        (folder / "deb/usr/viewer/single.html").write_text("")
-        subprocess.run(["dpkg-deb", "--build", folder / "deb", folder / "roofgs_1.deb"], check=True, stdout=subprocess.DEVNULL)
+        # Entries are in the order of file names: those of libroofgs before those of the bundle.
+        for name, depends in (("libroofgs", "libmade1:any | libother1"), ("roofgs", "libc6 (>= 2.36), libroofgs (= 1)")):
+            (folder / "deb/DEBIAN/control").write_text(f"Package: {name}\nVersion: 1\nArchitecture: all\nMaintainer: a <a@b>\n"
+                                                       f"Description: d\nDepends: {depends}\n")
+            subprocess.run(["dpkg-deb", "--build", folder / "deb", folder / f"{name}_1.deb"], check=True, stdout=subprocess.DEVNULL)
+            (folder / "deb/usr/viewer/single.html").write_text("")
         shutil.rmtree(folder / "deb")
+        (self.root / "web/viewer/NOTICE").write_text("==== Zstandard\n\n==== Debian libmade3\n\nThe PlayCanvas engine\n")
+        header = self.root / "web/node_modules/zstd-napi/deps/zstd/lib/zstd.h"
+        header.parent.mkdir(parents=True)
+        header.write_text("".join(f"#define ZSTD_VERSION_{part}    {i}\n" for i, part in enumerate(("MAJOR", "MINOR", "RELEASE"), 1)))
+        status = self.root / "build/roots/arm64-1/var/lib/dpkg/status"
+        status.parent.mkdir(parents=True)
+        status.write_text("".join(f"Package: libmade4\nStatus: install ok installed\nArchitecture: {name}\nMulti-Arch: same\n"
+                                  "Maintainer: a <a@b>\nDescription: d\nVersion: 1.5\n\n" for name in ("amd64", "arm64")))
 
         def archive(name, members):
             with tarfile.open(folder / name, "w:gz") as out:
@@ -167,11 +193,13 @@ class Release(unittest.TestCase):
 
         archive("roofgs-1-linux.tar.gz", {"r/licenses/roofgs": "", "r/licenses/libmade1": "License: Expat\n text\nLicense: Zlib\n",
                                           "r/licenses/dpkg": "", "r/share/roofgs/viewer/single.html": ""})
+        archive("roofgs-1-linux-arm64.tar.gz", {"r/licenses/libmade4": ""})
         archive("roofgs-reader-1.tgz", {"package/package.json": '{"peerDependencies": {"playcanvas": "^2"}}',
                                         "package/NOTICE": "==== Zstandard\n\n==== Debian libmade1\n"})
         with zipfile.ZipFile(folder / "roofgs-1.whl", "w") as wheel:
             wheel.writestr("roofgs-1.dist-info/METADATA", "Name: roofgs\nRequires-Dist: numpy>=1.22\n")
             wheel.writestr("roofgs-1.dist-info/licenses/libmade2+x", "")
+            wheel.writestr("roofgs/share/roofgs/viewer/single.html", "")
         made = json.loads(self.script("sbom.py", "made", "1.2.3"))
 
         self.assertEqual((made["spdxVersion"], made["dataLicense"], made["SPDXID"]), ("SPDX-2.3", "CC0-1.0", "SPDXRef-DOCUMENT"))
@@ -194,16 +222,21 @@ class Release(unittest.TestCase):
         names["SPDXRef-DOCUMENT"] = "document"
         found = {(names[each["spdxElementId"]], each["relationshipType"], names[each["relatedSpdxElement"]])
                  for each in made["relationships"]}
-        deb, bundle, tgz, wheel = "roofgs_1.deb", "roofgs-1-linux.tar.gz", "roofgs-reader-1.tgz", "roofgs-1.whl"
+        library, deb, bundle, arm = "libroofgs_1.deb", "roofgs_1.deb", "roofgs-1-linux.tar.gz", "roofgs-1-linux-arm64.tar.gz"
+        tgz, wheel = "roofgs-reader-1.tgz", "roofgs-1.whl"
         self.assertEqual(found, {
-            *(("document", "DESCRIBES", name) for name in (deb, bundle, tgz, wheel)),
-            (deb, "DEPENDS_ON", "libc6"), (deb, "DEPENDS_ON", "libmade1"), (deb, "CONTAINS", "@roofgs/viewer"),
-            (bundle, "CONTAINS", "libmade1"), (bundle, "CONTAINS", "dpkg"), (bundle, "CONTAINS", "@roofgs/viewer"),
-            (tgz, "CONTAINS", "zstd-napi"), (tgz, "CONTAINS", "libmade1"), (tgz, "DEPENDS_ON", "playcanvas"),
+            *(("document", "DESCRIBES", name) for name in (library, deb, bundle, arm, tgz, wheel)),
+            *((name, "CONTAINS", part) for name in (deb, bundle, wheel)
+              for part in ("@roofgs/viewer", "zstd", "playcanvas", "libmade3")),
+            (library, "DEPENDS_ON", "libmade1"), (deb, "DEPENDS_ON", "libc6"), (deb, "DEPENDS_ON", library),
+            (bundle, "CONTAINS", "libmade1"), (bundle, "CONTAINS", "dpkg"), (arm, "CONTAINS", "libmade4"),
+            (tgz, "CONTAINS", "zstd"), (tgz, "CONTAINS", "libmade1"), (tgz, "DEPENDS_ON", "playcanvas"),
             (wheel, "DEPENDS_ON", "numpy"), (wheel, "CONTAINS", "libmade2+x")})
         by_name = {package["name"]: package for package in made["packages"] if "licenseComments" in package or "versionInfo" in package}
         self.assertEqual(by_name["libmade1"]["licenseComments"], "Debian's copyright file names: Expat, Zlib")
         self.assertIn("versionInfo", by_name["dpkg"])
+        self.assertEqual((by_name["zstd"]["versionInfo"], by_name["zstd"]["licenseDeclared"]), ("1.2.3", "BSD-3-Clause"))
+        self.assertEqual(by_name["libmade4"]["versionInfo"], "1.5")
         self.assertEqual(by_name["@roofgs/viewer"]["versionInfo"], OLD)
         self.assertEqual(by_name["playcanvas"]["licenseDeclared"], "MIT")
 
