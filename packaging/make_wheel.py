@@ -103,7 +103,8 @@ def licences(libraries, folder):
 def build(folder, is_bundle, options):
     """Those of PROGRAMS that there are: rgs-view needs Boost."""
     shutil.rmtree(folder / "python/package", ignore_errors=True)  # files that the package no longer has
-    subprocess.run(["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release", "-DRGS_BUILD_PYTHON=ON", "-DRGS_BUILD_TESTS=OFF",
+    subprocess.run(["cmake", "-S", ROOT, "-B", folder, "-DCMAKE_BUILD_TYPE=Release", "-DRGS_BUILD_PYTHON=ON",
+                    "-DRGS_BUILD_SAMPLES=ON", "-DRGS_BUILD_TESTS=OFF",
                     *options, f"-DBUILD_SHARED_LIBS={'ON' if is_bundle else 'OFF'}"], check=True, stdout=sys.stderr)
     has_view = re.search(r"^RGS_ENABLE_VIEW:BOOL=(1|ON|TRUE)$", (folder / "CMakeCache.txt").read_text(), re.MULTILINE)
     programs = [name for name in PROGRAMS if has_view or name != "rgs-view"]
