@@ -91,7 +91,7 @@ windows() {
   step windows-page sh scripts/build_page.sh
   step windows-build sh packaging/windows.sh
   step windows /usr/bin/python3 tests/packaging/windows_test.py build/windows/programs/bin build/release/bin
-  step windows-zip sh -c 'for name in viewer.html licenses/viewer rgs-render.exe; do
+  step windows-zip sh -c 'for name in viewer.html viewer-NOTICE.txt rgs-render.exe; do
     cmake -E tar tf build/windows/*.zip | grep -q "/$name\$" || { echo "no $name"; exit 1; }; done'
 }
 

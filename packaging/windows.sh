@@ -112,7 +112,7 @@ done
 # The viewer's page in one file, if it was built.
 if [ -f web/viewer/dist-single/page.html ]; then
   cp web/viewer/dist-single/page.html "$root/$out/viewer.html"
-  cp web/viewer/NOTICE "$root/$out/licenses/viewer"
+  cp web/viewer/NOTICE "$root/$out/viewer-NOTICE.txt"
 fi
 # Not by cmake -E tar: its entries also hold when the files were read and changed.
 [ -z "${SOURCE_DATE_EPOCH:-}" ] || find "$root/$out" -exec touch -d "@$SOURCE_DATE_EPOCH" {} +

@@ -95,7 +95,7 @@ def contents(path, own):
         if name.endswith(".dist-info/METADATA"):
             for package in re.findall(r"^Requires-Dist: ([\w.-]+)", data.decode(), re.MULTILINE):
                 yield "DEPENDS_ON", {"name": package}
-        if name.endswith("viewer/single.html"):
+        if name.endswith(("viewer/single.html", "/viewer.html")):
             yield from (("CONTAINS", package) for package in page())
 
 

@@ -200,6 +200,8 @@ class Release(unittest.TestCase):
             wheel.writestr("roofgs-1.dist-info/METADATA", "Name: roofgs\nRequires-Dist: numpy>=1.22\n")
             wheel.writestr("roofgs-1.dist-info/licenses/libmade2+x", "")
             wheel.writestr("roofgs/share/roofgs/viewer/single.html", "")
+        with zipfile.ZipFile(folder / "roofgs-1-windows.zip", "w") as windows:
+            windows.writestr("roofgs-1-windows/viewer.html", "")
         made = json.loads(self.script("sbom.py", "made", "1.2.3"))
 
         self.assertEqual((made["spdxVersion"], made["dataLicense"], made["SPDXID"]), ("SPDX-2.3", "CC0-1.0", "SPDXRef-DOCUMENT"))
@@ -223,10 +225,10 @@ class Release(unittest.TestCase):
         found = {(names[each["spdxElementId"]], each["relationshipType"], names[each["relatedSpdxElement"]])
                  for each in made["relationships"]}
         library, deb, bundle, arm = "libroofgs_1.deb", "roofgs_1.deb", "roofgs-1-linux.tar.gz", "roofgs-1-linux-arm64.tar.gz"
-        tgz, wheel = "roofgs-reader-1.tgz", "roofgs-1.whl"
+        tgz, wheel, windows = "roofgs-reader-1.tgz", "roofgs-1.whl", "roofgs-1-windows.zip"
         self.assertEqual(found, {
-            *(("document", "DESCRIBES", name) for name in (library, deb, bundle, arm, tgz, wheel)),
-            *((name, "CONTAINS", part) for name in (deb, bundle, wheel)
+            *(("document", "DESCRIBES", name) for name in (library, deb, bundle, arm, tgz, wheel, windows)),
+            *((name, "CONTAINS", part) for name in (deb, bundle, wheel, windows)
               for part in ("@roofgs/viewer", "zstd", "playcanvas", "libmade3")),
             (library, "DEPENDS_ON", "libmade1"), (deb, "DEPENDS_ON", "libc6"), (deb, "DEPENDS_ON", library),
             (bundle, "CONTAINS", "libmade1"), (bundle, "CONTAINS", "dpkg"), (arm, "CONTAINS", "libmade4"),
