@@ -197,6 +197,19 @@ class SignalGuard {
   sigset_t old_;
 };
 
+// All bytes by ::pwrite or ::pread; `ended` where it moves none. Returns 0, errno or that.
+template <class Call, class Byte>
+int transfer(Call call, int fd, std::uint64_t& offset, std::span<Byte> bytes, int ended) {
+  while (!bytes.empty()) {
+    const ssize_t n = call(fd, bytes.data(), bytes.size(), static_cast<off_t>(offset));
+    if (n < 0 && errno == EINTR) continue;
+    if (n <= 0) return n == 0 ? ended : errno;
+    bytes = bytes.subspan(static_cast<std::size_t>(n));
+    offset += static_cast<std::uint64_t>(n);
+  }
+  return 0;
+}
+
 detail::FileStatus status_from(const struct stat& info) {
   using detail::FileStatus;
   FileStatus status;
@@ -235,25 +248,11 @@ int detail::open_to_read(const std::string& path, bool wait) {
 }
 
 int detail::write_at(int fd, std::uint64_t& offset, std::span<const std::byte> bytes) {
-  while (!bytes.empty()) {
-    const ssize_t n = ::pwrite(fd, bytes.data(), bytes.size(), static_cast<off_t>(offset));
-    if (n < 0 && errno == EINTR) continue;
-    if (n <= 0) return n == 0 ? ENOSPC : errno;
-    bytes = bytes.subspan(static_cast<std::size_t>(n));
-    offset += static_cast<std::uint64_t>(n);
-  }
-  return 0;
+  return transfer(::pwrite, fd, offset, bytes, ENOSPC);
 }
 
 int detail::read_at(int fd, std::uint64_t& offset, std::span<std::byte> bytes) {
-  while (!bytes.empty()) {
-    const ssize_t n = ::pread(fd, bytes.data(), bytes.size(), static_cast<off_t>(offset));
-    if (n < 0 && errno == EINTR) continue;
-    if (n <= 0) return n == 0 ? kFileEnded : errno;
-    bytes = bytes.subspan(static_cast<std::size_t>(n));
-    offset += static_cast<std::uint64_t>(n);
-  }
-  return 0;
+  return transfer(::pread, fd, offset, bytes, kFileEnded);
 }
 
 int detail::open_scratch(const std::string& asked) {

@@ -87,6 +87,27 @@ int create_new(const std::string& path, DWORD flags) {
                                      CREATE_NEW, flags, nullptr));
 }
 
+// All bytes by ::WriteFile or ::ReadFile; `ended` where it moves none. Returns 0, errno or that.
+template <class Call, class Byte>
+int transfer(Call call, int fd, std::uint64_t& offset, std::span<Byte> bytes, int ended) {
+  constexpr std::size_t kMost = std::size_t{1} << 30;
+  while (!bytes.empty()) {
+    OVERLAPPED at{};
+    at.Offset = static_cast<DWORD>(offset);
+    at.OffsetHigh = static_cast<DWORD>(offset >> 32);
+    DWORD n = 0;
+    const auto size = static_cast<DWORD>(std::min(bytes.size(), kMost));
+    if (call(handle_of(fd), bytes.data(), size, &n, &at) == 0 && ::GetLastError() != ERROR_HANDLE_EOF) {
+      set_errno();
+      return errno;
+    }
+    if (n == 0) return ended;
+    bytes = bytes.subspan(n);
+    offset += n;
+  }
+  return 0;
+}
+
 bool set_size(int fd, std::uint64_t size) {
   FILE_END_OF_FILE_INFO end{};
   end.EndOfFile.QuadPart = static_cast<LONGLONG>(size);
@@ -198,40 +219,11 @@ std::optional<detail::FileStatus> detail::status_of(const std::string& path) {
 }
 
 int detail::write_at(int fd, std::uint64_t& offset, std::span<const std::byte> bytes) {
-  constexpr std::size_t kMost = std::size_t{1} << 30;
-  while (!bytes.empty()) {
-    OVERLAPPED at{};
-    at.Offset = static_cast<DWORD>(offset);
-    at.OffsetHigh = static_cast<DWORD>(offset >> 32);
-    DWORD n = 0;
-    if (::WriteFile(handle_of(fd), bytes.data(), static_cast<DWORD>(std::min(bytes.size(), kMost)), &n, &at) == 0) {
-      set_errno();
-      return errno;
-    }
-    if (n == 0) return ENOSPC;
-    bytes = bytes.subspan(n);
-    offset += n;
-  }
-  return 0;
+  return transfer(::WriteFile, fd, offset, bytes, ENOSPC);
 }
 
 int detail::read_at(int fd, std::uint64_t& offset, std::span<std::byte> bytes) {
-  constexpr std::size_t kMost = std::size_t{1} << 30;
-  while (!bytes.empty()) {
-    OVERLAPPED at{};
-    at.Offset = static_cast<DWORD>(offset);
-    at.OffsetHigh = static_cast<DWORD>(offset >> 32);
-    DWORD n = 0;
-    if (::ReadFile(handle_of(fd), bytes.data(), static_cast<DWORD>(std::min(bytes.size(), kMost)), &n, &at) == 0 &&
-        ::GetLastError() != ERROR_HANDLE_EOF) {
-      set_errno();
-      return errno;
-    }
-    if (n == 0) return kFileEnded;
-    bytes = bytes.subspan(n);
-    offset += n;
-  }
-  return 0;
+  return transfer(::ReadFile, fd, offset, bytes, kFileEnded);
 }
 
 void* detail::allocate_aligned(std::size_t alignment, std::size_t bytes) {
