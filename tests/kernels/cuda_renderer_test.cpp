@@ -42,11 +42,12 @@ class Device {
   Result<FrameStats> render(const DeviceScene& scene, const RenderOptions& options, CudaStream stream = nullptr) {
     rgb_.fill(0xFF), alpha_.fill(0xFF);
     synchronize();
-    return renderer_.render(scene, camera_, {.rgb = rgb_.data(), .alpha = alpha_.data()}, options, stream);
+    return renderer_.render(scene, camera_, target(), options, stream);
   }
   std::vector<float> rgb() const { return rgb_.download(); }
   std::vector<float> alpha() const { return alpha_.download(); }
   CudaRenderer& renderer() { return renderer_; }
+  DeviceTarget target() const { return {.rgb = rgb_.data(), .alpha = alpha_.data()}; }
 
  private:
   static CudaRenderer make() {
@@ -661,8 +662,213 @@ TEST_CASE("a finished asynchronous frame equals the synchronous one, even if it 
     check_same(targets[k].download(), k % 2 == 0 ? small_rgb : large_rgb);
   require_cuda(cudaStreamDestroy(stream));
 
-  Device abandoned(camera);  // destroyed while its frame is drawn
-  require_ok(abandoned.render(large, options));
+  Device abandoned(camera);  // destroyed while its frames are drawn
+  for (int k = 0; k < 5; ++k) require_ok(abandoned.render(large, options));
+}
+
+namespace {
+
+CudaRenderer renderer_with(std::uint32_t frames_in_flight) {
+  auto renderer = CudaRenderer::create({.frames_in_flight = frames_in_flight});
+  require_ok(renderer);
+  return *std::move(renderer);
+}
+
+struct Stream {
+  Stream() { require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking)); }
+  Stream(const Stream&) = delete;
+  Stream& operator=(const Stream&) = delete;
+  ~Stream() { cudaStreamDestroy(stream); }
+  cudaStream_t stream = nullptr;
+};
+
+/// A frame with targets of its own, and what it must give.
+struct Shot {
+  Camera camera;
+  std::size_t scene;
+  RenderOptions options;
+  DeviceArray<float> rgb, alpha;
+  std::vector<float> expected_rgb, expected_alpha;
+  FrameStats expected;
+
+  void check_pixels() const {
+    check_same(rgb.download(), expected_rgb);
+    check_same(alpha.download(), expected_alpha);
+  }
+};
+
+/// Frames of several scenes, cameras and sizes, as a renderer draws them that waits.
+class Script {
+ public:
+  Script() {
+    Random random(620);
+    for (int k = 0; k < sized(24, 12, 4); ++k) {
+      const auto [width, height] = k % 4 < 2       ? std::pair(33, 70)
+                                   : small_sizes() ? std::pair(64, 64)
+                                                   : std::pair(640, 360);
+      Shot shot{random_camera(random, width, height),
+                k % 6 == 1 ? 1u : k % 6 == 4 ? 2u : 0u,
+                turbo_options(),
+                {},
+                {},
+                {},
+                {},
+                {}};
+      shot.options.background = {0.3F, 0.2F, 0.1F};
+      shot.options.measure.count_pairs = k % 5 == 4;
+      shot.options.measure.timings = k % 4 == 3;
+      Device waiting(shot.camera);
+      const auto stats = waiting.render(scenes_[shot.scene], shot.options);
+      require_ok(stats);
+      shot.expected_rgb = waiting.rgb(), shot.expected_alpha = waiting.alpha(), shot.expected = *stats;
+      shots_.push_back(std::move(shot));
+    }
+  }
+
+  /// The frames, with empty targets.
+  std::vector<Shot> shots() const {
+    std::vector<Shot> shots;
+    for (const Shot& shot : shots_) {
+      shots.push_back({shot.camera, shot.scene, shot.options, DeviceArray<float>(shot.expected_rgb.size()),
+                       DeviceArray<float>(shot.expected_alpha.size()), shot.expected_rgb, shot.expected_alpha,
+                       shot.expected});
+    }
+    synchronize();
+    return shots;
+  }
+  void queue(const Shot& shot, CudaRenderer& renderer, cudaStream_t stream) const {
+    RenderOptions options = shot.options;
+    options.turbo.asynchronous = true;
+    require_ok(renderer.render(scenes_[shot.scene], shot.camera, {.rgb = shot.rgb.data(), .alpha = shot.alpha.data()},
+                               options, stream));
+  }
+
+ private:
+  // The second has more entries than a first workspace holds.
+  const DeviceScene scenes_[3] = {upload(scene_of(cloud_of(random_splats(621, sized(3000, 400, 200)), 2))),
+                                  upload(walls(sized(6000, 300, 100))), DeviceScene()};
+  std::vector<Shot> shots_;
+};
+
+}  // namespace
+
+TEST_CASE("frames in flight equal those that are waited for: other cameras, sizes, scenes, streams, and as they grow") {
+  if (!device_answers()) return;
+  const Script script;
+  const Stream streams[2];
+  for (const std::uint32_t most : {1u, 3u, 8u}) {
+    CAPTURE(most);
+    for (const bool one_stream : {false, true}) {
+      CAPTURE(one_stream);
+      const std::vector<Shot> shots = script.shots();
+      CudaRenderer renderer = renderer_with(most);
+      std::vector<FrameStats> stats;
+      const auto finish_oldest = [&] {
+        const auto drawn = renderer.finish_oldest();
+        require_ok(drawn);
+        stats.push_back(*drawn);
+      };
+      for (std::size_t k = 0; k < shots.size(); ++k) {
+        if (k - stats.size() == most) finish_oldest();
+        script.queue(shots[k], renderer,
+                     one_stream || k % 3 == 0 ? streams[0].stream
+                     : k % 3 == 1             ? streams[1].stream
+                                              : nullptr);
+      }
+      while (stats.size() < shots.size()) finish_oldest();
+      finish_oldest();  // none is queued: the last one's again
+      check_same_counts(stats.back(), shots.back().expected);
+      for (std::size_t k = 0; k < shots.size(); ++k) {
+        CAPTURE(k);
+        shots[k].check_pixels();
+        check_same_counts(stats[k], shots[k].expected);
+        CHECK((stats[k].total_ms > 0) == shots[k].options.measure.timings);
+      }
+    }
+  }
+}
+
+TEST_CASE("render() settles what is queued: the oldest frame if all are, every one before a frame that waits") {
+  if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
+  const Script script;
+  const Stream stream;
+  CudaRenderer renderer = renderer_with(3);
+  const std::vector<Shot> shots = script.shots();
+  for (const Shot& shot : shots) script.queue(shot, renderer, stream.stream);
+  require_ok(renderer.finish());
+  for (const Shot& shot : shots) shot.check_pixels();
+  const Camera camera = front_camera(64, 64);
+  const DeviceScene scene = upload(walls(20));
+  for (const RenderOptions& waits : {turbo_options(), paper_options()}) {
+    Device alone(camera);
+    const auto expected = alone.render(scene, waits);
+    require_ok(expected);
+    const std::vector<Shot> before = script.shots();
+    const DeviceArray<float> rgb(3 * 64 * 64);
+    synchronize();
+    script.queue(before[0], renderer, stream.stream);
+    script.queue(before[1], renderer, nullptr);
+    const auto stats = renderer.render(scene, camera, {.rgb = rgb.data()}, waits, stream.stream);
+    require_ok(stats);
+    check_same_counts(*stats, *expected);
+    check_same(rgb.download(), alone.rgb());
+    before[0].check_pixels();
+    before[1].check_pixels();
+  }
+}
+
+TEST_CASE("frames in flight into one target leave the last one's picture, also if an earlier one had to be repeated") {
+  if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
+  const Camera camera = small_sizes() ? front_camera(64, 64) : front_camera(640, 360);
+  const DeviceScene large = upload(walls(small_sizes() ? 300 : 6000));
+  const DeviceScene small = upload(scene_of(cloud_of(random_splats(622, 3000), 2)));
+  Device waiting(camera);
+  require_ok(waiting.render(small, turbo_options()));
+  const auto expected = waiting.rgb();
+  RenderOptions queued = turbo_options();
+  queued.turbo.asynchronous = true;
+  const Stream streams[2];
+  CudaRenderer renderer = renderer_with(3);  // its first workspace is too small
+  const DeviceArray<float> rgb(expected.size());
+  synchronize();
+  for (int k = 0; k < 3; ++k) {
+    require_ok(renderer.render(k == 0 ? large : small, camera, {.rgb = rgb.data()}, queued, streams[k % 2].stream));
+  }
+  require_ok(renderer.finish());
+  check_same(rgb.download(), expected);
+}
+
+TEST_CASE("two renderers with frames in flight on streams of their own draw side by side") {
+  if (!device_answers()) return;
+  const Script script;
+  const Stream streams[2];
+  CudaRenderer renderers[2] = {renderer_with(3), renderer_with(2)};
+  const std::vector<Shot> shots[2] = {script.shots(), script.shots()};
+  const std::size_t n = shots[0].size();
+  for (std::size_t k = 0; k < n; ++k) {
+    script.queue(shots[0][k], renderers[0], streams[0].stream);
+    script.queue(shots[1][n - 1 - k], renderers[1], streams[1].stream);
+  }
+  for (std::size_t r = 0; r < 2; ++r) {
+    CAPTURE(r);
+    const auto last = renderers[r].finish();
+    require_ok(last);
+    check_same_counts(*last, r == 0 ? shots[r].back().expected : shots[r].front().expected);
+    for (const Shot& shot : shots[r]) shot.check_pixels();
+  }
+}
+
+TEST_CASE("a renderer has 1 to 16 frames in flight") {
+  for (const std::uint32_t refused : {0u, 17u}) {
+    const auto renderer = CudaRenderer::create({.frames_in_flight = refused});
+    REQUIRE_FALSE(renderer);
+    CHECK(renderer.error().code == Errc::bad_argument);
+    CHECK(renderer.error().found == refused);
+  }
+  if (!device_answers()) return;
+  CHECK(CudaRenderer::create({.frames_in_flight = 16}));
 }
 
 TEST_CASE("stage times on request: the frame's own time excludes them") {
@@ -861,6 +1067,33 @@ TEST_CASE("above 2^31 pairs: limit_exceeded, and the renderer continues") {
   }
   RenderOptions atomic = paper_options();
   check_error(device.render(uploaded, atomic), Errc::limit_exceeded);
+
+  // The call that settles the frame tells the error, once; the frame after it ends without a picture.
+  RenderOptions queued = turbo_options();
+  require_ok(device.render(small, queued));
+  const auto alpha = device.alpha();
+  queued.turbo.asynchronous = true;
+  CudaRenderer renderer = renderer_with(3);
+  const DeviceTarget target = device.target();
+  for (const bool by_render : {false, true}) {
+    CAPTURE(by_render);
+    require_ok(renderer.render(small, camera, target, queued));
+    require_ok(renderer.render(uploaded, camera, target, queued));
+    require_ok(renderer.render(small, camera, target, queued));
+    if (by_render) {
+      require_ok(renderer.render(small, camera, target, queued));  // settles the first
+      check_error(renderer.render(small, camera, target, queued), Errc::limit_exceeded);
+    } else {
+      require_ok(renderer.finish_oldest());
+      check_error(renderer.finish_oldest(), Errc::limit_exceeded);
+    }
+    const auto after = renderer.finish();
+    require_ok(after);
+    CHECK(after->instances == 0);
+    require_ok(renderer.render(small, camera, target, queued));
+    require_ok(renderer.finish());
+    check_same(device.alpha(), alpha);
+  }
 }
 
 TEST_CASE("refusals: cameras and options") {

@@ -610,6 +610,65 @@ TEST_CASE("no frame affects the next: other views, details, pipelines, scenes") 
   }
 }
 
+TEST_CASE("frames in flight with levels of detail equal those that are waited for, also as their cuts grow") {
+  if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
+  // More rows than the initial capacity.
+  const Levels levels = Levels::of(random_splats(1625, 200000), 0, 256, 4);
+  const DeviceScene scene = upload(open(levels.bytes)), small = upload(open(many_pages().bytes));
+  struct Shot {
+    const DeviceScene& scene;
+    Camera camera;
+    RenderOptions options;
+    Frames::Picture expected;
+    DeviceArray<float> rgb, alpha;
+  };
+  for (const std::uint32_t most : {1u, 3u, 8u}) {
+    CAPTURE(most);
+    std::vector<Shot> shots;
+    Random random(1626);
+    for (int k = 0; k < 24; ++k) {
+      const DeviceScene& drawn = k % 8 == 3 ? small : scene;
+      const Camera camera = k % 3 == 1 ? camera_at(0.5) : camera_at(random.log_uniform(0.01, 300), 70, 33);
+      const auto detail_px = static_cast<float>(random.log_uniform(0.05, 5));
+      RenderOptions options = at_detail(turbo_options(), k % 7 == 1 ? 0 : detail_px);
+      if (k % 5 == 2) options.max_gaussians = drawn.size() / 20;
+      Frames waiting;
+      Frames::Picture expected = waiting.draw(drawn, camera, options);
+      DeviceArray<float> rgb(expected.rgb.size()), alpha(expected.alpha.size());
+      options.turbo.asynchronous = true;
+      shots.push_back({drawn, camera, options, std::move(expected), std::move(rgb), std::move(alpha)});
+    }
+    synchronize();
+    auto renderer = CudaRenderer::create({.frames_in_flight = most});
+    require_ok(renderer);
+    std::vector<FrameStats> stats;
+    const auto finish_oldest = [&] {
+      const auto drawn = renderer->finish_oldest();
+      require_ok(drawn);
+      stats.push_back(*drawn);
+    };
+    for (std::size_t k = 0; k < shots.size(); ++k) {
+      const Shot& shot = shots[k];
+      if (k - stats.size() == most) finish_oldest();
+      require_ok(renderer->render(shot.scene, shot.camera, {.rgb = shot.rgb.data(), .alpha = shot.alpha.data()},
+                                  shot.options));
+    }
+    while (stats.size() < shots.size()) finish_oldest();
+    for (std::size_t k = 0; k < shots.size(); ++k) {
+      CAPTURE(k);
+      const Frames::Picture& expected = shots[k].expected;
+      CHECK(same_bytes(shots[k].rgb.download(), expected.rgb));
+      CHECK(same_bytes(shots[k].alpha.download(), expected.alpha));
+      CHECK(stats[k].pages == expected.stats.pages);
+      CHECK(stats[k].gaussians == expected.stats.gaussians);
+      CHECK(stats[k].detail_px == expected.stats.detail_px);
+      CHECK(stats[k].instances == expected.stats.instances);
+      CHECK(stats[k].visible == expected.stats.visible);
+    }
+  }
+}
+
 TEST_CASE("with little memory a cut is refused as out of memory or drawn right, and the renderer goes on") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");

@@ -129,6 +129,9 @@ struct DeviceTarget {
 
 struct CudaRendererOptions {
   DeviceAllocator allocator = {};  ///< for the workspace
+  /// Asynchronous frames that are queued before render() waits for the oldest of them, 1 to 16. They share the
+  /// workspace, so more of them take no device memory.
+  std::uint32_t frames_in_flight = 3;
 };
 
 /// Renders frames into device memory. Owns the workspace, which is sized for the first scene; when a frame needs more
@@ -139,7 +142,7 @@ struct CudaRendererOptions {
 class CudaRenderer {
  public:
   /// On the current device. Errors: unavailable (no device or driver answers, or this build has no code for the device),
-  /// bad_argument (half an allocator), device_failed.
+  /// bad_argument (half an allocator, a number of frames out of range), device_failed.
   static Result<CudaRenderer> create(const CudaRendererOptions& options = {});
 
   CudaRenderer(CudaRenderer&&) noexcept;
@@ -154,18 +157,29 @@ class CudaRenderer {
   /// .count_pairs it also waits for the end of the frame. All counts but evaluated and blended (0 unless counted) are
   /// exact on return. Errors: bad_camera, bad_argument (see Renderer::render(); an unaligned target, a pitch smaller
   /// than a row, a surface smaller than the image), limit_exceeded (2^31 pairs or more), device_out_of_memory
-  /// (Error::expected: bytes wanted; the renderer remains usable), device_failed; also those of the frame before, if
-  /// that was asynchronous; this frame is then not drawn.
+  /// (Error::expected: bytes wanted; the renderer remains usable), device_failed; also those of a queued frame that it
+  /// settles; this frame is then not drawn.
   ///
-  /// With options.turbo.asynchronous it waits for nothing. The stream and the target must live until finish() or the
-  /// next render() has returned, which first checks whether the frame fitted and otherwise repeats it on its stream:
-  /// only finish() confirms a picture.
+  /// With options.turbo.asynchronous it queues the frame and waits for nothing but a larger workspace and, if
+  /// frames_in_flight are queued, for the oldest of them, which it settles first. A frame that is not asynchronous
+  /// settles all. To settle a frame is to wait for its end and check whether it fitted; if not, the workspace grows,
+  /// and this frame and those queued after it are drawn again, each on its stream. Frames are settled in their order,
+  /// and only then is a picture confirmed: until the call that settles its frame has returned, stream and target must
+  /// live. An error of a queued frame is told once, by the call that settles it; then no frame is queued or running,
+  /// those queued after it have no picture, and the renderer remains usable. After other errors queued frames remain
+  /// queued.
   Result<FrameStats> render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                             const RenderOptions& options = {}, CudaStream stream = nullptr);
 
-  /// Waits for the last frame, asynchronous or not, and returns what a waiting render() would have returned; zeros
-  /// before the first frame. Errors: those of render() for a queued frame.
+  /// Settles all queued frames, waits for the last frame, asynchronous or not, and returns what a waiting render()
+  /// would have returned for it; zeros before the first frame and after an error. Errors: those of render() for a
+  /// queued frame.
   Result<FrameStats> finish();
+
+  /// Settles the oldest queued frame alone and returns its counts, so that its picture can be shown while those after
+  /// it are drawn. Without a queued frame the same as finish(). A program that calls this before every render() that
+  /// would find frames_in_flight queued gets each frame, in order. Errors: as finish().
+  Result<FrameStats> finish_oldest();
 
   std::uint64_t bytes() const;  ///< device memory held by the workspace
   const char* name() const;     ///< e.g. "cuda NVIDIA H100 80GB HBM3"

@@ -46,9 +46,9 @@ struct TurboOptions {
   /// products stop a pixel at a transmittance of 2^-11 instead of 1e-4, which loses up to an eighth of an 8-bit step of
   /// a white background. docs/develop/KERNELS.md has what this changes.
   bool tensor_cores = true;
-  /// CudaRenderer::render() does not wait and returns when the frame is queued; its counts are 0. If the workspace is
-  /// too small, some or all tiles are missing until the renderer's next call repeats the frame: see
-  /// CudaRenderer::finish(). Renderer always waits.
+  /// CudaRenderer::render() returns when the frame is queued, with several frames in flight; its counts are 0. If the
+  /// workspace is too small, some or all tiles are missing until a later call settles and repeats the frame: see
+  /// CudaRenderer::render(). Renderer always waits.
   bool asynchronous = false;
 };
 

@@ -6,10 +6,12 @@
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "common/device_code.hpp"
 #include "cuda/device_target.hpp"
 #include "cuda/frame_state.hpp"
+#include "cuda/frames_in_flight.hpp"
 #include "cuda/sorted_pipeline.hpp"
 #include "cuda/turbo_pipeline.hpp"
 #include "render_options.hpp"
@@ -28,6 +30,8 @@ using detail::FrameSettings;
 constexpr std::uint64_t kMaxRows = kMaxImageSide / math::kTileSize, kMaxTurboRows = kMaxImageSide / cuda::kTurboTile;
 static_assert(kMaxRows <= 65535 && kMaxTurboRows * kMaxTurboRows * cuda::kTurboCells < std::uint64_t{1} << 31);
 static_assert(kMaxTurboRows <= std::uint64_t{1} << 15);
+
+constexpr std::uint32_t kMaxFramesInFlight = 16;
 
 cuda::CutEye cut_eye(const lod::Eye& eye, float detail_px, std::uint64_t max_gaussians) {
   const auto& at = eye.position;
@@ -64,26 +68,34 @@ Status check_pairs(std::uint64_t pairs) {
 }  // namespace
 
 struct CudaRenderer::Impl {
-  ~Impl() {
-    // it uses all of this until then
-    if (state.finished->get() != nullptr) cudaEventSynchronize(state.finished->get());
-  }
+  explicit Impl(std::size_t frames_in_flight) : readbacks(frames_in_flight), in_flight(frames_in_flight) {}
+  ~Impl() { state.wait_for_all(); }  // it uses all of this until then
+
+  struct Outcome {
+    FrameStats stats;
+    bool is_repeated;
+  };
 
   // Calls `use` with the pipeline that draws the frame.
   template <class Use>
   auto with_pipeline(const Frame& f, const Use& use) {
     return f.is_turbo ? use(turbo) : use(sorted);
   }
-  Result<std::uint64_t> settle(const Frame& frame);
-  Result<FrameStats> outcome(const Frame& frame);
+  Status create(const DeviceAllocator& allocator);
+  Status queue(const Frame& frame) {
+    return with_pipeline(frame, [&](auto& pipeline) { return pipeline.queue(frame); });
+  }
+  Result<Outcome> outcome(const Frame& frame);
+  Status settle_oldest();
   std::uint64_t bytes() const { return state.splats.bytes() + state.cut.bytes() + sorted.bytes() + turbo.bytes(); }
 
   std::string name;
   detail::FrameState state;
   detail::SortedPipeline sorted{state};
   detail::TurboPipeline turbo{state};
-  std::optional<Frame> open;  // queued; not yet known to fit
-  FrameStats last;            // of the last frame that was settled
+  std::vector<detail::Readback> readbacks;  // by FramesInFlight::next_number()
+  detail::FramesInFlight<Frame> in_flight;
+  FrameStats last;  // of the frame that was settled last
 };
 
 namespace {
@@ -117,6 +129,10 @@ CudaRenderer& CudaRenderer::operator=(CudaRenderer&&) noexcept = default;
 CudaRenderer::~CudaRenderer() = default;
 
 Result<CudaRenderer> CudaRenderer::create(const CudaRendererOptions& options) {
+  if (options.frames_in_flight < 1 || options.frames_in_flight > kMaxFramesInFlight) {
+    return make_error(Errc::bad_argument, Error::kNone, "a renderer has 1 to 16 frames in flight", kMaxFramesInFlight,
+                      options.frames_in_flight);
+  }
   return detail::guard_memory([&]() -> Result<CudaRenderer> {
     int device = 0, n_devices = 0;
     const cudaError_t counted = cudaGetDeviceCount(&n_devices);
@@ -128,16 +144,23 @@ Result<CudaRenderer> CudaRenderer::create(const CudaRendererOptions& options) {
       return tl::unexpected(ok.error());
     }
     if (const auto ok = cuda::check_device_code(); !ok) return tl::unexpected(ok.error());
-    auto impl = std::make_unique<Impl>();
+    auto impl = std::make_unique<Impl>(options.frames_in_flight);
     impl->name = std::string("cuda ") + properties.name;
-    auto memory = detail::DeviceMemory::create(options.allocator);
-    if (!memory) return tl::unexpected(memory.error());
-    impl->state.memory = *std::move(memory);
-    Status ok = impl->state.create();
-    if (ok) ok = impl->turbo.create();
-    if (!ok) return tl::unexpected(ok.error());
+    if (const auto ok = impl->create(options.allocator); !ok) return tl::unexpected(ok.error());
     return CudaRenderer(std::move(impl));
   });
+}
+
+Status CudaRenderer::Impl::create(const DeviceAllocator& allocator) {
+  auto memory = detail::DeviceMemory::create(allocator);
+  if (!memory) return tl::unexpected(memory.error());
+  state.memory = *std::move(memory);
+  state.finished = readbacks.front().finished;
+  Status ok;
+  for (detail::Readback& readback : readbacks) {
+    if (ok) ok = readback.create();
+  }
+  return ok ? turbo.create() : ok;
 }
 
 std::uint64_t CudaRenderer::bytes() const {
@@ -147,50 +170,35 @@ const char* CudaRenderer::name() const {
   return impl_->name.c_str();
 }
 
-// Number of pairs of a queued frame. After an error nothing of the frame is running: the caller may free its scene.
-Result<std::uint64_t> CudaRenderer::Impl::settle(const Frame& frame) {
-  const auto pairs = with_pipeline(frame, [&](auto& pipeline) { return pipeline.settle(frame); });
-  Status ok;
-  if (!pairs) ok = tl::unexpected(pairs.error());
-  if (ok) ok = check_pairs(*pairs);
-  if (ok) return pairs;
-  cudaEventSynchronize(state.finished->get());
-  return tl::unexpected(ok.error());
-}
-
-// What a settled frame cost, including all that its settings measure.
-Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
-  const auto pairs = settle(f);
-  if (!pairs) return tl::unexpected(pairs.error());
+// What the oldest frame cost once it is settled, including all that its settings measure.
+Result<CudaRenderer::Impl::Outcome> CudaRenderer::Impl::outcome(const Frame& f) {
+  const auto settled = with_pipeline(f, [&](auto& pipeline) { return pipeline.settle(f); });
+  if (!settled) return tl::unexpected(settled.error());
+  Status ok = check_pairs(settled->pairs);
   const auto& how = f.settings.cuda;
-  detail::FrameState::HostCounters& host = *state.host.get();
+  if (ok && (how.timings || how.count_pairs)) ok = f.readback->finished->wait();
+  if (!ok) return tl::unexpected(ok.error());
+  const detail::Readback::Seen& seen = f.seen();
   FrameStats stats;
-  stats.gaussians = f.cut ? state.cut.seen().gaussians : f.n();
-  stats.detail_px = f.cut ? state.cut.seen().detail_px : 0;
-  stats.pages = stats.detail_px > 0 ? state.cut.seen().pages : 0;
-  stats.visible = host.counters.visible;
-  stats.instances = *pairs;
+  stats.gaussians = f.cut ? seen.cut.gaussians : f.n();
+  stats.detail_px = f.cut ? seen.cut.detail_px : 0;
+  stats.pages = stats.detail_px > 0 ? seen.cut.pages : 0;
+  stats.visible = seen.counters.visible;
+  stats.instances = settled->pairs;
   stats.depth_bits = f.view.key.quantized ? f.view.key.depth_bits : 0;
   stats.key_bits = f.view.key.bits();
   stats.depth_resolution = f.depth_resolution;
   stats.bytes = bytes();
-  Status ok;
   if (how.count_pairs) {
-    const void* const from = with_pipeline(f, [](auto& pipeline) { return pipeline.counters(); });
-    ok = state.fetch(&host.counters, from, sizeof(cuda::Counters), f.stream);
-  }
-  if (ok && (how.timings || how.count_pairs)) ok = state.wait(f.stream);
-  if (!ok) return tl::unexpected(ok.error());
-  if (how.count_pairs) {
-    stats.evaluated = host.counters.evaluated;
-    stats.blended = host.counters.blended;
+    stats.evaluated = seen.counted.evaluated;
+    stats.blended = seen.counted.blended;
   }
   if (how.timings) {
     using detail::Mark;
     const auto between = [&](Mark from, Mark to) {
       float ms = 0;
       if (ok) {
-        ok = device_status(cudaEventElapsedTime(&ms, state.marks[from].get(), state.marks[to].get()),
+        ok = device_status(cudaEventElapsedTime(&ms, f.readback->marks[from].get(), f.readback->marks[to].get()),
                            "a stage's time could not be read");
       }
       return static_cast<double>(ms);
@@ -204,18 +212,31 @@ Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
     stats.total_ms = between(detail::kStart, detail::kBlended);
     if (!ok) return tl::unexpected(ok.error());
   }
-  last = stats;
-  return stats;
+  return Outcome{stats, settled->is_repeated};
+}
+
+// After an error nothing is running: the caller may free scenes and targets of all frames.
+Status CudaRenderer::Impl::settle_oldest() {
+  const auto settled = in_flight.settle_oldest(
+      [this](const Frame& f) {
+        auto drawn = detail::guard_memory([&] { return outcome(f); });
+        if (!drawn) state.wait_for_all();
+        return drawn;
+      },
+      [this](const Frame& f) {
+        const Status ok = detail::guard_memory([&] { return queue(f); });
+        if (!ok) state.wait_for_all();
+        return ok;
+      });
+  if (in_flight.is_empty()) state.ordered_by.reset();
+  last = settled ? settled->stats : FrameStats{};
+  return settled ? Status() : tl::unexpected(settled.error());
 }
 
 Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                                         const RenderOptions& options, CudaStream stream) {
   return detail::guard_memory([&]() -> Result<FrameStats> {
     Impl& w = *impl_;
-    if (w.open) {
-      const Frame before = *std::exchange(w.open, std::nullopt);
-      if (const auto pairs = w.settle(before); !pairs) return tl::unexpected(pairs.error());
-    }
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
     const auto detail_px = detail::drawn_detail(options, scene.has_levels());
     if (!detail_px) return tl::unexpected(detail_px.error());
@@ -227,7 +248,10 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
     if (ok) ok = detail::validate_surface(target, camera);
     if (!ok) return tl::unexpected(ok.error());
 
-    const bool is_turbo = settings.cuda.turbo;
+    const bool is_turbo = settings.cuda.turbo, is_queued = settings.cuda.asynchronous;
+    while (is_queued ? w.in_flight.is_full() : !w.in_flight.is_empty()) {
+      if (ok = w.settle_oldest(); !ok) return tl::unexpected(ok.error());
+    }
     Frame frame{.scene = scene.storage_,
                 .width = camera.width,
                 .height = camera.height,
@@ -237,7 +261,8 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
                 .stream = stream,
                 .depth_resolution = 0,
                 .is_turbo = is_turbo,
-                .cut = std::nullopt};
+                .cut = std::nullopt,
+                .readback = &w.readbacks[w.in_flight.next_number()]};
     if (scene.has_levels()) {
       frame.cut = cut_eye(detail::eye_of(camera, scene.origin(), scene.declarations()->z_near), *detail_px,
                           options.max_gaussians.value_or(cuda::kNoLimit));
@@ -246,33 +271,33 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
       frame.depth_resolution =
           detail::depth_resolution(settings, frame.view.key.depth_bits, camera, scene.declarations());
     }
-    w.last = {};
-    ok = w.with_pipeline(frame, [&](auto& pipeline) { return pipeline.queue(frame); });
-    if (!ok) {
-      cudaEventSynchronize(w.state.finished->get());  // the caller may free the scene
+    if (ok = w.queue(frame); !ok) {
+      w.state.wait_for_all();  // the caller may free the scene
       return tl::unexpected(ok.error());
     }
-    if (is_turbo && settings.cuda.asynchronous) {
-      w.open = frame;
-      FrameStats queued;
-      queued.gaussians = frame.cut ? 0 : frame.n();
-      queued.bytes = w.bytes();
-      return queued;
-    }
-    return w.outcome(frame);
+    FrameStats queued;
+    queued.gaussians = frame.cut ? 0 : frame.n();
+    queued.bytes = w.bytes();
+    w.in_flight.add(std::move(frame));
+    if (is_queued) return queued;
+    if (ok = w.settle_oldest(); !ok) return tl::unexpected(ok.error());
+    return w.last;
+  });
+}
+
+Result<FrameStats> CudaRenderer::finish_oldest() {
+  return detail::guard_memory([&]() -> Result<FrameStats> {
+    Impl& w = *impl_;
+    const Status ok = w.in_flight.is_empty() ? w.state.finished->wait() : w.settle_oldest();
+    if (!ok) return tl::unexpected(ok.error());
+    return w.last;
   });
 }
 
 Result<FrameStats> CudaRenderer::finish() {
-  return detail::guard_memory([&]() -> Result<FrameStats> {
-    Impl& w = *impl_;
-    if (w.open) {
-      const Frame frame = *std::exchange(w.open, std::nullopt);
-      if (const auto stats = w.outcome(frame); !stats) return stats;
-    }
-    if (const auto ok = w.state.finished->wait(); !ok) return tl::unexpected(ok.error());
-    return w.last;
-  });
+  Result<FrameStats> last = finish_oldest();
+  while (last && !impl_->in_flight.is_empty()) last = finish_oldest();
+  return last;
 }
 
 }  // namespace rgs

@@ -65,9 +65,9 @@ Status CutStage::launch_choice(const SceneStorage& scene, const Choice& choice, 
                              limit_.as<cuda::CutLimit>()},
                             stream);
   }
-  *seen_.get() = pages.chosen->counts;
+  *choice.seen = pages.chosen->counts;
   const Status ok =
-      device_status(cudaMemcpyAsync(counts, seen_.get(), sizeof(cuda::CutCounts), cudaMemcpyHostToDevice, stream),
+      device_status(cudaMemcpyAsync(counts, choice.seen, sizeof(cuda::CutCounts), cudaMemcpyHostToDevice, stream),
                     "the number of chosen chunks could not be copied to the device");
   if (!ok) return ok;
   return device_status(cudaMemcpyAsync(chosen, pages.chosen->chunks.data(), pages.chosen->chunks.size_bytes(),
@@ -82,7 +82,7 @@ Status CutStage::launch(const SceneStorage& scene, const Choice& choice, CudaStr
   return cuda::launch_cull(
       {chosen_.as<std::uint32_t>(), counts, static_cast<std::uint32_t>(scene.pages->n_chunks),
        std::get<cuda::PagedAttributes>(scene.attributes).chunks, choice.view, choice.by_view,
-       in_view_.as<std::uint32_t>(), counts + 1, seen_.get(), chunks_.as<std::uint32_t>(), drawn().capacity},
+       in_view_.as<std::uint32_t>(), counts + 1, choice.seen, chunks_.as<std::uint32_t>(), drawn().capacity},
       stream);
 }
 

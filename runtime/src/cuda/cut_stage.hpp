@@ -19,25 +19,19 @@ class CutStage {
   /// FrameState::reserve() on the frame's stream.
   using Reserve = std::function<Status(DeviceBuffer&, std::uint64_t bytes)>;
 
-  /// Errors: device_failed.
-  Status create() { return seen_.create(); }
   /// Makes room for at least `n_chunks`, or for a first guess if that is 0 and there is none; `splats` gets
   /// room for as many. Call before every launch. Errors: those of `reserve`.
   Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats, const Reserve& reserve);
   struct Choice {
     cuda::CutEye eye;
     cuda::ViewParameters view;
-    bool by_view;  ///< leave out what is out of view, by the tiles that a Gaussian's ellipse touches
+    bool by_view;           ///< leave out what is out of view, by the tiles that a Gaussian's ellipse touches
+    cuda::CutCounts* seen;  ///< page-locked: the frame's counts, once the device has written them
   };
   /// Queues the choice. Errors: device_failed.
   Status launch(const SceneStorage& scene, const Choice& choice, CudaStream stream) const;
 
-  /// Counts of the frame queued last, once the device has written them.
-  const cuda::CutCounts& seen() const { return *seen_.get(); }
-  /// Whether it had room. If not, nothing was drawn.
-  bool fits() const { return seen().chunks <= capacity_; }
-
-  std::uint64_t capacity() const { return capacity_; }  ///< chunks
+  std::uint64_t capacity() const { return capacity_; }  ///< chunks; of a frame that has more, nothing is drawn
   cuda::DrawnChunks drawn() const;
   std::uint64_t bytes() const;
 
@@ -46,7 +40,6 @@ class CutStage {
   std::uint64_t held(const SceneStorage& scene, const DeviceBuffer& splats) const;
 
   std::uint64_t capacity_ = 0;
-  PageLocked<cuda::CutCounts> seen_;
   DeviceBuffer counts_;   ///< [2 + blocks] chosen, listed, and sums of blocks
   DeviceBuffer limit_;    ///< how a limit of Gaussians finds its detail
   DeviceBuffer chosen_;   ///< [all chunks]

@@ -55,7 +55,7 @@ struct SceneStorage {
 
   /// Device memory held.
   std::uint64_t bytes() const { return memory.bytes() + (pages ? pages->table.bytes() : 0); }
-  /// A renderer draws the scene, so freeing it waits for the renderer's last frame, `finished`. Thread-safe.
+  /// A frame that ends with `finished` draws the scene, so freeing it waits for that. Thread-safe.
   void drawn_by(const std::shared_ptr<Event>& finished) const {
     const std::scoped_lock lock(mutex_);
     std::erase_if(frames_, [](const auto& frame) { return frame.expired(); });  // a destroyed renderer has waited

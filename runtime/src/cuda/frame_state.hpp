@@ -15,6 +15,7 @@
 #include "cuda/device_scene.hpp"
 #include "render_options.hpp"
 #include "sorted/front_end.hpp"
+#include "turbo/turbo.hpp"
 
 namespace rgs::detail {
 
@@ -25,6 +26,36 @@ inline constexpr std::uint64_t kFirstPairs = std::uint64_t{1} << 20;
 
 /// Ends of the stages, as FrameStats names them.
 enum Mark { kStart, kProjected, kDuplicated, kSorted, kRanged, kBlended, kMarks };
+
+/// What the host reads back of a frame, and the events by which it knows that it may. Frames in flight have one each.
+struct Readback {
+  struct Seen {
+    cuda::TurboState turbo;
+    cuda::CutCounts cut;
+    cuda::Counters counters;
+    cuda::Counters counted;  ///< at the end of a frame that counts pairs
+    std::uint64_t pairs;     ///< of the separate front end: its last sum
+  };
+  /// What the turbo pipeline had room for when the frame was queued.
+  struct Room {
+    std::uint64_t chunks, entries, runs, large_gaussians, in_cells;
+  };
+
+  /// Errors: device_failed; unavailable (no unified addressing).
+  Status create() {
+    Status ok = seen.create();
+    for (Event& event : marks) {
+      if (ok) ok = event.create(cudaEventDefault);
+    }
+    return ok ? finished->create() : ok;
+  }
+
+  PageLocked<Seen> seen;
+  Room room{};
+  std::array<Event, kMarks> marks;
+  /// Its last frame no longer uses the workspace, its scene or its target.
+  std::shared_ptr<Event> finished = std::make_shared<Event>();
+};
 
 /// A frame to draw, with all that repeating it takes.
 struct Frame {
@@ -37,6 +68,7 @@ struct Frame {
   double depth_resolution;  ///< for FrameStats
   bool is_turbo;
   std::optional<cuda::CutEye> cut;  ///< of a scene with levels of detail
+  Readback* readback;
 
   std::uint64_t n() const { return scene ? scene->n : 0; }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
@@ -44,42 +76,49 @@ struct Frame {
   math::Vec3<float> background() const {
     return {settings.background[0], settings.background[1], settings.background[2]};
   }
+  Readback::Seen& seen() const { return *readback->seen.get(); }
+};
+
+/// What a settled frame drew.
+struct Settled {
+  std::uint64_t pairs;
+  bool is_repeated;  ///< it was queued again, behind the frames that follow it
 };
 
 /// A renderer's frames run in order, so one of each serves all of them. All functions may fail with device_failed.
 struct FrameState {
-  /// Numbers that the host waits for.
-  struct HostCounters {
-    cuda::Counters counters;
-    std::uint64_t pairs;  ///< of the separate front end: its last sum
-  };
-
-  Status create() {
-    Status ok = host.create();
-    if (ok) ok = cut.create();
-    for (Event& event : marks) {
-      if (ok) ok = event.create(cudaEventDefault);
-    }
-    return ok ? finished->create() : ok;
-  }
-
   /// Waits for the last frame, which may run on another stream, and for the scene's upload.
   Status begin(const Frame& f) const {
-    if (f.scene) f.scene->drawn_by(finished);
-    const Status ok = finished->hold(f.stream);
+    if (f.scene) f.scene->drawn_by(f.readback->finished);
+    const Status ok = f.stream == ordered_by ? Status() : finished->hold(f.stream);
     return ok && f.scene && f.scene->copied ? f.scene->copied->hold(f.stream) : ok;
   }
   /// Call after every begin(), also after errors: marks the end of the frame's use of the workspace.
-  Status end(const Frame& f) const { return finished->record(f.stream); }
+  Status end(const Frame& f) {
+    finished = f.readback->finished;
+    ordered_by.reset();
+    // One handle is a different stream for each of the caller's threads.
+    if (f.settings.cuda.asynchronous && f.stream != cudaStreamPerThread) ordered_by = f.stream;
+    return finished->record(f.stream);
+  }
+  /// Blocks the host until the device uses nothing of the renderer's; ignores errors.
+  void wait_for_all() const {
+    if (finished && finished->get() != nullptr) cudaEventSynchronize(finished->get());
+  }
 
   Status mark(Mark m, const Frame& f, CudaStream on) const {
     const bool is_stage = m != kStart && m != kBlended;
     if (!f.settings.cuda.timings || (is_stage && !f.settings.cuda.stage_timings)) return {};
-    return marks[m].record(on);
+    return f.readback->marks[m].record(on);
   }
   Status fetch(void* to, const void* from, std::uint64_t size, CudaStream stream) const {
     return device_status(cudaMemcpyAsync(to, from, size, cudaMemcpyDeviceToHost, stream),
                          "counters could not be copied from the device");
+  }
+  /// Call at the frame's end: `counters`, in device memory, hold the pairs that it counted.
+  Status fetch_counted(const Frame& f, const cuda::Counters* counters) const {
+    if (!f.settings.cuda.count_pairs) return {};
+    return fetch(&f.seen().counted, counters, sizeof(cuda::Counters), f.stream);
   }
   Status wait(CudaStream stream) const { return device_status(cudaStreamSynchronize(stream), "a kernel failed"); }
 
@@ -99,7 +138,7 @@ struct FrameState {
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
   }
   Status launch_cut(const Frame& f) const {
-    return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse}, f.stream);
+    return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse, &f.seen().cut}, f.stream);
   }
   cuda::DrawnChunks drawn(const Frame& f) const { return f.cut ? cut.drawn() : cuda::DrawnChunks{}; }
   /// Gaussians that the front end must have room for.
@@ -107,10 +146,9 @@ struct FrameState {
 
   std::shared_ptr<const DeviceMemory> memory;
   CutStage cut;
-  std::array<Event, kMarks> marks;
-  /// The last frame no longer uses the workspace or its scene.
-  std::shared_ptr<Event> finished = std::make_shared<Event>();
-  PageLocked<HostCounters> host;
+  std::shared_ptr<Event> finished;  ///< Readback::finished of the last frame; before the first, one never recorded
+  /// The last frame's stream if the caller has promised that it still lives: what is queued there follows the frame.
+  std::optional<CudaStream> ordered_by;
   DeviceBuffer splats;  ///< [n]
 };
 

@@ -38,9 +38,9 @@ Status SortedPipeline::choose(const Frame& f) {
     if (ok) ok = state_.launch_cut(f);
     if (ok) ok = state_.wait(f.stream);
     if (!ok) return ok;
-    const std::uint64_t n_chunks = state_.cut.seen().chunks;
+    const std::uint64_t n_chunks = f.seen().cut.chunks;
     n_ = n_chunks * f.scene->pages->chunk_size;
-    if (state_.cut.fits()) return {};
+    if (n_chunks <= state_.cut.capacity()) return {};
     ok = state_.reserve_cut(f, n_chunks);
   }
 }
@@ -114,10 +114,10 @@ Status SortedPipeline::count_and_write(const Frame& f) {
           f.stream);
     }
     if (ok) ok = state_.mark(kProjected, f, f.stream);
-    if (ok) ok = state_.fetch(&state_.host->counters, counters_.as<void>(), sizeof(cuda::Counters), f.stream);
+    if (ok) ok = state_.fetch(&f.seen().counters, counters_.as<void>(), sizeof(cuda::Counters), f.stream);
     if (ok) ok = state_.wait(f.stream);
     if (!ok) return ok;
-    n_pairs_ = state_.host->counters.instances;
+    n_pairs_ = f.seen().counters.instances;
     if (n_pairs_ > kMaxPairs || n_pairs_ <= pairs.capacity) return ok;
     ok = reserve_pairs(f, n_pairs_, with_room_to_grow(n_pairs_, pairs.capacity, kMaxPairs));
     if (!ok) return ok;
@@ -140,7 +140,7 @@ Status SortedPipeline::count_then_write(const Frame& f) {
     ok = cuda::launch_sum(tiles_.as<std::uint32_t>(), sums_.as<std::uint64_t>(), n, sum_temporary_.as<void>(),
                           sum_temporary_.bytes(), f.stream);
   }
-  FrameState::HostCounters& host = *state_.host.get();
+  Readback::Seen& host = f.seen();
   if (ok) ok = state_.fetch(&host.counters, counters_.as<void>(), sizeof(cuda::Counters), f.stream);
   if (ok && n > 0) {
     ok = state_.fetch(&host.pairs, sums_.as<std::uint64_t>() + n - 1, sizeof(std::uint64_t), f.stream);
@@ -190,7 +190,8 @@ Status SortedPipeline::draw(const Frame& f) {
          f.settings.exponent, f.settings.exp, f.settings.cuda.pixels_per_thread},
         f.stream);
   }
-  return ok ? state_.mark(kBlended, f, f.stream) : ok;
+  if (ok) ok = state_.mark(kBlended, f, f.stream);
+  return ok ? state_.fetch_counted(f, counters_.as<cuda::Counters>()) : ok;
 }
 
 Status SortedPipeline::queue(const Frame& f) {

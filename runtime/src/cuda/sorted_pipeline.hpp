@@ -19,9 +19,7 @@ class SortedPipeline {
   /// size.
   Status queue(const Frame& frame);
   /// Pairs of the frame queued last; above kMaxPairs it was not drawn.
-  Result<std::uint64_t> settle(const Frame&) const { return n_pairs_; }
-  /// Of the frame queued last, in device memory.
-  const cuda::Counters* counters() const { return counters_.as<cuda::Counters>(); }
+  Result<Settled> settle(const Frame&) const { return Settled{n_pairs_, false}; }
   std::uint64_t bytes() const;  ///< workspace held
 
  private:

@@ -18,7 +18,7 @@ constexpr std::uint64_t kLargeBytes = sizeof(cuda::TurboLargeGaussian) + sizeof(
 }  // namespace
 
 Status TurboPipeline::create() {
-  Status ok = seen_.create();
+  Status ok;
   for (Event* event : {&counted_, &counted_long_, &begun_, &filled_, &listed_, &done_long_}) {
     if (ok) ok = event->create();
   }
@@ -141,14 +141,15 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   Status ok = listed_.record(on);
   if (ok) ok = listed_.hold(beside_.get());
   if (!ok) return ok;
-  ok = cuda::launch_turbo_long_lists(a.arrays, a.grid, seen_.get(), beside_.get());
-  if (ok) ok = counted_long_.record(beside_.get());
+  const bool is_waited_for = !f.settings.cuda.asynchronous;
+  ok = cuda::launch_turbo_long_lists(a.arrays, a.grid, &f.seen().turbo, beside_.get());
+  if (ok && is_waited_for) ok = counted_long_.record(beside_.get());
   if (ok) ok = cuda::launch_turbo_units(a.arrays, beside_.get());
   if (ok && is_tensor) ok = cuda::launch_turbo_tensor_long(a, beside_.get());
   // Joined after errors too: the next frame waits for `on` alone.
   Status joined = done_long_.record(beside_.get());
-  if (ok) ok = cuda::launch_turbo_order(a.arrays, a.grid, seen_.get(), a.is_filled, on);
-  if (ok) ok = counted_.record(on);
+  if (ok) ok = cuda::launch_turbo_order(a.arrays, a.grid, &f.seen().turbo, a.is_filled, on);
+  if (ok && is_waited_for) ok = counted_.record(on);
   for (const Mark m : {kSorted, kRanged}) {
     if (ok) ok = state_.mark(m, f, on);
   }
@@ -167,6 +168,8 @@ Status TurboPipeline::launch(const Frame& f) {
       f.target, f.settings.cuda.count_pairs,           false};
   const bool is_tensor = f.settings.cuda.tensor_cores && f.settings.low_pass >= kTensorLowPass && !a.has_details();
   a.is_filled = is_tensor && fills(a);
+  f.readback->room = {state_.cut.capacity(), arrays.entry_capacity, arrays.run_capacity, arrays.large_capacity,
+                      arrays.cell_capacity};
   auto* const on = f.stream;
   Status ok = state_.mark(kStart, f, on);
   if (ok && a.is_filled) ok = fill(f, a);
@@ -181,12 +184,13 @@ Status TurboPipeline::launch(const Frame& f) {
                                  on);
   }
   if (ok) ok = state_.mark(kProjected, f, on);
-  if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, seen_.get(), on);
+  if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, &f.seen().turbo, on);
   if (ok) ok = state_.mark(kDuplicated, f, on);
   // After errors too: the next frame waits for `on` alone.
   if (const Status joined = a.is_filled ? filled_.hold(on) : Status(); ok) ok = joined;
   if (ok) ok = order_and_blend(f, a, is_tensor);
-  return ok ? state_.mark(kBlended, f, on) : ok;
+  if (ok) ok = state_.mark(kBlended, f, on);
+  return ok ? state_.fetch_counted(f, &arrays.state->counters) : ok;
 }
 
 Status TurboPipeline::queue(const Frame& f) {
@@ -198,34 +202,36 @@ Status TurboPipeline::queue(const Frame& f) {
   return ok ? ended : ok;
 }
 
-Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
-  for (;;) {
-    Status ok = counted_.wait();
-    if (ok) ok = counted_long_.wait();
-    if (!ok) return tl::unexpected(ok.error());
-    if (f.cut && !state_.cut.fits()) {
-      if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());
-      ok = state_.reserve_cut(f, state_.cut.seen().chunks);
-      if (ok) ok = queue(f);
-      if (!ok) return tl::unexpected(ok.error());
-      continue;
+Result<Settled> TurboPipeline::settle(const Frame& f) {
+  for (bool is_repeated = false;; is_repeated = true) {
+    Status ok;
+    if (f.settings.cuda.asynchronous) {
+      ok = f.readback->finished->wait();
+    } else {
+      ok = counted_.wait();
+      if (ok) ok = counted_long_.wait();
     }
-    const cuda::TurboState& seen = *seen_.get();
-    const cuda::TurboArrays arrays = arrays_for(f);
-    state_.host->counters = seen.counters;
-    const std::uint64_t n = seen.counters.instances;
+    if (!ok) return tl::unexpected(ok.error());
+    const cuda::TurboState& seen = f.seen().turbo;
+    const Readback::Room& room = f.readback->room;
+    const std::uint64_t n = seen.counters.instances, n_chunks = f.cut ? f.seen().cut.chunks : 0;
+    const bool cut_fits = n_chunks <= room.chunks;
     const bool all_large =
-        seen.n_large_gaussians <= arrays.large_capacity;  // otherwise the entries of the others are not counted
-    const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
-    if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
-    if (all_listed && seen.in_cells <= arrays.cell_capacity) {
-      last_ = {seen.runs, arrays.n_tiles};
-      return n;
+        seen.n_large_gaussians <= room.large_gaussians;  // otherwise the entries of the others are not counted
+    if (cut_fits) {
+      const bool all_listed = all_large && n <= room.entries && seen.runs <= room.runs;
+      f.seen().counters = seen.counters;
+      if (std::max(n, seen.in_cells) > kMaxPairs) return Settled{std::max(n, seen.in_cells), is_repeated};
+      if (all_listed && seen.in_cells <= room.in_cells) {
+        last_ = {seen.runs, f.n_tiles()};
+        return Settled{n, is_repeated};
+      }
     }
     if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());  // it uses the workspace until then
     // Counts without all large Gaussians are too low to size memory by.
-    ok = all_large ? reserve_lists(n, seen.runs, 0, seen.in_cells, f.stream)
-                   : reserve_lists(0, 0, seen.n_large_gaussians, 0, f.stream);
+    ok = !cut_fits   ? state_.reserve_cut(f, n_chunks)
+         : all_large ? reserve_lists(n, seen.runs, 0, seen.in_cells, f.stream)
+                     : reserve_lists(0, 0, seen.n_large_gaussians, 0, f.stream);
     if (ok) ok = queue(f);
     if (!ok) return tl::unexpected(ok.error());
   }

@@ -18,12 +18,10 @@ class TurboPipeline {
 
   /// Enqueues a frame. Waits only to grow the workspace.
   Status queue(const Frame& frame);
-  /// Entries of the frame queued last. If they did not fit, which the host learns while the frame runs, lists or cells
-  /// were left empty and the frame is repeated; the same for a cut that outgrew its room. Above kMaxPairs it was not
-  /// drawn.
-  Result<std::uint64_t> settle(const Frame& frame);
-  /// Of the frame queued last, in device memory.
-  const cuda::Counters* counters() const { return &turbo_state_.as<cuda::TurboState>()->counters; }
+  /// Entries of the oldest frame that is not settled. If they did not fit, lists or cells were left empty and the frame
+  /// is repeated; the same for a cut that outgrew its room. Above kMaxPairs it was not drawn. Waits for the end of an
+  /// asynchronous frame, and of another, which is the only one, until it has counted.
+  Result<Settled> settle(const Frame& frame);
   std::uint64_t bytes() const;  ///< workspace held
 
  private:
@@ -41,14 +39,13 @@ class TurboPipeline {
   Status launch(const Frame& frame);
 
   FrameState& state_;
-  Event counted_, counted_long_;  // both: the frame has counted its pairs
+  Event counted_, counted_long_;  // both: the frame, if not asynchronous, has counted its pairs
   OwnedStream beside_;  // runs what starts at `begun_` and ends at `filled_`, and long lists: `listed_`, `done_long_`
   Event begun_, filled_, listed_, done_long_;
-  struct Settled {
+  struct LastFrame {
     std::uint64_t runs = 0;
     std::uint32_t n_tiles = 0;
-  } last_;  // frame
-  PageLocked<cuda::TurboState> seen_;
+  } last_;  // that was settled
   DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, ranked_;
   DeviceBuffer long_lists_, cells_, cell_gaussians_, long_cells_;
 };
