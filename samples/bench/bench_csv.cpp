@@ -81,6 +81,7 @@ Line row_line(const Report& report, const SizeReport& size, std::size_t row) {
   line.number("eager_clock_ms", m.timing.outside.eager_clock_ms);
   line.number("eager_events_ms", m.timing.outside.eager_events_ms);
   line.number("queued_ms", m.timing.outside.queued_ms);
+  line.number("host_us", m.timing.outside.host_us);
   line.number("fastest_camera_ms", m.timing.fastest_ms);
   line.number("slowest_camera_ms", m.timing.slowest_ms);
   line.number("speedup", speedup(size, row));

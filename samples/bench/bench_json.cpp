@@ -100,6 +100,7 @@ ordered_json row_json(const Report& report, const SizeReport& size, std::size_t 
                        {"eager_clock_ms", m.timing.outside.eager_clock_ms},
                        {"eager_events_ms", m.timing.outside.eager_events_ms},
                        {"queued_ms", m.timing.outside.queued_ms},
+                       {"host_us", m.timing.outside.host_us},
                        {"frames", m.timing.frames},
                        {"fastest_camera_ms", m.timing.fastest_ms},
                        {"slowest_camera_ms", m.timing.slowest_ms},

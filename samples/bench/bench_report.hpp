@@ -35,6 +35,9 @@ struct OutsideTimes {
   /// Frames queued back to back on a stream of the caller's, turbo's asynchronous ones: the caller's events around all of
   /// them, divided by their number.
   double queued_ms = 0;
+  /// Microseconds of the host in a render() call of such frames, as many of them as the renderer has in flight without
+  /// waiting; of the pipelines that wait for a number of their frame, with this wait.
+  double host_us = 0;
 };
 
 /// Pages and Gaussians of a frame with levels of detail.

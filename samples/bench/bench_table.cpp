@@ -82,12 +82,15 @@ std::string row_text(const SizeReport& size, std::size_t row, const Report& repo
 }
 
 std::string outside_text(const SizeReport& size, const Report& report) {
-  std::string text = fmt::format("\n{}x{}  as a caller's clock and events see it; ms\n", size.width, size.height);
-  text += fmt::format("{:<22}{:>10}{:>14}{:>15}{:>10}\n", "", "total", "eager, clock", "eager, events", "queued");
+  std::string text =
+      fmt::format("\n{}x{}  as a caller's clock and events see it; ms, host: us\n", size.width, size.height);
+  text += fmt::format("{:<22}{:>10}{:>14}{:>15}{:>10}{:>10}\n", "", "total", "eager, clock", "eager, events", "queued",
+                      "host");
   for (std::size_t row = 0; row < size.rows.size(); ++row) {
     const Timing& t = size.rows[row].timing;
-    text += fmt::format("{:<22}{:10.4f}{:14.4f}{:15.4f}{:10.4f}\n", report.modes[row].configuration.name,
-                        t.mean.total_ms, t.outside.eager_clock_ms, t.outside.eager_events_ms, t.outside.queued_ms);
+    text += fmt::format("{:<22}{:10.4f}{:14.4f}{:15.4f}{:10.4f}{:10.1f}\n", report.modes[row].configuration.name,
+                        t.mean.total_ms, t.outside.eager_clock_ms, t.outside.eager_events_ms, t.outside.queued_ms,
+                        t.outside.host_us);
   }
   return text;
 }

@@ -128,6 +128,7 @@ TEST_CASE("times from outside stand beside those of the stages, in the table, JS
   CHECK(paper["eager_clock_ms"] == doctest::Approx(0.9084));
   CHECK(paper["eager_events_ms"] == doctest::Approx(0.8984));
   CHECK(paper["queued_ms"] == doctest::Approx(0.8784));
+  CHECK(paper["host_us"] == doctest::Approx(27.3));
   CHECK(paper["frames"] == 100);
   const auto csv = lines_of(report_csv(report));
   const auto names = fields_of(csv[0]), values = fields_of(csv[3]);
@@ -137,12 +138,14 @@ TEST_CASE("times from outside stand beside those of the stages, in the table, JS
   CHECK(at("eager_clock_ms") == "0.9084");
   CHECK(at("eager_events_ms") == "0.8984");
   CHECK(at("queued_ms") == "0.8784");
+  CHECK(at("host_us") == "27.3");
   CHECK(at("view").empty());
   const auto table = lines_of(outside_text(report.sizes[0], report));
   REQUIRE(table.size() == 3 + 3);
   CHECK(table[1].find("1920x1080") == 0);
   CHECK(table[5].find("+ fast exp = paper") == 0);
-  for (const char* number : {"0.8684", "0.9084", "0.8984", "0.8784"}) CHECK(table[5].find(number) != std::string::npos);
+  for (const char* number : {"0.8684", "0.9084", "0.8984", "0.8784", "27.3"})
+    CHECK(table[5].find(number) != std::string::npos);
   for (std::size_t k = 2; k < table.size(); ++k) CHECK(table[k].size() == table[2].size());
 }
 

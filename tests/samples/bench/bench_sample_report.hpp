@@ -43,7 +43,7 @@ inline bench::Report sample_report() {
     m.timing.mean = row.second;
     m.timing.peak_bytes = 197000000;
     m.timing.frames = 100;
-    m.timing.outside = {row.second.total_ms + 0.04, row.second.total_ms + 0.03, row.second.total_ms + 0.01};
+    m.timing.outside = {row.second.total_ms + 0.04, row.second.total_ms + 0.03, row.second.total_ms + 0.01, 27.3};
     m.costs = bench::stage_costs({row.second, c.options, 1920, 1080, c.compact, 3});
     r.sizes.front().rows.push_back(m);
   }

@@ -167,6 +167,7 @@ TEST_CASE("rgs-bench measures every mode") {
     CHECK(events > 0.5 * inside);  // two frames support no more
     CHECK(row["eager_clock_ms"].get<double>() > events);
     CHECK(row["queued_ms"].get<double>() > 0);
+    CHECK(row["host_us"].get<double>() > 0);
   }
   CHECK(report["modes"][0]["quality"]["largest_difference"] == 0);
   CHECK(report["rates"]["copy_bytes"].get<double>() > 0);
