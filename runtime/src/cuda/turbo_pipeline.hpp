@@ -37,11 +37,15 @@ class TurboPipeline {
   Status fill(const Frame& frame, const cuda::TurboBlendArguments& arguments);
   Status order_and_blend(const Frame& frame, const cuda::TurboBlendArguments& arguments, bool is_tensor);
   Status launch(const Frame& frame);
+  bool is_captured(const Frame& frame) const;
+  Status launch_graph(const Frame& frame);
 
   FrameState& state_;
   Event counted_, counted_long_;  // both: the frame, if not asynchronous, has counted its pairs
   OwnedStream beside_;  // runs what starts at `begun_` and ends at `filled_`, and long lists: `listed_`, `done_long_`
   Event begun_, filled_, listed_, done_long_;
+  OwnedStream captured_;
+  RunnableGraph graph_;
   struct LastFrame {
     std::uint64_t runs = 0;
     std::uint32_t n_tiles = 0;
