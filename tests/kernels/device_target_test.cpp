@@ -79,6 +79,9 @@ TEST_CASE("targets: misaligned memory, or rows shorter than the image, are refus
   CHECK(code({.rgb = floats, .pitch = {.alpha = 1}}) == Errc::internal);  // of an output that is not requested
   CHECK(code({.alpha = floats, .pitch = {.alpha = 75 * 4 - 4}}) == Errc::bad_argument);
   CHECK(code({.depth = floats, .pitch = {.depth = 75 * 4 + 1}}) == Errc::bad_argument);
+  auto* const bytes = reinterpret_cast<std::uint8_t*>(memory + 1);
+  CHECK(code({.codes = bytes, .pitch = {.codes = 75 * 3 + 1}}) == Errc::internal);
+  CHECK(code({.codes = bytes, .pitch = {.codes = 75 * 3 - 1}}) == Errc::bad_argument);
   CHECK(code({.packed = floats, .pitch = {.packed = 75 * 4 + 4}}) == Errc::internal);
   CHECK(code({.packed = floats, .format = PixelFormat::rgba16f, .pitch = {.packed = 75 * 8 + 4}}) ==
         Errc::bad_argument);
@@ -95,6 +98,7 @@ TEST_CASE("targets: a pitch of 0 means rows without padding") {
   CHECK(arrays.pitch.evaluated == 75 * 4);
   CHECK(arrays.pitch.blended == 75 * 4);
   CHECK(arrays.pitch.packed == 75 * 8);
+  CHECK(arrays.pitch.codes == 75 * 3);
 }
 
 TEST_CASE("targets: colours alone equal colours with alpha, also in a frame that follows a nearly empty one") {
@@ -145,17 +149,19 @@ TEST_CASE("targets: padded rows hold the bytes of unpadded ones, and the padding
                                .depth = kWidth * 4 + 4,
                                .evaluated = kWidth * 4 + 8,
                                .blended = kWidth * 4 + 400,
-                               .packed = kWidth * math::pixel_bytes(format) + 8};
+                               .packed = kWidth * math::pixel_bytes(format) + 8,
+                               .codes = kWidth * 3 + 1};
         const auto draw = [&](const RowPitches& pitches) {
           const auto rows = [&](std::uint64_t p, std::size_t tight) {
             return DeviceArray<std::byte>(kHeight * (p == 0 ? tight : p));
           };
           const auto rgb = rows(pitches.rgb, kWidth * 12), alpha = rows(pitches.alpha, kWidth * 4);
           const auto depth = rows(pitches.depth, kWidth * 4), evaluated = rows(pitches.evaluated, kWidth * 4);
-          const auto blended = rows(pitches.blended, kWidth * 4);
+          const auto blended = rows(pitches.blended, kWidth * 4), codes = rows(pitches.codes, kWidth * 3);
           const auto packed = rows(pitches.packed, kWidth * math::pixel_bytes(format));
           DeviceTarget target{.rgb = reinterpret_cast<float*>(rgb.data()),
                               .alpha = reinterpret_cast<float*>(alpha.data()),
+                              .codes = reinterpret_cast<std::uint8_t*>(codes.data()),
                               .packed = packed.data(),
                               .format = format,
                               .pitch = pitches};
@@ -165,19 +171,27 @@ TEST_CASE("targets: padded rows hold the bytes of unpadded ones, and the padding
             target.blended = reinterpret_cast<std::uint32_t*>(blended.data());
           }
           require_ok(device.render(scene, camera, target, options));
-          return std::vector{rgb.download(),       alpha.download(),   depth.download(),
-                             evaluated.download(), blended.download(), packed.download()};
+          return std::vector{rgb.download(),     alpha.download(),  depth.download(), evaluated.download(),
+                             blended.download(), packed.download(), codes.download()};
         };
         const auto tight = draw({}), pitched = draw(pitch);
         const std::size_t row_bytes[] = {kWidth * 12, kWidth * 4, kWidth * 4,
-                                         kWidth * 4,  kWidth * 4, kWidth * math::pixel_bytes(format)};
-        const std::uint64_t pitches[] = {pitch.rgb,       pitch.alpha,   pitch.depth,
-                                         pitch.evaluated, pitch.blended, pitch.packed};
+                                         kWidth * 4,  kWidth * 4, kWidth * math::pixel_bytes(format),
+                                         kWidth * 3};
+        const std::uint64_t pitches[] = {pitch.rgb,     pitch.alpha,  pitch.depth, pitch.evaluated,
+                                         pitch.blended, pitch.packed, pitch.codes};
         for (std::size_t k = 0; k < tight.size(); ++k) {
           CAPTURE(k);
           CHECK(rows_of(pitched[k], row_bytes[k], pitches[k]) == tight[k]);
         }
         CHECK(tight[0][3] != std::byte{0xFF});
+        std::size_t n_wrong = 0;
+        for (std::size_t k = 0; k < tight[6].size(); ++k) {
+          float value = 0;
+          std::memcpy(&value, tight[0].data() + sizeof(float) * k, sizeof(float));
+          n_wrong += std::to_integer<std::uint8_t>(tight[6][k]) != to_8bit(value);
+        }
+        CHECK(n_wrong == 0);
       }
     }
   }

@@ -62,11 +62,12 @@ struct TightArrays {
   std::uint32_t* blended = nullptr;
   void* packed = nullptr;  ///< pixels of `format`, aligned to math::pixel_bytes() of it
   math::PixelFormat format = math::PixelFormat::rgba8;
+  std::uint8_t* codes = nullptr;  ///< math::code8() of rgb
 };
 
 /// Bytes from one row to the next of each output; multiples of its element's size.
 struct RowPitches {
-  std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0;
+  std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0, codes = 0;
 
   bool operator==(const RowPitches&) const = default;
 };
@@ -87,6 +88,7 @@ struct PixelArrays : TightArrays {
     fill(a.pitch.evaluated, w * sizeof(std::uint32_t));
     fill(a.pitch.blended, w * sizeof(std::uint32_t));
     fill(a.pitch.packed, w * math::pixel_bytes(format));
+    fill(a.pitch.codes, w * 3);
     return a;
   }
   /// Whether every output has contiguous rows of `width` pixels and none is a surface.

@@ -75,6 +75,10 @@ __device__ inline void store_pixel(const Arrays& t, const math::Vec3<float>& bac
     to[0] = color.x, to[1] = color.y, to[2] = color.z;
   }
   if (has_packed(t)) store_packed(t, at, color, alpha);
+  if (t.codes != nullptr) {
+    std::uint8_t* const to = at.in(t, t.codes, &RowPitches::codes, 3);
+    to[0] = math::code8(color.x), to[1] = math::code8(color.y), to[2] = math::code8(color.z);
+  }
   if (t.alpha != nullptr) *at.in(t, t.alpha, &RowPitches::alpha) = alpha;
   if constexpr (Details) {
     if (t.depth != nullptr) *at.in(t, t.depth, &RowPitches::depth) = math::expected_depth(pixel);

@@ -108,7 +108,7 @@ class DeviceScene {
 
 /// Bytes from one row to the next of each output, a multiple of its element's size; 0 = contiguous rows.
 struct RowPitches {
-  std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0;
+  std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0, codes = 0;
 };
 
 /// The caller's device memory for a frame: arrays of camera.width * camera.height pixels as in RenderTarget, null for
@@ -119,6 +119,7 @@ struct DeviceTarget {
   float* depth = nullptr;              ///< [height, width]
   std::uint32_t* evaluated = nullptr;  ///< [height, width]
   std::uint32_t* blended = nullptr;    ///< [height, width]
+  std::uint8_t* codes = nullptr;       ///< [height, width, 3] math::code8() of rgb
   void* packed = nullptr;              ///< [height, width] colour and alpha in one word each, aligned to its size
   math::PixelFormat format = math::PixelFormat::rgba8;  ///< of `packed` or `surface`
   /// A cudaSurfaceObject_t that takes the packed pixels instead of `packed`: a two-dimensional array of at least the

@@ -30,9 +30,9 @@ class Event {
   Status create(unsigned flags = cudaEventDisableTiming) {
     return device_status(cudaEventCreateWithFlags(&event_, flags), "an event could not be made");
   }
-  Status record(cudaStream_t stream) const {
-    return device_status(cudaEventRecord(event_, stream), "an event could not be recorded");
-  }
+  Status record(cudaStream_t stream) const { return record(stream, cudaEventRecordDefault); }
+  /// On a stream whose work becomes a graph: recorded when the graph runs. record() orders the graph's work alone.
+  Status record_in_graph(cudaStream_t stream) const { return record(stream, cudaEventRecordExternal); }
   /// Work queued on `stream` from now on waits for the event.
   Status hold(cudaStream_t stream) const {
     return device_status(cudaStreamWaitEvent(stream, event_), "a stream could not be made to wait");
@@ -52,6 +52,10 @@ class Event {
   cudaEvent_t get() const { return event_; }
 
  private:
+  Status record(cudaStream_t stream, unsigned flags) const {
+    return device_status(cudaEventRecordWithFlags(event_, stream, flags), "an event could not be recorded");
+  }
+
   cudaEvent_t event_ = nullptr;
 };
 

@@ -29,7 +29,7 @@ Status validate(const DeviceTarget& t, const Camera& camera) {
   for (const Output& o :
        {Output{t.rgb, t.pitch.rgb, 4, 12}, Output{t.alpha, t.pitch.alpha, 4, 4}, Output{t.depth, t.pitch.depth, 4, 4},
         Output{t.evaluated, t.pitch.evaluated, 4, 4}, Output{t.blended, t.pitch.blended, 4, 4},
-        Output{t.packed, t.pitch.packed, packed_bytes, packed_bytes}}) {
+        Output{t.packed, t.pitch.packed, packed_bytes, packed_bytes}, Output{t.codes, t.pitch.codes, 1, 3}}) {
     if (o.data == nullptr) continue;
     if (reinterpret_cast<std::uintptr_t>(o.data) % o.word_bytes != 0) {
       return refuse("an output is not aligned to its elements", o.word_bytes);
@@ -71,9 +71,9 @@ Status validate_surface(const DeviceTarget& t, const Camera& camera) {
 
 cuda::PixelArrays arrays_of(const DeviceTarget& t, const Camera& camera) {
   const cuda::PixelArrays arrays{
-      {t.rgb, t.alpha, t.depth, t.evaluated, t.blended, t.packed, t.format},
+      {t.rgb, t.alpha, t.depth, t.evaluated, t.blended, t.packed, t.format, t.codes},
       t.surface,
-      {t.pitch.rgb, t.pitch.alpha, t.pitch.depth, t.pitch.evaluated, t.pitch.blended, t.pitch.packed}};
+      {t.pitch.rgb, t.pitch.alpha, t.pitch.depth, t.pitch.evaluated, t.pitch.blended, t.pitch.packed, t.pitch.codes}};
   return arrays.with_pitches(camera.width);
 }
 

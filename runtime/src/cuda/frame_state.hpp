@@ -69,6 +69,7 @@ struct Frame {
   bool is_turbo;
   std::optional<cuda::CutEye> cut;  ///< of a scene with levels of detail
   Readback* readback;
+  bool is_graph = false;  ///< its launches are collected in a graph
 
   std::uint64_t n() const { return scene ? scene->n : 0; }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
@@ -106,10 +107,14 @@ struct FrameState {
     if (finished && finished->get() != nullptr) cudaEventSynchronize(finished->get());
   }
 
+  /// Records an event that the host waits for or reads.
+  Status record(const Event& event, const Frame& f, CudaStream on) const {
+    return f.is_graph ? event.record_in_graph(on) : event.record(on);
+  }
   Status mark(Mark m, const Frame& f, CudaStream on) const {
     const bool is_stage = m != kStart && m != kBlended;
     if (!f.settings.cuda.timings || (is_stage && !f.settings.cuda.stage_timings)) return {};
-    return f.readback->marks[m].record(on);
+    return record(f.readback->marks[m], f, on);
   }
   Status fetch(void* to, const void* from, std::uint64_t size, CudaStream stream) const {
     return device_status(cudaMemcpyAsync(to, from, size, cudaMemcpyDeviceToHost, stream),

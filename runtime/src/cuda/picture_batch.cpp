@@ -7,8 +7,6 @@
 #include <optional>
 #include <utility>
 
-#include "common/codes.hpp"
-
 namespace rgs::detail {
 namespace {
 
@@ -132,51 +130,38 @@ Result<std::vector<FrameStats>> PictureBatch::render_on_device(const DeviceScene
   return stats;
 }
 
-// Codes are made once a frame is known to fit, since a frame that does not is repeated. No lane is running on return.
+// No lane is running on return.
 Status PictureBatch::draw(const DeviceScene& scene, std::span<const Camera> cameras, const PictureArrays& pictures,
                           const RenderOptions& options, std::span<Lane* const> lanes, std::vector<FrameStats>& stats) {
   const std::uint64_t n_pixels = pixels_of(cameras.front());
-  const bool needs_rgb = pictures.codes != nullptr && pictures.rgb == nullptr;
   Status ok;
   const auto keep = [&ok](const Status& status) {
     if (ok && !status) ok = status;
   };
-  const auto place_of = [&](std::size_t i) {
-    PictureArrays place = from(pictures, i, n_pixels);
-    if (needs_rgb) place.rgb = lanes[i % lanes.size()]->rgb.as<float>();
-    return place;
-  };
   stats.resize(cameras.size());
   const auto finish = [&](std::size_t i) {
-    Lane& lane = *lanes[i % lanes.size()];
-    const auto drawn = lane.renderer->finish();
-    if (!drawn) return keep(tl::unexpected(drawn.error()));
-    stats[i] = *drawn;
-    const PictureArrays place = place_of(i);
-    if (place.codes != nullptr) keep(cuda::launch_codes(place.rgb, 3 * n_pixels, place.codes, lane.stream.get()));
+    const auto drawn = lanes[i % lanes.size()]->renderer->finish_oldest();
+    drawn ? void(stats[i] = *drawn) : keep(tl::unexpected(drawn.error()));
   };
-  if (needs_rgb) {
-    for (Lane* const lane : lanes) {
-      if (ok) keep(lane->rgb.reserve(3 * n_pixels * sizeof(float), memory_, lane->stream.get()));
-    }
-  }
+  const std::size_t most = lanes.size() * CudaRendererOptions().frames_in_flight;
   std::size_t n_queued = 0;
-  for (; n_queued < cameras.size() && ok; ++n_queued) {
-    Lane& lane = *lanes[n_queued % lanes.size()];
-    if (n_queued >= lanes.size()) finish(n_queued - lanes.size());
+  for (; n_queued < cameras.size(); ++n_queued) {
+    if (n_queued >= most) finish(n_queued - most);
     if (!ok) break;
-    const PictureArrays place = place_of(n_queued);
+    const Lane& lane = *lanes[n_queued % lanes.size()];
+    const PictureArrays place = from(pictures, n_queued, n_pixels);
     DeviceTarget target;
     target.rgb = place.rgb;
     target.alpha = place.alpha;
     target.depth = place.depth;
+    target.codes = place.codes;
     const auto queued = lane.renderer->render(scene, cameras[n_queued], target, options, lane.stream.get());
     if (!queued) {
       keep(tl::unexpected(queued.error()));
       break;
     }
   }
-  for (std::size_t i = n_queued - std::min(n_queued, lanes.size()); i < n_queued; ++i) finish(i);
+  for (std::size_t i = n_queued - std::min(n_queued, most); i < n_queued; ++i) finish(i);
   for (Lane* const lane : lanes)
     keep(device_status(cudaStreamSynchronize(lane->stream.get()), "pictures could not be made"));
   return ok;

@@ -32,7 +32,6 @@ class PictureBatch {
     CudaRenderer* renderer = nullptr;
     std::unique_ptr<CudaRenderer> own = {};  // of all lanes but the first
     OwnedStream stream = {};
-    DeviceBuffer rgb = {};  // of a picture whose codes alone are wanted
   };
 
   Result<std::vector<FrameStats>> render_on_device(const DeviceScene& scene, std::span<const Camera> cameras,

@@ -144,13 +144,13 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   if (!ok) return ok;
   const bool is_waited_for = !f.settings.cuda.asynchronous;
   ok = cuda::launch_turbo_long_lists(a.arrays, a.grid, &f.seen().turbo, beside_.get());
-  if (ok && is_waited_for) ok = counted_long_.record(beside_.get());
+  if (ok && is_waited_for) ok = state_.record(counted_long_, f, beside_.get());
   if (ok) ok = cuda::launch_turbo_units(a.arrays, beside_.get());
   if (ok && is_tensor) ok = cuda::launch_turbo_tensor_long(a, beside_.get());
   // Joined after errors too: the next frame waits for `on` alone.
   Status joined = done_long_.record(beside_.get());
   if (ok) ok = cuda::launch_turbo_order(a.arrays, a.grid, &f.seen().turbo, a.is_filled, on);
-  if (ok && is_waited_for) ok = counted_.record(on);
+  if (ok && is_waited_for) ok = state_.record(counted_, f, on);
   for (const Mark m : {kSorted, kRanged}) {
     if (ok) ok = state_.mark(m, f, on);
   }
@@ -194,15 +194,11 @@ Status TurboPipeline::launch(const Frame& f) {
   return ok ? state_.fetch_counted(f, &arrays.state->counters) : ok;
 }
 
-// Not where the host waits for events within the frame, or copies a cut from memory that is not page-locked.
-bool TurboPipeline::is_captured(const Frame& f) const {
-  return f.settings.cuda.asynchronous && !f.settings.cuda.timings && !f.cut;
-}
-
 // The same as one graph, which takes the host less time than a dozen launches.
 Status TurboPipeline::launch_graph(const Frame& f) {
   Frame captured = f;
   captured.stream = captured_.get();
+  captured.is_graph = true;
   Status ok = device_status(cudaStreamBeginCapture(captured_.get(), cudaStreamCaptureModeThreadLocal),
                             "a frame could not be captured");
   if (!ok) return ok;
@@ -217,7 +213,8 @@ Status TurboPipeline::queue(const Frame& f) {
   Status ok = state_.begin(f);
   if (!ok) return ok;
   ok = reserve_tiles(f);
-  if (ok) ok = is_captured(f) ? launch_graph(f) : launch(f);
+  // A cut may be copied from memory that is not page-locked.
+  if (ok) ok = f.cut ? launch(f) : launch_graph(f);
   const Status ended = state_.end(f);
   return ok ? ended : ok;
 }

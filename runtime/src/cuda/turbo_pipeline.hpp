@@ -37,7 +37,6 @@ class TurboPipeline {
   Status fill(const Frame& frame, const cuda::TurboBlendArguments& arguments);
   Status order_and_blend(const Frame& frame, const cuda::TurboBlendArguments& arguments, bool is_tensor);
   Status launch(const Frame& frame);
-  bool is_captured(const Frame& frame) const;
   Status launch_graph(const Frame& frame);
 
   FrameState& state_;

@@ -33,7 +33,12 @@ RGS_HD inline std::uint32_t unorm8(float v) {
 /// The 8-bit code of a value in a file or an array of pictures: round(255 clamp(v, 0, 1)), halves up; 0 for NaN.
 RGS_HD inline std::uint8_t code8(float value) {
   if (!(value > 0)) return 0;
-  return static_cast<std::uint8_t>(value >= 1 ? 255.0F : value * 255.0F + 0.5F);
+#if defined(__CUDA_ARCH__)
+  const float scaled = __fadd_rn(__fmul_rn(value, 255.0F), 0.5F);  // not contracted, as on the CPU
+#else
+  const float scaled = value * 255.0F + 0.5F;
+#endif
+  return static_cast<std::uint8_t>(value >= 1 ? 255.0F : scaled);
 }
 
 RGS_HD inline std::uint32_t pack_rgba8(const Vec3<float>& color, float alpha) {
