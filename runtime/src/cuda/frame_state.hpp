@@ -107,14 +107,11 @@ struct FrameState {
     if (finished && finished->get() != nullptr) cudaEventSynchronize(finished->get());
   }
 
-  /// Records an event that the host waits for or reads.
-  Status record(const Event& event, const Frame& f, CudaStream on) const {
-    return f.is_graph ? event.record_in_graph(on) : event.record(on);
-  }
   Status mark(Mark m, const Frame& f, CudaStream on) const {
     const bool is_stage = m != kStart && m != kBlended;
     if (!f.settings.cuda.timings || (is_stage && !f.settings.cuda.stage_timings)) return {};
-    return record(f.readback->marks[m], f, on);
+    const Event& event = f.readback->marks[m];
+    return f.is_graph ? event.record_in_graph(on) : event.record(on);
   }
   Status fetch(void* to, const void* from, std::uint64_t size, CudaStream stream) const {
     return device_status(cudaMemcpyAsync(to, from, size, cudaMemcpyDeviceToHost, stream),

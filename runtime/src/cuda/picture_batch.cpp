@@ -7,10 +7,12 @@
 #include <optional>
 #include <utility>
 
+#include "render_options.hpp"
+
 namespace rgs::detail {
 namespace {
 
-constexpr std::size_t kLanes = 4;
+constexpr std::size_t kLanes = 8;
 // Device memory of pictures that are copied to the host together.
 constexpr std::uint64_t kStagedBytes = std::uint64_t{64} << 20;
 
@@ -143,7 +145,9 @@ Status PictureBatch::draw(const DeviceScene& scene, std::span<const Camera> came
     const auto drawn = lanes[i % lanes.size()]->renderer->finish_oldest();
     drawn ? void(stats[i] = *drawn) : keep(tl::unexpected(drawn.error()));
   };
-  const std::size_t most = lanes.size() * CudaRendererOptions().frames_in_flight;
+  const auto settings = resolve(options, scene.declarations(), Backend::cuda);
+  const bool is_queued = settings && settings->cuda.asynchronous;
+  const std::size_t most = lanes.size() * (is_queued ? CudaRendererOptions().frames_in_flight : 1);
   std::size_t n_queued = 0;
   for (; n_queued < cameras.size(); ++n_queued) {
     if (n_queued >= most) finish(n_queued - most);
