@@ -36,6 +36,15 @@ constexpr int multiprocessor_threads() {
 constexpr int resident_blocks(int wanted, int threads) {
   return wanted * threads <= multiprocessor_threads() ? wanted : multiprocessor_threads() / threads;
 }
+/// The same where ptxas spills registers if it chooses the number itself: on 8.0 to 8.9, and from PTX of 7.5. From 9.0
+/// on 0, its own choice.
+constexpr int resident_before_90([[maybe_unused]] int wanted) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 900
+  return wanted;
+#else
+  return 0;
+#endif
+}
 constexpr std::uint32_t blocks_for(std::uint64_t n, std::uint32_t threads) {
   return static_cast<std::uint32_t>((n + threads - 1) / threads);
 }

@@ -462,7 +462,7 @@ __device__ Codes codes_of(const UnpackArchiveArguments& a) {
   return codes;
 }
 
-__global__ void __launch_bounds__(kWarp)
+__global__ void __launch_bounds__(kWarp, resident_before_90(1))
     archive_codes_kernel(const __grid_constant__ UnpackArchiveArguments a, std::uint32_t first_frame) {
   const std::uint32_t frame = first_frame + blockIdx.y, n = rows_of(a, frame);
   const ArchiveFrame& streams = a.frames[frame];

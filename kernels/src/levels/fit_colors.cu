@@ -431,7 +431,7 @@ __device__ void move(const View& view, const FitGaussians& g, std::uint32_t i, c
   }
 }
 
-__global__ void __launch_bounds__(kStepThreads)
+__global__ void __launch_bounds__(kStepThreads, resident_before_90(2))
     steps_kernel(const __grid_constant__ FitViews views, const __grid_constant__ FitGaussians g,
                  const __grid_constant__ FitRules rules, const __grid_constant__ FitState state, const FitDots even,
                  const FitDots odd) {
