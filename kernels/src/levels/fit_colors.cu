@@ -31,7 +31,7 @@ constexpr int kThreads = 128, kStepThreads = 256;
 constexpr int kStepTileWidth = 2, kStepTileHeight = 2, kStepPixels = kStepTileWidth * kStepTileHeight;
 constexpr int kParts = 32 / kStepPixels;
 constexpr std::uint32_t kBatch = 128;      // dots of a tile
-constexpr std::uint32_t kMostBlocks = 32;  // of a fit: several run side by side
+constexpr std::uint32_t kMostBlocks = 32;  // of a fit, or a quarter of what the device holds: several run side by side
 constexpr int kTileWidth = 8, kTileHeight = 4;
 constexpr float kSlopeUnit = 4294967296.F, kMostSlope = 1e5F;  // the sum of as many tiles as a picture has fits 64 bits
 
@@ -499,10 +499,10 @@ Status launch_fit_ranks(const std::uint32_t* items, std::uint32_t n, std::uint32
 
 Status launch_fit_steps(const FitViews& views, const FitGaussians& gaussians, const FitRules& rules,
                         const FitState& state, const FitDots (&dots)[2], Stream stream) {
-  const auto most = resident_grid<steps_kernel>(kStepThreads);
-  if (!most) return tl::unexpected(most.error());
+  const auto held = resident_grid<steps_kernel>(kStepThreads);
+  if (!held) return tl::unexpected(held.error());
   const std::uint32_t wanted = blocks_for(std::uint64_t{views.most_pixels} / kStepPixels * 32, kStepThreads);
-  const std::uint32_t blocks = std::clamp(wanted, 1U, std::min(kMostBlocks, *most));
+  const std::uint32_t blocks = std::clamp(wanted, 1U, std::clamp(*held / 4, 1U, kMostBlocks));
   FitViews v = views;
   FitGaussians g = gaussians;
   FitRules r = rules;

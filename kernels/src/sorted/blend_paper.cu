@@ -47,9 +47,8 @@ __device__ inline void blend_biased(Accumulated& p, float biased, float cutoff, 
   p.t = blends ? next : -fabsf(p.t);
 }
 
-// With PixelArrays among the arguments the compiler allocates registers differently, in the loop too, and the longest
-// tile takes a tenth more time (0.53 instead of 0.49 ms at 1080p on an H100). Most frames are tight, so they have a
-// kernel of their own.
+// With PixelArrays among the arguments the compiler allocates registers differently, in the loop too, which made the
+// longest tile a tenth slower where it was measured. Most frames are tight, so they have a kernel of their own.
 template <math::Exp E, class Arrays>
 __global__ void __launch_bounds__(kThreads) paper_kernel(BlendArgumentsFor<Arrays> a) {
   __shared__ Batch s;
