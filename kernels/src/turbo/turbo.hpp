@@ -81,7 +81,8 @@ struct alignas(16) TurboLongList {
 inline constexpr std::uint32_t kTurboBins = 1024;
 inline constexpr std::uint32_t kTurboSlice = 1024;  ///< least average number of entries of a list's slices
 /// Entries of a slice of a list of n in a frame of `entries`: short slices if there are few entries, so that all blocks
-/// get some; longer ones for a long list, since its slices add to the same bins.
+/// get some, of which 256 multiprocessors hold 2,048; longer ones for a long list, since its slices add to the same
+/// bins.
 RGS_HD constexpr std::uint32_t turbo_slice(std::uint64_t entries, std::uint32_t n) {
   return static_cast<std::uint32_t>(math::clamp(math::max(entries / 2048, std::uint64_t{n / 16}),
                                                 std::uint64_t{kTurboSlice}, std::uint64_t{4 * kTurboSlice}));
@@ -127,7 +128,7 @@ inline constexpr std::uint32_t kTurboSegment = RGS_TURBO_SEGMENT;
 inline constexpr std::uint32_t kTurboWaves = 10;
 inline constexpr std::uint32_t kTurboMaxSegments = (1u << kTurboWaves) - 1;  ///< of a cell
 /// Gaussians of a cell that its own block blends, in a frame of so many entries: as many as keep all blocks of a large
-/// device busy, since segments cost more.
+/// device busy, since segments cost more. The same on every device, because a frame's bytes depend on it.
 RGS_HD constexpr std::uint32_t turbo_front(std::uint64_t entries) {
   const std::uint64_t share = entries / RGS_TURBO_FRONT_SHARE / kTurboSegment * kTurboSegment;
   return share > kTurboSegment ? static_cast<std::uint32_t>(share) : kTurboSegment;

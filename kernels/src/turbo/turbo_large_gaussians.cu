@@ -4,8 +4,8 @@
 // Math    rgs/math/coverage.hpp, turbo_geometry.hpp
 // In/Out  large, large_boxes -> entries, runs
 // Cost    8 B read, from L2, a Gaussian and region; if they meet, 64 B gathered, and 8 B written an entry
-// Launch  256 threads and four blocks a region of 4x2, 8x4 or 16x8 tiles (of 32, with cells 16 wide): about eight blocks a
-//         multiprocessor at 1080p, 4K and 8K
+// Launch  256 threads and four blocks a region of 4x2, 8x4 or 16x8 tiles (of 32, with cells 16 wide): the smallest that
+//         makes at most about sixteen blocks a multiprocessor, or the last
 // Shared  Shared: the Gaussians found, the cells they touch, a counter a tile; 15 to 24 KiB
 // Order   of entries and runs: any. Compiled without contraction to FMA, see project.cu.
 //
@@ -182,7 +182,7 @@ void launch(const TurboArrays& a, math::TileGrid grid, Stream stream) {
 Status launch_turbo_large_gaussians(const TurboArrays& a, math::TileGrid grid, Stream stream) {
   const auto n_multiprocessors = multiprocessors();
   if (!n_multiprocessors) return tl::unexpected(n_multiprocessors.error());
-  // Regions grow when there would be more than about four of them, sixteen blocks, a multiprocessor; 512 on an H100.
+  // Regions grow when there would be more than four of them, sixteen blocks, a multiprocessor.
   const std::uint32_t most_tiles = std::bit_floor(4 * *n_multiprocessors) * Region<1>::kTiles;
   if (a.n_tiles <= most_tiles) {
     launch<1>(a, grid, stream);
