@@ -134,7 +134,7 @@ __device__ void set_aside(const TurboArrays& out, const math::Ellipse<float>& el
 }
 
 template <class A>
-__global__ void __launch_bounds__(kThreads)
+__global__ void __launch_bounds__(kThreads, resident_on_90(5))
     turbo_emit_kernel(A attributes, const __grid_constant__ CullPlanes planes, TurboEmitArguments a) {
   __shared__ Shared memory;
   Shared& s = memory;
