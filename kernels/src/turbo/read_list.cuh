@@ -55,6 +55,34 @@ struct TurboRuns {
   }
 };
 
+/// Reads runs that are long in the mean: a warp a run, so that no lane searches for its entry's run.
+template <int Threads, class F>
+__device__ void for_each_by_warps(const TurboRuns& list, const F& f) {
+  constexpr std::uint32_t kWarps = Threads / 32;
+  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+  for (std::uint32_t begin = warp; begin < list.n_runs; begin += Threads) {
+    const std::uint32_t own = begin + kWarps * lane;
+    const TurboRun run = own < list.n_runs ? list.runs[own] : TurboRun{0, 0};
+    const std::uint32_t n_runs = math::min((list.n_runs - begin + kWarps - 1) / kWarps, 32u);
+    // The next 32 entries are loaded before f() takes these.
+    std::uint32_t at = 0, first = 0, n = 0;  // the run's entries, as far as they are not loaded
+    const auto load = [&](std::uint32_t r, std::uint32_t done) {
+      first = __shfl_sync(kFullWarp, run.begin, static_cast<int>(r)) + done;
+      n = __shfl_sync(kFullWarp, run.n, static_cast<int>(r)) - done;
+      return lane < n ? list.entries[first + lane] : TurboEntry{0};
+    };
+    TurboEntry ahead = load(0, 0);
+    for (std::uint32_t done = 0; at < n_runs;) {
+      const TurboEntry entry = ahead;
+      const bool is_some = lane < n;
+      done += 32;
+      if (n <= 32) ++at, done = 0;
+      if (at < n_runs) ahead = load(at, done);
+      if (is_some) f(entry);
+    }
+  }
+}
+
 /// Counts, over the block, how many entries touch each cell. An entry's bits are added to 16-bit counters, four to a
 /// word, which are flushed before one can overflow.
 class CellCounter {
