@@ -213,9 +213,9 @@ Status TurboPipeline::queue(const Frame& f) {
   Status ok = state_.begin(f);
   if (!ok) return ok;
   ok = reserve_tiles(f);
-  // A graph begins later, which a caller that waits would notice. A cut may be copied from memory that is not
-  // page-locked, which no graph does.
-  if (ok) ok = f.settings.cuda.asynchronous && !f.cut ? launch_graph(f) : launch(f);
+  // A graph begins later, which a caller that waits would notice, and copies no cut from memory that is not page-locked.
+  const bool is_copied = f.cut && f.scene->pages->chosen;
+  if (ok) ok = f.settings.cuda.asynchronous && !is_copied ? launch_graph(f) : launch(f);
   const Status ended = state_.end(f);
   return ok ? ended : ok;
 }
