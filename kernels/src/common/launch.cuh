@@ -36,7 +36,7 @@ constexpr int multiprocessor_threads() {
 constexpr int resident_blocks(int wanted, int threads) {
   return wanted * threads <= multiprocessor_threads() ? wanted : multiprocessor_threads() / threads;
 }
-/// The same where ptxas spills registers if it chooses the number itself: on 8.0 to 8.9, and from PTX of 7.5. From 9.0
+/// `wanted` where ptxas spills registers if it chooses the number itself: on 8.0 to 8.9, and from PTX of 7.5. From 9.0
 /// on 0, its own choice.
 constexpr int resident_before_90([[maybe_unused]] int wanted) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 900
@@ -45,7 +45,7 @@ constexpr int resident_before_90([[maybe_unused]] int wanted) {
   return 0;
 #endif
 }
-/// The same on 9.0, where it was measured to be faster. Elsewhere 0, ptxas's choice.
+/// `wanted` on 9.0, where it was measured to be faster. Elsewhere 0, ptxas's choice.
 constexpr int resident_on_90([[maybe_unused]] int wanted) {
 #if defined(__CUDA_ARCH__) && __CUDA_ARCH__ == 900
   return wanted;

@@ -55,30 +55,27 @@ struct TurboRuns {
   }
 };
 
-/// Reads runs that are long in the mean: a warp a run, so that no lane searches for its entry's run.
+/// Calls f(entry) for every entry, without a barrier: for entries whose positions do not matter. All threads of the
+/// block call it. A warp takes 32 entries of a run at a time, so that no lane searches for its entry's run.
 template <int Threads, class F>
 __device__ void for_each_by_warps(const TurboRuns& list, const F& f) {
   constexpr std::uint32_t kWarps = Threads / 32;
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  for (std::uint32_t begin = warp; begin < list.n_runs; begin += Threads) {
-    const std::uint32_t own = begin + kWarps * lane;
-    const TurboRun run = own < list.n_runs ? list.runs[own] : TurboRun{0, 0};
-    const std::uint32_t n_runs = math::min((list.n_runs - begin + kWarps - 1) / kWarps, 32u);
-    // The next 32 entries are loaded before f() takes these.
-    std::uint32_t at = 0, first = 0, n = 0;  // the run's entries, as far as they are not loaded
-    const auto load = [&](std::uint32_t r, std::uint32_t done) {
-      first = __shfl_sync(kFullWarp, run.begin, static_cast<int>(r)) + done;
-      n = __shfl_sync(kFullWarp, run.n, static_cast<int>(r)) - done;
-      return lane < n ? list.entries[first + lane] : TurboEntry{0};
+  for (std::uint32_t begin = 0; begin < list.n_runs; begin += 32) {
+    const TurboRun run = begin + lane < list.n_runs ? list.runs[begin + lane] : TurboRun{0, 0};
+    const std::uint32_t own_pieces = (run.n + 31) / 32, end = inclusive_warp_sum(own_pieces);
+    const std::uint32_t n_pieces = __shfl_sync(kFullWarp, end, 31);
+    const auto load = [&](std::uint32_t piece) {
+      const int owner = __ffs(static_cast<int>(__ballot_sync(kFullWarp, end > piece))) - 1;
+      const std::uint32_t k = 32 * (piece - __shfl_sync(kFullWarp, end - own_pieces, owner)) + lane;
+      const std::uint32_t first = __shfl_sync(kFullWarp, run.begin, owner), n = __shfl_sync(kFullWarp, run.n, owner);
+      return k < n ? list.entries[first + k] : TurboEntry{0};
     };
-    TurboEntry ahead = load(0, 0);
-    for (std::uint32_t done = 0; at < n_runs;) {
-      const TurboEntry entry = ahead;
-      const bool is_some = lane < n;
-      done += 32;
-      if (n <= 32) ++at, done = 0;
-      if (at < n_runs) ahead = load(at, done);
-      if (is_some) f(entry);
+    TurboEntry next = warp < n_pieces ? load(warp) : TurboEntry{0};
+    for (std::uint32_t piece = warp; piece < n_pieces; piece += kWarps) {
+      const TurboEntry entry = next;
+      if (piece + kWarps < n_pieces) next = load(piece + kWarps);
+      if (entry != 0) f(entry);  // an entry touches a cell
     }
   }
 }

@@ -81,8 +81,7 @@ struct alignas(16) TurboLongList {
 inline constexpr std::uint32_t kTurboBins = 1024;
 inline constexpr std::uint32_t kTurboSlice = 1024;  ///< least average number of entries of a list's slices
 /// Entries of a slice of a list of n in a frame of `entries`: short slices if there are few entries, so that all blocks
-/// get some, of which 256 multiprocessors hold 2,048; longer ones for a long list, since its slices add to the same
-/// bins.
+/// get some; longer ones for a long list, since its slices add to the same bins.
 RGS_HD constexpr std::uint32_t turbo_slice(std::uint64_t entries, std::uint32_t n) {
   return static_cast<std::uint32_t>(math::clamp(math::max(entries / 2048, std::uint64_t{n / 16}),
                                                 std::uint64_t{kTurboSlice}, std::uint64_t{4 * kTurboSlice}));

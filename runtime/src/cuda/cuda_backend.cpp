@@ -49,7 +49,7 @@ struct FrameMaker {
 };
 
 Result<std::unique_ptr<FrameMaker>> FrameMaker::create(const DeviceAllocator& allocator) {
-  auto renderer = CudaRenderer::create({.allocator = allocator});
+  auto renderer = CudaRenderer::create({.allocator = allocator, .frames_in_flight = PictureBatch::kFramesInFlight});
   if (!renderer) return tl::unexpected(renderer.error());
   auto memory = DeviceMemory::create(allocator);
   if (!memory) return tl::unexpected(memory.error());

@@ -30,9 +30,9 @@ class Event {
   Status create(unsigned flags = cudaEventDisableTiming) {
     return device_status(cudaEventCreateWithFlags(&event_, flags), "an event could not be made");
   }
-  Status record(cudaStream_t stream) const { return record(stream, cudaEventRecordDefault); }
-  /// On a stream whose work becomes a graph: recorded when the graph runs. record() orders the graph's work alone.
-  Status record_in_graph(cudaStream_t stream) const { return record(stream, cudaEventRecordExternal); }
+  Status record(cudaStream_t stream) const {
+    return device_status(cudaEventRecord(event_, stream), "an event could not be recorded");
+  }
   /// Work queued on `stream` from now on waits for the event.
   Status hold(cudaStream_t stream) const {
     return device_status(cudaStreamWaitEvent(stream, event_), "a stream could not be made to wait");
@@ -52,10 +52,6 @@ class Event {
   cudaEvent_t get() const { return event_; }
 
  private:
-  Status record(cudaStream_t stream, unsigned flags) const {
-    return device_status(cudaEventRecordWithFlags(event_, stream, flags), "an event could not be recorded");
-  }
-
   cudaEvent_t event_ = nullptr;
 };
 
@@ -76,54 +72,6 @@ class OwnedStream {
 
  private:
   cudaStream_t stream_ = nullptr;
-};
-
-/// A graph of work. Null, or owned.
-class Graph {
- public:
-  Graph() = default;
-  Graph(const Graph&) = delete;
-  Graph& operator=(const Graph&) = delete;
-  ~Graph() {
-    if (graph_ != nullptr) cudaGraphDestroy(graph_);
-  }
-  cudaGraph_t get() const { return graph_; }
-  cudaGraph_t* put() { return &graph_; }
-
- private:
-  cudaGraph_t graph_ = nullptr;
-};
-
-/// A graph made ready to run. It takes a new graph of the same shape at little cost.
-class RunnableGraph {
- public:
-  RunnableGraph() = default;
-  RunnableGraph(const RunnableGraph&) = delete;
-  RunnableGraph& operator=(const RunnableGraph&) = delete;
-  ~RunnableGraph() { clear(); }
-
-  /// Queues the graph's work. Errors: device_failed.
-  Status launch(const Graph& graph, cudaStream_t stream) {
-    cudaGraphExecUpdateResultInfo info{};
-    if (exec_ != nullptr && cudaGraphExecUpdate(exec_, graph.get(), &info) != cudaSuccess) {
-      cudaGetLastError();
-      clear();
-    }
-    Status ok;
-    if (exec_ == nullptr) {
-      ok = device_status(cudaGraphInstantiate(&exec_, graph.get(), cudaGraphInstantiateFlagUseNodePriority),
-                         "a frame's graph could not be made");
-    }
-    return ok ? device_status(cudaGraphLaunch(exec_, stream), "a frame's graph could not be launched") : ok;
-  }
-
- private:
-  void clear() {
-    if (exec_ != nullptr) cudaGraphExecDestroy(exec_);
-    exec_ = nullptr;
-  }
-
-  cudaGraphExec_t exec_ = nullptr;
 };
 
 /// Copies device memory to any host memory and waits for it. Avoids what blocks launches of other threads:

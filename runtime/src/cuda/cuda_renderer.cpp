@@ -272,6 +272,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
           detail::depth_resolution(settings, frame.view.key.depth_bits, camera, scene.declarations());
     }
     if (ok = w.queue(frame); !ok) {
+      w.last = {};
       w.state.wait_for_all();  // the caller may free the scene
       return tl::unexpected(ok.error());
     }

@@ -111,7 +111,10 @@ struct FrameState {
     const bool is_stage = m != kStart && m != kBlended;
     if (!f.settings.cuda.timings || (is_stage && !f.settings.cuda.stage_timings)) return {};
     const Event& event = f.readback->marks[m];
-    return f.is_graph ? event.record_in_graph(on) : event.record(on);
+    if (!f.is_graph) return event.record(on);
+    // Not a part of the graph's order, but recorded when it runs.
+    return device_status(cudaEventRecordWithFlags(event.get(), on, cudaEventRecordExternal),
+                         "an event could not be recorded");
   }
   Status fetch(void* to, const void* from, std::uint64_t size, CudaStream stream) const {
     return device_status(cudaMemcpyAsync(to, from, size, cudaMemcpyDeviceToHost, stream),

@@ -59,7 +59,7 @@ Status PictureBatch::add_lane() {
   if (lanes_.empty()) {
     lane->renderer = &first_;
   } else {
-    auto renderer = CudaRenderer::create();
+    auto renderer = CudaRenderer::create({.frames_in_flight = kFramesInFlight});
     if (!renderer) return tl::unexpected(renderer.error());
     lane->own = std::make_unique<CudaRenderer>(*std::move(renderer));
     lane->renderer = lane->own.get();
@@ -147,7 +147,7 @@ Status PictureBatch::draw(const DeviceScene& scene, std::span<const Camera> came
   };
   const auto settings = resolve(options, scene.declarations(), Backend::cuda);
   const bool is_queued = settings && settings->cuda.asynchronous;
-  const std::size_t most = lanes.size() * (is_queued ? CudaRendererOptions().frames_in_flight : 1);
+  const std::size_t most = lanes.size() * (is_queued ? kFramesInFlight : 1);
   std::size_t n_queued = 0;
   for (; n_queued < cameras.size(); ++n_queued) {
     if (n_queued >= most) finish(n_queued - most);

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <vector>
@@ -14,10 +15,13 @@
 
 namespace rgs::detail {
 
-/// Small frames leave most of a device idle, and each waits for the host. So several renderers, each with a workspace
-/// and a stream, draw them in turn.
+/// Small frames leave most of a device idle. So several renderers, each with a workspace, a stream and several frames
+/// in flight, draw them in turn.
 class PictureBatch {
  public:
+  /// Of each renderer, also of `first`.
+  static constexpr std::uint32_t kFramesInFlight = 3;
+
   /// `first` is one of the renderers and must outlive this.
   PictureBatch(CudaRenderer& first, std::shared_ptr<const DeviceMemory> memory)
       : first_(first), memory_(std::move(memory)) {}

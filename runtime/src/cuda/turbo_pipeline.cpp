@@ -194,7 +194,7 @@ Status TurboPipeline::launch(const Frame& f) {
   return ok ? state_.fetch_counted(f, &arrays.state->counters) : ok;
 }
 
-// The same as one graph, which takes the host less than half the time of a dozen launches.
+// The same as one graph, which takes the host less time than a dozen launches.
 Status TurboPipeline::launch_graph(const Frame& f) {
   Frame captured = f;
   captured.stream = captured_.get();
@@ -204,7 +204,8 @@ Status TurboPipeline::launch_graph(const Frame& f) {
   if (!ok) return ok;
   ok = launch(captured);
   Graph graph;
-  const Status ended = device_status(cudaStreamEndCapture(captured_.get(), graph.put()), "a frame could not be captured");
+  const Status ended =
+      device_status(cudaStreamEndCapture(captured_.get(), graph.put()), "a frame could not be captured");
   if (ok) ok = ended;
   return ok ? graph_.launch(graph, f.stream) : ok;
 }
@@ -213,9 +214,8 @@ Status TurboPipeline::queue(const Frame& f) {
   Status ok = state_.begin(f);
   if (!ok) return ok;
   ok = reserve_tiles(f);
-  // A graph begins later, which a caller that waits would notice, and copies no cut from memory that is not page-locked.
-  const bool is_copied = f.cut && f.scene->pages->chosen;
-  if (ok) ok = f.settings.cuda.asynchronous && !is_copied ? launch_graph(f) : launch(f);
+  // A graph begins later, which a caller that waits would notice.
+  if (ok) ok = f.settings.cuda.asynchronous ? launch_graph(f) : launch(f);
   const Status ended = state_.end(f);
   return ok ? ended : ok;
 }

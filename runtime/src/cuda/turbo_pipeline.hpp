@@ -4,6 +4,7 @@
 
 #include <cstdint>
 
+#include "cuda/frame_graph.hpp"
 #include "cuda/frame_state.hpp"
 #include "turbo/turbo.hpp"
 
