@@ -259,8 +259,8 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
       if (s.bins[k] > 0) s.bins[k] = atomicAdd(places + k, s.bins[k]);
     }
     __syncthreads();
-    for_each_by_warps<kThreads>(
-        runs, [&](TurboEntry entry) { a.scratch[atomicAdd(s.bins + bins.of(entry), 1u)] = entry; });
+    for_each_by_warps<kThreads>(runs,
+                                [&](TurboEntry entry) { a.scratch[atomicAdd(s.bins + bins.of(entry), 1u)] = entry; });
     __syncthreads();
   }
 }
