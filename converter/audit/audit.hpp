@@ -62,7 +62,7 @@ struct Options {
   std::vector<std::string> also;  ///< other files of the same scene, measured like the asset
   std::string cameras;            ///< camera file or COLMAP folder; empty: views on a circle around the scene
   std::string split;              ///< train, test, all; empty: test if there are more than 32 cameras, else all
-  std::string photos;             ///< folder of undistorted photographs named like the cameras; may be empty
+  std::string photos;             ///< folder of photographs named like the cameras; may be empty
   tool::ImageSize size;           ///< of all views; 0: the cameras' own, 1280x720 without cameras
   int views = 8;                  ///< number of views without cameras
   int worst = 4;                  ///< without cameras, further views: the worst ones of a search

@@ -18,6 +18,7 @@
 #include "audit_search.hpp"
 #include "audit_video.hpp"
 #include "rgs/ablation.hpp"
+#include "rgs/camera_view.hpp"
 #include "rgs/image_metrics.hpp"
 #include "scene_file.hpp"
 
@@ -56,13 +57,6 @@ Image clamped(const Image& image) {
 double drawn_share(std::span<const float> alpha) {
   const auto n = std::count_if(alpha.begin(), alpha.end(), [](float a) { return a > 0; });
   return static_cast<double>(n) / static_cast<double>(alpha.size());
-}
-
-bool in_view(const Camera& camera, const glm::dvec3& mean_world) {
-  const glm::dvec4 p = camera.world_to_camera * glm::dvec4(mean_world, 1);
-  if (!(p.z > static_cast<double>(math::kNearPlane))) return false;
-  const double u = camera.fx * p.x / p.z + camera.cx, v = camera.fy * p.y / p.z + camera.cy;
-  return u >= 0 && u < camera.width && v >= 0 && v < camera.height;
 }
 
 Image minus(const Image& a, const Image& b) {
@@ -380,10 +374,14 @@ class PictureAudit {
   template <class File>
   std::uint64_t n_unseen(const File& file, const Origin& origin) const {
     std::atomic<std::uint64_t> n = 0;
+    std::vector<math::View<double>> views;
+    views.reserve(report_.cameras.size());
+    for (const Camera& c : report_.cameras)
+      views.push_back(view_of(c, kNoOrigin, static_cast<double>(math::kNearPlane), 0.0));
     for_each_mean(file, [&](std::uint64_t, const float* mean) {
       const glm::dvec3 offset(mean[0], mean[1], mean[2]);
       const glm::dvec3 mean_world = glm::dvec3(origin[0], origin[1], origin[2]) + offset;
-      if (std::ranges::none_of(report_.cameras, [&](const Camera& c) { return in_view(c, mean_world); })) ++n;
+      if (std::ranges::none_of(views, [&](const auto& view) { return see(view, mean_world).is_in_picture; })) ++n;
     });
     return n;
   }

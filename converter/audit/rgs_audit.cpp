@@ -290,7 +290,7 @@ void add_options(CLI::App& app, Arguments& a) {
                  "Asset made from it, in any of these formats; or a folder of files with the same names")
       ->required();
   app.add_option("--cameras,-c", o.cameras, "Views to compare: camera file or COLMAP folder (docs/user/CAMERAS.md)");
-  app.add_option("--photos", o.photos, "Folder of the cameras' undistorted photographs, by name")->needs("--cameras");
+  app.add_option("--photos", o.photos, "Folder of the cameras' photographs, by name")->needs("--cameras");
   app.add_option("--report,-o", a.report, "Write the report as one HTML file; for two folders, a folder");
   app.add_option("--json", a.json, "Write the results as JSON (docs/user/AUDIT_JSON.md); - for standard output");
   app.add_option("--junit", a.junit, "Write each condition of each scene as a JUnit XML test case, for CI systems")

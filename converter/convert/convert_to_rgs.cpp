@@ -12,6 +12,7 @@
 #include <algorithm>
 #include <atomic>
 #include <bit>
+#include <iterator>
 #include <limits>
 
 #include "convert.hpp"
@@ -142,9 +143,13 @@ Status encode_batches(const SplatSource& source, SceneWriter& writer, const Stag
 FirstView choose_view(const EncodeOptions& encode, std::span<const Camera> cameras, const FirstViewSample& sample) {
   constexpr std::size_t kMostViews = 64;
   const auto list = [](const glm::dvec3& v) { return std::array{v.x, v.y, v.z}; };
-  std::vector<CandidateView> views(std::min(cameras.size(), kMostViews));
+  std::vector<Camera> pinholes;  // a first view is one; with a lens, cameras see nearly the same
+  std::ranges::copy_if(cameras, std::back_inserter(pinholes), [](const Camera& camera) {
+    return camera.model == CameraModel::pinhole || camera.model == CameraModel::opencv;
+  });
+  std::vector<CandidateView> views(std::min(pinholes.size(), kMostViews));
   for (std::size_t i = 0; i < views.size(); ++i) {
-    const Camera& camera = cameras[i * cameras.size() / views.size()];
+    const Camera& camera = pinholes[i * pinholes.size() / views.size()];
     const glm::dvec3 at = camera_centre(camera) - glm::dvec3(encode.origin[0], encode.origin[1], encode.origin[2]);
     views[i] = {list(at), list(camera_axis(camera, 2)), list(-camera_axis(camera, 1)), camera.width / (2 * camera.fx),
                 camera.height / (2 * camera.fy)};
@@ -152,7 +157,7 @@ FirstView choose_view(const EncodeOptions& encode, std::span<const Camera> camer
   Declarations declared;
   declared.axes = encode.axes;
   const glm::dvec3 up = cameras.empty() ? declared_up(declared) : mean_up(cameras);
-  return choose_first_view(sample, list(up), cameras.empty(), views);
+  return choose_first_view(sample, list(up), pinholes.empty(), views);
 }
 
 Result<WrittenScene> write_plain(const SplatSource& source, AtomicFile& file, const SceneScan& scan,

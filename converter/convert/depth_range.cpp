@@ -3,8 +3,9 @@
 #include "depth_range.hpp"
 
 #include <algorithm>
-#include <glm/mat4x3.hpp>
 #include <vector>
+
+#include "rgs/camera_view.hpp"
 
 namespace rgs {
 namespace {
@@ -27,14 +28,10 @@ Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std
   for (std::size_t c = 0; c < n_cameras; ++c) {
     const Camera& camera = cameras[c * cameras.size() / n_cameras];
     if (const Status s = validate(camera); !s) return tl::unexpected(s.error());
-    const glm::dmat4x3 m(camera.world_to_camera);
+    const auto view = view_of(camera, kNoOrigin, kNearPlane, 0.0);
     for (std::size_t k = 0; k < n_means; ++k) {
-      const glm::dvec3 p = m * glm::dvec4(centre + glm::dvec3(points[k * n / n_means]), 1);
-      const double z = p.z;
-      if (!(z > kNearPlane)) continue;
-      const double u = camera.fx * p.x / z + camera.cx;
-      const double v = camera.fy * p.y / z + camera.cy;
-      if (u >= 0 && u < camera.width && v >= 0 && v < camera.height) depths.push_back(static_cast<float>(z));
+      const SeenPoint p = see(view, centre + glm::dvec3(points[k * n / n_means]));
+      if (p.is_in_picture) depths.push_back(static_cast<float>(p.depth));
     }
   }
   if (depths.empty()) {

@@ -152,7 +152,12 @@ int check_outputs(const Arguments& a, const std::vector<std::string>& pictures, 
 audit::Outcome<std::vector<audit::View>> views_of(const Arguments& a, const std::string& folder) {
   audit::Options options = a.views;
   options.photos = folder;
-  return audit::choose_views(options, {}, rgs::kNoOrigin);
+  auto views = audit::choose_views(options, {}, rgs::kNoOrigin);
+  if (views &&
+      std::ranges::any_of(*views, [](const audit::View& v) { return v.camera.model != rgs::CameraModel::pinhole; }))
+    return audit::make_error(options.cameras, {rgs::Errc::unsupported_feature, rgs::Error::kNone,
+                                               "other programs draw pinhole cameras alone; name a file with these"});
+  return views;
 }
 
 int read_pictures(const std::vector<audit::View>& views, judge::Report& report) {

@@ -12,23 +12,29 @@ from ._errors import make
 from ._library import call
 
 _MOST_PIXELS = 65536  # of a side
+MODELS = ("pinhole", "opencv", "opencv_fisheye", "equirectangular", "orthographic")  # as the library numbers them
+_DISTORTIONS = 8
 
 
 class Camera:
-    """A pinhole camera, which never changes; roofgs.cameras says which frames it has.
+    """A camera, which never changes; roofgs.cameras says which frames it has.
 
     Parameters
     ----------
     width, height : int
         Pixels, 1 to 65536.
     fx, fy : float
-        Focal lengths, pixels; fy is fx unless it is given.
+        Focal lengths, pixels, per radian if equirectangular, per world unit if orthographic; fy is fx unless it is given.
     cx, cy : float
         Principal point, pixels from the left and upper edges; the middle unless it is given.
     world_to_camera : array [4, 4]
         Rigid motion to x right, y down, z forward. Without one the camera is in the world's origin.
     name : str
         Usually the photograph's file name.
+    model : str
+        "pinhole", "opencv", "opencv_fisheye", "equirectangular" or "orthographic".
+    distortion : sequence of float
+        Up to 8: k1 k2 p1 p2 k3 k4 k5 k6 of opencv, k1 k2 k3 k4 of opencv_fisheye; those left out are 0.
     """
 
     __slots__ = ("_name", "_numbers")
@@ -36,16 +42,24 @@ class Camera:
     _numbers: Tuple[float, ...]  # as the library takes them
 
     def __init__(self, width: int, height: int, fx: float, fy: Optional[float] = None, cx: Optional[float] = None,
-                 cy: Optional[float] = None, world_to_camera: Any = None, name: str = "") -> None:
+                 cy: Optional[float] = None, world_to_camera: Any = None, name: str = "", model: str = "pinhole",
+                 distortion: Sequence[float] = ()) -> None:
         matrix = np.eye(4) if world_to_camera is None else np.asarray(world_to_camera, dtype=np.float64)
         if matrix.shape != (4, 4):
             raise make("bad_camera", "world_to_camera is a matrix of 4 rows and 4 columns")
         if not isinstance(name, str):
             raise TypeError(f"a camera's name is a str, not {type(name).__name__}")
+        if model not in MODELS:
+            raise make("bad_camera", f"the camera model {model!r} is not one of {', '.join(MODELS)}")
+        coefficients = [float(value) for value in distortion]
+        if len(coefficients) > _DISTORTIONS:
+            raise make("bad_camera", f"a distortion has at most {_DISTORTIONS} coefficients")
+        coefficients += [0.0] * (_DISTORTIONS - len(coefficients))
         width, height = side(width), side(height)
         self._name = name
         self._numbers = (width, height, float(fx), float(fx if fy is None else fy), width / 2 if cx is None else float(cx),
-                         height / 2 if cy is None else float(cy), *matrix.ravel().tolist())
+                         height / 2 if cy is None else float(cy), *matrix.ravel().tolist(),
+                         MODELS.index(model), *coefficients)
         call("check_cameras", file=name or None, **packed([self]))
 
     @classmethod
@@ -93,7 +107,17 @@ class Camera:
     @property
     def world_to_camera(self) -> "NDArray[np.float64]":
         """[4, 4], a copy."""
-        return np.array(self._numbers[6:]).reshape(4, 4)
+        return np.array(self._numbers[6:22]).reshape(4, 4)
+
+    @property
+    def model(self) -> str:
+        """"pinhole", "opencv", "opencv_fisheye", "equirectangular" or "orthographic"."""
+        return MODELS[int(self._numbers[22])]
+
+    @property
+    def distortion(self) -> Tuple[float, ...]:
+        """8 coefficients, 0 where the model has none."""
+        return tuple(self._numbers[23:])
 
     @property
     def centre(self) -> List[float]:
@@ -124,7 +148,7 @@ class Camera:
                 f"at ({x:.4g}, {y:.4g}, {z:.4g})>")
 
     def __reduce__(self) -> "tuple[Any, ...]":
-        return Camera, (*self._numbers[:6], self.world_to_camera, self._name)
+        return Camera, (*self._numbers[:6], self.world_to_camera, self._name, self.model, self.distortion)
 
 
 def side(pixels: int) -> int:

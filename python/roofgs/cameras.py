@@ -81,6 +81,7 @@ def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: boo
         parts = {id(camera): split for split in ("train", "test") for camera in getattr(cameras, split)}
     rows = [{"name": camera.name, "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
              "cx": camera.cx, "cy": camera.cy, "world_to_camera": camera.world_to_camera.tolist(),
+             **({"model": camera.model, "distortion": camera.distortion} if camera.model != "pinhole" else {}),
              **({"split": parts[id(camera)]} if id(camera) in parts else {})} for camera in cameras]
     name = local_name(path)
     call("write_cameras", file=name, path=b"./-" if name == b"-" else name, json=json.dumps(rows, indent=1), overwrite=bool(overwrite))

@@ -77,8 +77,8 @@ inline Json numbers(const glm::dvec3& v) {
 Scene scene_of(const Json& a);
 Json give_scene(const Json& a, Scene scene);
 
-/// `n` cameras of the array `cameras`, FP64 [n, 22]: width, height, fx, fy, cx, cy, world_to_camera by rows. Without
-/// names.
+/// `n` cameras of the array `cameras`, FP64 [n, 31]: width, height, fx, fy, cx, cy, world_to_camera by rows, model,
+/// distortion. Without names.
 std::vector<Camera> cameras_of(const Json& a);
 
 }  // namespace rgs::python

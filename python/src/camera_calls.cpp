@@ -13,11 +13,13 @@
 namespace rgs::python {
 namespace {
 
-constexpr std::size_t kNumbers = 22;
+constexpr std::size_t kNumbers = 31;
 
 Json numbers_of(const Camera& c) {
   Json row{c.width, c.height, c.fx, c.fy, c.cx, c.cy};
   for (const double value : row_major(c.world_to_camera)) row.push_back(value);
+  row.push_back(static_cast<int>(c.model));
+  for (const double value : c.distortion) row.push_back(value);
   return row;
 }
 Json rows_of(std::span<const Camera> cameras) {
@@ -102,6 +104,8 @@ std::vector<Camera> cameras_of(const Json& a) {
     std::array<double, 16> matrix{};
     std::copy_n(row + 6, matrix.size(), matrix.begin());
     c.world_to_camera = from_row_major(matrix);
+    c.model = static_cast<CameraModel>(row[22]);
+    std::copy_n(row + 23, c.distortion.size(), c.distortion.begin());
     row += kNumbers;
   }
   return cameras;

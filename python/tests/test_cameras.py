@@ -1,6 +1,7 @@
 """Cameras. SPDX-License-Identifier: Apache-2.0"""
 import copy
 import json
+import math
 import pickle
 
 import numpy as np
@@ -123,6 +124,22 @@ def test_saving_replaces_nothing_unasked(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     cameras.save("-", roofgs.Camera(8, 8, 10))  # no standard stream
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["-", "one.json"]
+
+
+def test_models_are_saved_and_loaded(tmp_path):
+    views = [roofgs.Camera(64, 48, 50, name="lens", model="opencv", distortion=(0.1, -0.02, 1e-3, -2e-3, 0.003, 0.004, 0.005, 0.006)),
+             roofgs.Camera(64, 48, 20, name="fisheye", model="opencv_fisheye", distortion=(0.1, -0.02)),
+             roofgs.Camera(64, 32, 64 / (2 * math.pi), name="panorama", model="equirectangular"),
+             roofgs.Camera(64, 48, 20, name="map", model="orthographic"), roofgs.Camera(64, 48, 50, name="pinhole")]
+    assert views[1].distortion == (0.1, -0.02, 0, 0, 0, 0, 0, 0) and views[4].model == "pinhole"
+    cameras.save(tmp_path / "models.json", views)
+    assert cameras.load(tmp_path / "models.json") == views == pickle.loads(pickle.dumps(views))
+    assert views[0].resized(32, 24).distortion == views[0].distortion
+    for wrong in (dict(model="OPENCV"), dict(distortion=(0.1,)), dict(model="opencv", distortion=[0] * 9),
+                  dict(model="opencv_fisheye", distortion=(0, 0, 0, 0, 1)), dict(model="equirectangular")):
+        with pytest.raises(roofgs.ArgumentError) as caught:
+            roofgs.Camera(64, 48, 5, **wrong)
+        assert caught.value.code == "bad_camera"
 
 
 def test_names_that_are_no_text(tmp_path):

@@ -28,7 +28,7 @@ constexpr double kRounding = 1e-5;
 }  // namespace
 
 ViewVolume::ViewVolume(const math::View<float>& view, float low_pass) {
-  if (view.width == 0) return;
+  if (view.width == 0 || view.model != math::CameraModel::pinhole) return;
   const auto d = [](float value) { return static_cast<double>(value); };
   eye_ = {d(view.position.x) + d(view.position_low.x), d(view.position.y) + d(view.position_low.y),
           d(view.position.z) + d(view.position_low.z)};

@@ -14,7 +14,7 @@ namespace rgs::pages {
 class ViewVolume {
  public:
   ViewVolume() = default;                                     ///< sees everything
-  ViewVolume(const math::View<float>& view, float low_pass);  ///< of width 0: sees everything
+  ViewVolume(const math::View<float>& view, float low_pass);  ///< of width 0, or no pinhole: sees everything
   /// False only if no Gaussian of the box changes a pixel; the box must hold means and 3 standard deviations along each
   /// axis (lod::Page::bounds). Monotone: false for a box implies false for any box inside it.
   bool may_show(const Box& box) const;

@@ -7,6 +7,7 @@
 #include <glm/matrix.hpp>
 #include <limits>
 
+#include "rgs/camera_view.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/paged_file.hpp"
 
@@ -67,8 +68,10 @@ lod::Eye detail::eye_of(const Camera& camera, const Origin& origin, float z_near
   for (int k = 0; k < 3; ++k) {
     eye.position[static_cast<std::size_t>(k)] = camera_to_world[3][k] - origin[static_cast<std::size_t>(k)];
   }
-  eye.focal_px = std::max(camera.fx, camera.fy);
+  eye.focal_px = math::pixels_per_radian(view_of(camera, origin, 0.0, 0.0));
   eye.z_near = static_cast<double>(z_near);
+  // Parallel rays have so many pixels a world unit at every distance; no page is as far away as this.
+  if (constexpr double kFar = 1e30; camera.model == CameraModel::orthographic) eye.focal_px *= kFar, eye.z_near = kFar;
   return eye;
 }
 
@@ -185,11 +188,12 @@ double depth_resolution(const FrameSettings& settings, int depth_bits, const Cam
   if (!declared) return step;
   const SceneBounds box = declared_bounds(*declared);
   if (box.low == box.high) return step;  // only files' declarations have a box
+  const auto view = view_of(camera, kNoOrigin, 0.0, 0.0);
   double low = std::numeric_limits<double>::infinity(), high = -low, middle = 0;
   for (int corner = 0; corner < 8; ++corner) {
-    const glm::dvec4 at(corner & 1 ? box.high.x : box.low.x, corner & 2 ? box.high.y : box.low.y,
-                        corner & 4 ? box.high.z : box.low.z, 1);
-    const double z = (camera.world_to_camera * at).z;
+    const glm::dvec3 at(corner & 1 ? box.high.x : box.low.x, corner & 2 ? box.high.y : box.low.y,
+                        corner & 4 ? box.high.z : box.low.z);
+    const double z = see(view, at).depth;
     low = std::min(low, z), high = std::max(high, z), middle += z / 8;
   }
   const double drawn = static_cast<double>(settings.near_plane);
@@ -209,10 +213,7 @@ Status validate(const RenderTarget& t, const Camera& camera) {
 }
 
 math::View<float> make_view(const Camera& camera, const Origin& origin, const FrameSettings& settings) {
-  double matrix[16];
-  std::ranges::copy(row_major(camera.world_to_camera), matrix);
-  return math::make_view<float>(matrix, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
-                                settings.near_plane, settings.far_plane, {origin[0], origin[1], origin[2]});
+  return view_of(camera, origin, settings.near_plane, settings.far_plane);
 }
 
 }  // namespace detail

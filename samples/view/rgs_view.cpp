@@ -4,6 +4,7 @@
 #include <signal.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
@@ -133,6 +134,9 @@ int look_at(const Options& options, Shown& shown) {
   if (options.cameras.empty()) return tool::kSuccess;
   auto set = rgs::read_camera_set(options.cameras);
   if (!set) return tool::report(options.cameras, set.error());
+  if (std::ranges::any_of(set->cameras, [](const rgs::Camera& c) { return c.model != rgs::CameraModel::pinhole; }))
+    return tool::report(options.cameras, {rgs::Errc::unsupported_feature, rgs::Error::kNone,
+                                          "the page draws pinhole cameras alone; rgs-render draws the others"});
   if (!options.view.empty()) {
     const auto chosen = rgs::choose_cameras(*set, "", options.view);
     if (!chosen) return tool::report_usage(chosen.error());

@@ -1,9 +1,10 @@
-// camera.hpp - pinhole cameras, default views of scenes without cameras, and paths between cameras.
+// camera.hpp - cameras, default views of scenes without cameras, and paths between cameras.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Frames. Camera axes are OpenCV's: x right, y down, z forward. A world point p has camera coordinates
 // c = R p + t, where world_to_camera = [R t; 0 1], and lands at the image position
 //     u = fx * c.x / c.z + cx,    v = fy * c.y / c.z + cy    (pixels from the left and the upper edge of the image).
+// Other models than the pinhole: docs/format/RENDERING.md, "Camera models".
 // Pixel (i, j) covers [i, i + 1) x [j, j + 1) and is sampled at its centre (i + 1/2, j + 1/2), so cx = width / 2,
 // cy = height / 2 is the exact centre of the image. This is COLMAP's convention, and the original 3DGS one.
 #pragma once
@@ -12,10 +13,13 @@
 #include <cstdint>
 #include <glm/mat4x4.hpp>
 #include <glm/vec3.hpp>
+#include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
+#include "rgs/math/options.hpp"
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
@@ -26,12 +30,22 @@ struct Declarations;
 
 inline constexpr int kMaxImageSide = 65536;
 
+using math::CameraModel;
+
+/// "pinhole", "opencv", "opencv_fisheye", "equirectangular", "orthographic": as files and programs write it.
+const char* camera_model_name(CameraModel model);
+/// The model of that name.
+std::optional<CameraModel> find_camera_model(std::string_view name);
+
 struct Camera {
   std::string name;                ///< usually the photograph's file name; may be empty
   int width = 0, height = 0;       ///< pixels
-  double fx = 0, fy = 0;           ///< focal lengths, pixels
+  double fx = 0, fy = 0;           ///< focal lengths, px; equirectangular: px per rad; orthographic: px per world unit
   double cx = 0, cy = 0;           ///< principal point, pixels from the left and upper edges
   glm::dmat4 world_to_camera{1.};  ///< rigid motion, last row 0 0 0 1; as in all of GLM, [i] is a column and t is [3]
+  CameraModel model = CameraModel::pinhole;
+  /// k1 k2 p1 p2 k3 k4 k5 k6 of opencv, k1 k2 k3 k4 of opencv_fisheye, without unit; all others are 0.
+  std::array<double, math::kDistortions> distortion{};
 };
 
 static_assert(sizeof(glm::dvec3) == 24 && alignof(glm::dmat4) == alignof(double),
@@ -54,7 +68,8 @@ Result<Camera> make_camera(const glm::dmat4& world_to_camera, const Intrinsics& 
                            CameraAxes axes = CameraAxes::opencv);
 
 /// bad_camera unless sides are 1..kMaxImageSide, focal lengths positive, all finite, the upper 3x3 a rotation
-/// (orthonormal to 1e-3, determinant +1) and the last row 0 0 0 1.
+/// (orthonormal to 1e-3, determinant +1), the last row 0 0 0 1, coefficients that the model lacks 0, and an
+/// equirectangular image at most the full circle wide (to 1 px).
 Status validate(const Camera& camera);
 
 /// The same view at W x H pixels with the same horizontal field of view: s = W / width scales both focal lengths and
@@ -108,7 +123,8 @@ std::vector<Camera> orbit(const SceneBounds& bounds, int n, const ViewFormat& fo
 /// `n_frames` cameras along a smooth path through `keys` in order, first and last included. Positions follow a
 /// centripetal Catmull-Rom spline (Barry and Goldman 1988; Yuksel et al. 2011), orientations spherical linear
 /// interpolation (Shoemake 1985), focal lengths linear interpolation; frames are evenly spaced along the path. Image
-/// size is the first key's. Empty without keys or for n_frames < 1; one key is repeated.
+/// size is the first key's, the model that of the key before. Empty without keys or for n_frames < 1; one key is
+/// repeated.
 std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames);
 
 }  // namespace rgs

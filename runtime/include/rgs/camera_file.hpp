@@ -35,8 +35,8 @@ struct CameraSet {
 /// Reads the cameras of a JSON file or of a folder with a COLMAP sparse model (the folder itself, its `sparse/0` or its
 /// `sparse`; binary files are preferred to text). The content decides the format, not the name. Returns at least one
 /// camera, all valid (see validate()). Errors: open_failed, read_failed; bad_syntax (byte offset), truncated, bad_value
-/// (byte offset of the camera, its index in Error::found), trailing_bytes, unsupported_feature (lens distortion:
-/// undistort first), limit_exceeded (JSON above 256 MiB).
+/// (byte offset of the camera, its index in Error::found), trailing_bytes, unsupported_feature (a camera
+/// model that cannot be drawn: undistort first), limit_exceeded (JSON above 256 MiB).
 Result<CameraSet> read_camera_set(const std::string& path);
 /// The cameras alone.
 Result<std::vector<Camera>> read_cameras(const std::string& path);

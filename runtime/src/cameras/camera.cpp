@@ -5,11 +5,13 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <cstddef>
 #include <glm/geometric.hpp>
 #include <glm/gtc/matrix_access.hpp>
 #include <glm/gtc/quaternion.hpp>
 #include <glm/gtc/type_ptr.hpp>
 #include <glm/matrix.hpp>
+#include <iterator>
 #include <numbers>
 
 #include "cameras/camera_records.hpp"
@@ -95,7 +97,7 @@ Vec3 catmull_rom(const Vec3& p0, const Vec3& p1, const Vec3& p2, const Vec3& p3,
   return mix(b1, b2, t1, t2);
 }
 
-enum class Defect : std::size_t { none, side, focal, principal, pose, rigid };
+enum class Defect : std::size_t { none, side, focal, principal, pose, rigid, model, distortion, circle };
 
 // For a caller's camera and, with the camera's index in Error::found, for one in a file.
 constexpr const char* kDefectText[] = {"",
@@ -103,14 +105,20 @@ constexpr const char* kDefectText[] = {"",
                                        "focal lengths must be positive and finite",
                                        "the principal point is not finite",
                                        "the pose is not finite",
-                                       "the pose is not a rotation and a translation (scaled or mirrored?)"};
+                                       "the pose is not a rotation and a translation (scaled or mirrored?)",
+                                       "the camera model is unknown",
+                                       "a distortion coefficient is not finite, or the model has no such coefficient",
+                                       "an equirectangular image is wider than the full circle, 2 pi fx"};
 constexpr const char* kRecordDefectText[] = {
     "",
     "the camera of this index has an image side that is not an integer from 1 to 65536",
     "the camera of this index has a focal length that is not positive and finite",
     "the camera of this index has a principal point that is not finite",
     "the camera of this index has a pose that is not finite",
-    "the camera of this index has a pose that is not a rotation and a translation (scaled or mirrored?)"};
+    "the camera of this index has a pose that is not a rotation and a translation (scaled or mirrored?)",
+    "the camera of this index has an unknown model",
+    "the camera of this index has a distortion coefficient that is not finite, or that its model does not have",
+    "the camera of this index is equirectangular and wider than the full circle, 2 pi fx"};
 
 Defect defect(const Camera& camera) {
   const auto finite = [](double x) { return std::isfinite(x); };
@@ -124,10 +132,40 @@ Defect defect(const Camera& camera) {
   const double off = std::max({std::abs(glm::dot(x, x) - 1), std::abs(glm::dot(y, y) - 1), std::abs(glm::dot(z, z) - 1),
                                std::abs(glm::dot(x, y)), std::abs(glm::dot(y, z)), std::abs(glm::dot(z, x))});
   const bool last_row = glm::row(camera.world_to_camera, 3) == glm::dvec4(0, 0, 0, 1);
-  return last_row && off <= kRotationTolerance && glm::dot(glm::cross(x, y), z) > 0 ? Defect::none : Defect::rigid;
+  if (!(last_row && off <= kRotationTolerance && glm::dot(glm::cross(x, y), z) > 0)) return Defect::rigid;
+  if (camera.model > CameraModel::orthographic) return Defect::model;
+  const auto& k = camera.distortion;
+  const auto is_zero = [](double value) { return value == 0; };
+  const auto n = static_cast<std::ptrdiff_t>(detail::n_distortions(camera.model));
+  if (!std::all_of(k.begin(), k.begin() + n, finite) || !std::all_of(k.begin() + n, k.end(), is_zero))
+    return Defect::distortion;
+  const bool is_wide =
+      camera.model == CameraModel::equirectangular && camera.width > 2 * std::numbers::pi * camera.fx + 1;
+  return is_wide ? Defect::circle : Defect::none;
 }
 
+constexpr const char* kModelNames[] = {"pinhole", "opencv", "opencv_fisheye", "equirectangular", "orthographic"};
+
 }  // namespace
+
+const char* camera_model_name(CameraModel model) {
+  return kModelNames[static_cast<std::size_t>(model)];
+}
+
+std::optional<CameraModel> find_camera_model(std::string_view name) {
+  const auto* const found = std::ranges::find(kModelNames, name);
+  if (found == std::end(kModelNames)) return std::nullopt;
+  return static_cast<CameraModel>(found - std::begin(kModelNames));
+}
+
+std::size_t detail::n_distortions(CameraModel model) {
+  return model == CameraModel::opencv ? 8 : model == CameraModel::opencv_fisheye ? 4 : 0;
+}
+
+void detail::simplify(Camera& camera) {
+  const bool is_plain = std::ranges::all_of(camera.distortion, [](double k) { return k == 0; });
+  if (camera.model == CameraModel::opencv && is_plain) camera.model = CameraModel::pinhole;
+}
 
 Status validate(const Camera& camera) {
   const Defect found = defect(camera);
@@ -161,7 +199,7 @@ glm::dmat4 from_row_major(const std::array<double, 16>& matrix) {
 
 Result<Camera> make_camera(const glm::dmat4& world_to_camera, const Intrinsics& intrinsics, CameraAxes axes) {
   const auto& [width, height, fx, fy, cx, cy] = intrinsics;
-  Camera camera{{}, width, height, fx, fy, cx, cy, world_to_camera};
+  Camera camera{{}, width, height, fx, fy, cx, cy, world_to_camera, CameraModel::pinhole, {}};
   if (axes == CameraAxes::opengl) {
     for (int column = 0; column < 4; ++column) {
       camera.world_to_camera[column].y *= -1;
@@ -313,6 +351,9 @@ std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames
       camera.fy = std::lerp(a.fy, b.fy, t);
       camera.cx = std::lerp(a.cx, b.cx, t);
       camera.cy = std::lerp(a.cy, b.cy, t);
+      camera.model = a.model;
+      for (std::size_t k = 0; k < a.distortion.size(); ++k)
+        camera.distortion[k] = b.model == a.model ? std::lerp(a.distortion[k], b.distortion[k], t) : a.distortion[k];
     }
     camera.name = "frame_" + std::to_string(frame);
     path.push_back(camera);

@@ -12,6 +12,12 @@ namespace rgs::detail {
 /// validate(), but as the error of camera `index` of a file, whose record starts at byte `offset`: bad_value.
 Status validate_record(const Camera& camera, std::uint64_t offset, std::uint64_t index);
 
+/// Coefficients that the model has: the first ones of Camera::distortion.
+std::size_t n_distortions(CameraModel model);
+
+/// An opencv camera without distortion becomes the pinhole that it is.
+void simplify(Camera& camera);
+
 glm::dmat4 rigid_motion(const glm::dmat3& rotation, const glm::dvec3& translation);
 
 /// World to camera of a camera at `centre` whose axes in the world are the columns of `axes`.

@@ -20,30 +20,38 @@
 namespace rgs {
 namespace {
 
-// Models in the order of their numbers in cameras.bin, with the error message for those with lens distortion.
+// Models in the order of their numbers in cameras.bin. A record has one or two focal lengths, the principal point and
+// the coefficients, in the order of Camera::distortion.
 #define RGS_UNDISTORT(model)                                        \
   "the camera of this index is of " model                           \
   "; run colmap image_undistorter and use the model in its sparse " \
   "folder"
 struct Model {
   std::string_view name;
-  const char* refusal;  // empty: a pinhole camera
+  CameraModel model;
+  std::size_t n_focal, n_distortions;
+  const char* refusal = "";  // empty: it is read
+  constexpr std::size_t n_parameters() const { return n_focal + 2 + n_distortions; }
 };
+using enum CameraModel;
 constexpr Model kModels[] = {
-    {"SIMPLE_PINHOLE", ""},
-    {"PINHOLE", ""},
-    {"SIMPLE_RADIAL", RGS_UNDISTORT("model SIMPLE_RADIAL, which has lens distortion k")},
-    {"RADIAL", RGS_UNDISTORT("model RADIAL, which has lens distortion k1, k2")},
-    {"OPENCV", RGS_UNDISTORT("model OPENCV, which has lens distortion k1, k2, p1, p2")},
-    {"OPENCV_FISHEYE", RGS_UNDISTORT("model OPENCV_FISHEYE, which has lens distortion k1 to k4")},
-    {"FULL_OPENCV", RGS_UNDISTORT("model FULL_OPENCV, which has lens distortion k1 to k6, p1, p2")},
-    {"FOV", RGS_UNDISTORT("model FOV, which has lens distortion omega")},
-    {"SIMPLE_RADIAL_FISHEYE", RGS_UNDISTORT("model SIMPLE_RADIAL_FISHEYE, which has lens distortion k")},
-    {"RADIAL_FISHEYE", RGS_UNDISTORT("model RADIAL_FISHEYE, which has lens distortion k1, k2")},
-    {"THIN_PRISM_FISHEYE",
-     RGS_UNDISTORT("model THIN_PRISM_FISHEYE, which has lens distortion k1 to k4, p1, p2, sx1, sy1")}};
+    {"SIMPLE_PINHOLE", pinhole, 1, 0},
+    {"PINHOLE", pinhole, 2, 0},
+    {"SIMPLE_RADIAL", opencv, 1, 1},
+    {"RADIAL", opencv, 1, 2},
+    {"OPENCV", opencv, 2, 4},
+    {"OPENCV_FISHEYE", opencv_fisheye, 2, 4},
+    {"FULL_OPENCV", opencv, 2, 8},
+    {"FOV", opencv, 2, 1, RGS_UNDISTORT("model FOV, which cannot be drawn")},
+    {"SIMPLE_RADIAL_FISHEYE", opencv_fisheye, 1, 1},
+    {"RADIAL_FISHEYE", opencv_fisheye, 1, 2},
+    {"THIN_PRISM_FISHEYE", opencv_fisheye, 2, 8, RGS_UNDISTORT("model THIN_PRISM_FISHEYE, which cannot be drawn")}};
+constexpr std::size_t kMostParameters = 12;
 constexpr const char* kUnknownModel = RGS_UNDISTORT("a model unknown to this program");
 #undef RGS_UNDISTORT
+const char* refusal_of(const Model* model) {
+  return model != nullptr ? model->refusal : kUnknownModel;
+}
 constexpr std::uint64_t kImageBytes = 4 + 7 * 8 + 4 + 1 + 8;  // smallest record: empty name, no points
 
 // Little-endian reader whose first failure sticks.
@@ -97,15 +105,18 @@ class Cursor {
 // Lens and image size of a COLMAP camera; the pose is filled in by its images.
 using Lenses = std::map<std::uint32_t, Camera>;
 
-bool set_lens(Camera& camera, std::uint64_t width, std::uint64_t height, std::span<const double> parameters) {
+bool set_lens(Camera& camera, const Model& model, std::uint64_t width, std::uint64_t height,
+              std::span<const double> parameters) {
   if (width > kMaxImageSide || height > kMaxImageSide) return false;
   camera.width = static_cast<int>(width);
   camera.height = static_cast<int>(height);
-  const std::size_t n_focal = parameters.size() - 2;
   camera.fx = parameters[0];
-  camera.fy = parameters[n_focal - 1];
-  camera.cx = parameters[n_focal];
-  camera.cy = parameters[n_focal + 1];
+  camera.fy = parameters[model.n_focal - 1];
+  camera.cx = parameters[model.n_focal];
+  camera.cy = parameters[model.n_focal + 1];
+  camera.model = model.model;
+  std::ranges::copy(parameters.subspan(model.n_focal + 2), camera.distortion.begin());
+  detail::simplify(camera);
   return validate(camera).has_value();  // the pose is still the identity
 }
 
@@ -139,21 +150,20 @@ Result<Lenses> binary_lenses(std::span<const std::byte> bytes) {
   Lenses lenses;
   for (std::uint64_t i = 0; i < n; ++i) {
     const std::uint64_t start = in.offset();
-    const auto id = in.read<std::uint32_t>(), model = in.read<std::uint32_t>();
+    const auto id = in.read<std::uint32_t>(), number = in.read<std::uint32_t>();
     const auto width = in.read<std::uint64_t>(), height = in.read<std::uint64_t>();
-    if (in.ok() && model > 1) {
-      return make_error(Errc::unsupported_feature, start,
-                        model < std::size(kModels) ? kModels[model].refusal : kUnknownModel, Error::kNone, i);
-    }
-    double parameters[4] = {};
-    const std::size_t n_parameters = model == 0 ? 3 : 4;
+    const Model* const model = number < std::size(kModels) ? &kModels[number] : nullptr;
+    if (const char* const refusal = refusal_of(model); in.ok() && *refusal != '\0')
+      return make_error(Errc::unsupported_feature, start, refusal, Error::kNone, i);
+    double parameters[kMostParameters] = {};
+    const std::size_t n_parameters = in.ok() ? model->n_parameters() : 0;
     for (std::size_t k = 0; k < n_parameters; ++k) parameters[k] = in.read<double>();
     if (!in.ok()) return make_error(Errc::truncated, bytes.size(), "cameras.bin: ends inside a camera");
     Camera camera;
-    if (!set_lens(camera, width, height, std::span(parameters).first(n_parameters)))
+    if (!set_lens(camera, *model, width, height, std::span(parameters).first(n_parameters)))
       return make_error(Errc::bad_value, start,
-                        "cameras.bin: the camera of this index has an impossible size or focal length", Error::kNone,
-                        i);
+                        "cameras.bin: the camera of this index has an impossible size, focal length or distortion",
+                        Error::kNone, i);
     if (!lenses.emplace(id, camera).second)
       return make_error(Errc::bad_value, start, "cameras.bin: this camera id is used twice", Error::kNone, id);
   }
@@ -222,27 +232,25 @@ Result<Lenses> text_lenses(std::string_view text) {
   for (std::uint64_t i = 0; in.next_record(); ++i) {
     std::uint32_t id = 0;
     if (!in.number(id)) return make_error(Errc::bad_syntax, in.word_offset(), "cameras.txt: expected a camera id");
-    const std::string_view model = in.word();
-    if (model.empty())
+    const std::string_view name = in.word();
+    if (name.empty())
       return make_error(Errc::unsupported_feature, in.line_offset(), "cameras.txt: a camera without a model");
-    if (model != "PINHOLE" && model != "SIMPLE_PINHOLE") {
-      const auto* const known = std::ranges::find(kModels, model, &Model::name);
-      return make_error(Errc::unsupported_feature, in.line_offset(),
-                        known != std::end(kModels) ? known->refusal : kUnknownModel, Error::kNone, i);
-    }
+    const auto* const model = std::ranges::find(kModels, name, &Model::name);
+    if (const char* const refusal = refusal_of(model != std::end(kModels) ? model : nullptr); *refusal != '\0')
+      return make_error(Errc::unsupported_feature, in.line_offset(), refusal, Error::kNone, i);
     std::uint64_t width = 0, height = 0;
-    double parameters[4] = {};
-    const std::size_t n_parameters = model == "SIMPLE_PINHOLE" ? 3 : 4;
+    double parameters[kMostParameters] = {};
+    const std::size_t n_parameters = model->n_parameters();
     bool ok = in.number(width) && in.number(height);
     for (std::size_t k = 0; k < n_parameters; ++k) ok = ok && in.number(parameters[k]);
     if (!ok || !in.rest().empty())
       return make_error(Errc::bad_syntax, in.word_offset(),
                         "cameras.txt: expected WIDTH HEIGHT and the model's parameters");
     Camera camera;
-    if (!set_lens(camera, width, height, std::span(parameters).first(n_parameters)))
+    if (!set_lens(camera, *model, width, height, std::span(parameters).first(n_parameters)))
       return make_error(Errc::bad_value, in.line_offset(),
-                        "cameras.txt: the camera of this index has an impossible size or focal length", Error::kNone,
-                        i);
+                        "cameras.txt: the camera of this index has an impossible size, focal length or distortion",
+                        Error::kNone, i);
     if (!lenses.emplace(id, camera).second)
       return make_error(Errc::bad_value, in.line_offset(), "cameras.txt: this camera id is used twice", Error::kNone,
                         id);

@@ -1,10 +1,15 @@
 // cameras_json.cpp - the JSON camera formats: a plain list, cameras.json of 3DGS training, NeRF transforms.json.
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <exception>
 #include <glm/gtc/type_ptr.hpp>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <optional>
+#include <span>
+#include <string_view>
 #include <utility>
 
 #include "cameras/camera_records.hpp"
@@ -146,7 +151,7 @@ void read_size_and_focal(Fields& fields, Camera& camera) {
   camera.cy = fields.number("cy").value_or(0.5 * camera.height);
 }
 
-// {name, split, width, height, fx, fy, cx, cy, world_to_camera}
+// {name, split, width, height, fx, fy, cx, cy, model, distortion, world_to_camera}
 void read_list_entry(Fields& fields, Camera& camera, std::optional<Split>& split) {
   constexpr const char* kShape = "the camera of this index has a world_to_camera that is not 4 rows of 4 numbers";
   camera.name = fields.text("name");
@@ -156,6 +161,21 @@ void read_list_entry(Fields& fields, Camera& camera, std::optional<Split>& split
     fields.refuse(Errc::bad_value, "the camera of this index has a split other than train and test");
   }
   read_size_and_focal(fields, camera);
+  if (const std::string name = fields.text("model"); !name.empty()) {
+    const auto model = find_camera_model(name);
+    if (!model) {
+      fields.refuse(Errc::unsupported_feature,
+                    "the camera of this index has an unknown model; known are pinhole, opencv, opencv_fisheye, "
+                    "equirectangular and orthographic");
+    }
+    camera.model = model.value_or(CameraModel::pinhole);
+  }
+  if (const json* k = fields.find("distortion"); k != nullptr) {
+    constexpr const char* kLongest =
+        "the camera of this index has a distortion that is not a list of at most 8 numbers";
+    const std::size_t n = k->is_array() ? std::min(k->size(), camera.distortion.size()) : 0;
+    fields.list(*k, std::span(camera.distortion).first(n), kLongest);
+  }
   camera.world_to_camera = fields.matrix<4, 4>(fields.find("world_to_camera"), kShape);
 }
 
@@ -172,40 +192,66 @@ void read_training_entry(Fields& fields, Camera& camera) {
   camera.world_to_camera = detail::world_to_camera(axes, centre);
 }
 
-// Lens distortion coefficients, and the error for one that is not 0.
-#define RGS_DISTORTED(key)                                                                        \
-  {                                                                                               \
-    key, "the camera of this index has lens distortion (" key                                     \
-         " is not 0); undistort the photographs (colmap image_undistorter) and use their cameras" \
+// Nerfstudio's models, and instant-ngp's is_fisheye.
+void read_transforms_model(Fields& fields, Camera& camera) {
+  constexpr std::string_view kPerspective[] = {"",       "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL",
+                                               "RADIAL", "OPENCV"};
+  const std::string model = fields.text("camera_model");
+  const json* const is_fisheye = fields.find("is_fisheye");
+  if (model == "EQUIRECTANGULAR") {
+    camera.model = CameraModel::equirectangular;
+  } else if (model == "OPENCV_FISHEYE" || (is_fisheye != nullptr && *is_fisheye == true)) {
+    camera.model = CameraModel::opencv_fisheye;
+  } else if (std::ranges::find(kPerspective, model) != std::end(kPerspective)) {
+    camera.model = CameraModel::opencv;
+  } else {
+    fields.refuse(Errc::unsupported_feature,
+                  "the camera of this index has a camera_model that cannot be drawn; PINHOLE, OPENCV, OPENCV_FISHEYE "
+                  "and EQUIRECTANGULAR can");
   }
-constexpr std::pair<const char*, const char*> kDistortion[] = {
-    RGS_DISTORTED("k1"), RGS_DISTORTED("k2"), RGS_DISTORTED("k3"), RGS_DISTORTED("k4"),
-    RGS_DISTORTED("k5"), RGS_DISTORTED("k6"), RGS_DISTORTED("p1"), RGS_DISTORTED("p2")};
-#undef RGS_DISTORTED
+  constexpr std::array<const char*, 5> kOpenCv{"k1", "k2", "p1", "p2", "k3"};
+  constexpr std::array<const char*, 4> kFisheye{"k1", "k2", "k3", "k4"};
+  const std::span<const char* const> read = camera.model == CameraModel::opencv ? std::span<const char* const>(kOpenCv)
+                                            : camera.model == CameraModel::opencv_fisheye
+                                                ? std::span<const char* const>(kFisheye)
+                                                : std::span<const char* const>();
+  for (std::size_t i = 0; i < read.size(); ++i) camera.distortion[i] = fields.number(read[i]).value_or(0);
+  for (const char* key : {"k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"}) {
+    if (std::ranges::find(read, std::string_view(key)) == read.end() && fields.number(key).value_or(0) != 0) {
+      fields.refuse(Errc::unsupported_feature,
+                    "the camera of this index has a distortion that its camera_model does not have: k1 k2 k3 p1 p2 for "
+                    "OPENCV, k1 k2 k3 k4 for OPENCV_FISHEYE");
+    }
+  }
+  detail::simplify(camera);
+}
 
 // A frame of transforms.json. Its camera axes are OpenGL's (x right, y up, z back), so two columns change sign.
 void read_transforms_entry(Fields& fields, Camera& camera) {
   camera.name = fields.text("file_path");
-  const std::string model = fields.text("camera_model");
-  if (!model.empty() && model != "PINHOLE" && model != "SIMPLE_PINHOLE" && model != "OPENCV" && model != "PERSPECTIVE")
-    fields.refuse(
-        Errc::unsupported_feature,
-        "the camera of this index is not a pinhole camera; only PINHOLE and undistorted OPENCV can be rendered");
-  for (const auto& [key, distorted] : kDistortion)
-    if (fields.number(key).value_or(0) != 0) fields.refuse(Errc::unsupported_feature, distorted);
+  read_transforms_model(fields, camera);
 
   constexpr const char* kNoPixels =
       "the camera of this index has no image size; add \"w\" and \"h\" in pixels to the file";
   camera.width = fields.side("w", kNoPixels);
   camera.height = fields.side("h", kNoPixels);
-  const auto from_angle = [&](const char* key, int side) -> std::optional<double> {
+  const bool is_panorama = camera.model == CameraModel::equirectangular;
+  const auto from_angle = [&](const char* key, int side, double whole) -> std::optional<double> {
+    if (is_panorama) return side / whole;
     const auto angle = fields.number(key);
     if (!angle) return std::nullopt;
+    if (camera.model == CameraModel::opencv_fisheye) {
+      fields.refuse(Errc::bad_syntax,
+                    "the camera of this index is a fisheye without a focal length; add fl_x and fl_y");
+    }
     return 0.5 * side / std::tan(0.5 * *angle);
   };
   auto fx = fields.number("fl_x"), fy = fields.number("fl_y");
-  if (!fx) fx = from_angle("camera_angle_x", camera.width);
-  if (!fy) fy = from_angle("camera_angle_y", camera.height);
+  // Nerfstudio counts a panorama's pixels over an angle of pi.
+  if (is_panorama && fx) *fx /= std::numbers::pi;
+  if (is_panorama && fy) *fy /= std::numbers::pi;
+  if (!fx) fx = from_angle("camera_angle_x", camera.width, 2 * std::numbers::pi);
+  if (!fy) fy = from_angle("camera_angle_y", camera.height, std::numbers::pi);
   if (!fx && !fy)
     fields.refuse(Errc::bad_syntax, "the camera of this index has no focal length (fl_x, fl_y or camera_angle_x)");
   camera.fx = fx ? *fx : fy.value_or(0);

@@ -25,8 +25,8 @@
 #include "render_options.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/math/blend.hpp"
+#include "rgs/math/camera_models.hpp"
 #include "rgs/math/coverage.hpp"
-#include "rgs/math/projection.hpp"
 #include "rgs/math/sh.hpp"
 
 namespace rgs::detail {
@@ -43,7 +43,8 @@ constexpr std::uint64_t kMaxInstances = std::numeric_limits<std::uint32_t>::max(
 /// Depth key above, splat index below: a stable sort by the upper half orders by depth, then by index.
 using SortItem = std::uint64_t;
 
-// 16 bits hold a tile coordinate: image sides are at most 65536 pixels.
+// 16 bits hold a tile coordinate: image sides are at most 65536 pixels. A span whose last is above the columns goes on
+// at the row's first tile.
 struct Span16 {
   std::uint16_t first, last;
 };
@@ -161,16 +162,32 @@ struct ReferenceRenderer::Workspace {
 
 namespace {
 
+// Tiles of a row that list a Gaussian or its copies one period to the left and right; span_of(shift, px) are one's.
+template <class SpanOf>
+math::TileSpan with_copies(float period, TileGrid grid, const SpanOf& span_of) {
+  if (period == 0) return span_of(0.0F);
+  math::TileSpan all{0, 0};
+  for (const float shift : {period, 0.0F, -period}) {  // from the right to the left
+    const math::TileSpan span = span_of(shift);
+    if (span.first >= span.last) continue;
+    all = all.last == 0 ? span : math::TileSpan{all.first, std::max(all.last, grid.columns + span.last)};
+  }
+  return all.last - all.first >= grid.columns ? math::TileSpan{0, grid.columns} : all;
+}
+
 // Tile rows that list a Gaussian, without empty ones at either end; appends their column ranges to `spans`.
-void append_spans(const math::Projected<float>& p, math::Extent extent, TileGrid grid,
+void append_spans(const math::Projected<float>& p, math::Extent extent, TileGrid grid, float period,
                   const math::Ellipse<float>& ellipse, std::vector<Span16>& spans, ScreenSplat& splat,
                   std::uint64_t& n_instances) {
   const auto push = [&](math::TileSpan span) {
     spans.push_back({static_cast<std::uint16_t>(span.first), static_cast<std::uint16_t>(span.last)});
     n_instances += static_cast<std::uint64_t>(span.last - span.first);
   };
-  const math::TileRect rect = extent == math::Extent::square ? math::square_extent(p.mean, p.footprint.cov, grid)
-                                                             : math::bounding_tiles(ellipse, grid);
+  const auto square_at = [&](float shift) {
+    return math::square_extent({p.mean.u + shift, p.mean.v}, p.footprint.cov, grid);
+  };
+  math::TileRect rect = extent == math::Extent::square ? square_at(0) : math::bounding_tiles(ellipse, grid);
+  if (period > 0) rect.x0 = 0, rect.x1 = ellipse.level >= 0 ? grid.columns : 0;  // the rows of all copies
   splat.spans = static_cast<std::uint32_t>(spans.size());
   splat.first_row = static_cast<std::uint16_t>(rect.y0);
   if (rect.empty()) {
@@ -178,11 +195,19 @@ void append_spans(const math::Projected<float>& p, math::Extent extent, TileGrid
     return;
   }
   if (extent == math::Extent::square) {
-    for (int row = rect.y0; row < rect.y1; ++row) push({rect.x0, rect.x1});
+    const math::TileSpan span = with_copies(period, grid, [&](float shift) {
+      const math::TileRect square = square_at(shift);
+      return math::TileSpan{square.x0, square.x1};
+    });
+    for (int row = rect.y0; row < rect.y1; ++row) push(span);
   } else {
     bool any = false;
     for (int row = rect.y0; row < rect.y1; ++row) {
-      math::TileSpan span = math::tiles_in_row(ellipse, row, grid);
+      math::TileSpan span = with_copies(period, grid, [&](float shift) {
+        math::Ellipse<float> copy = ellipse;
+        copy.mean.u += shift;
+        return math::tiles_in_row(copy, row, grid);
+      });
       if (span.first >= span.last) span = {0, 0};
       any = any || span.first < span.last;
       push(span);
@@ -193,7 +218,7 @@ void append_spans(const math::Projected<float>& p, math::Extent extent, TileGrid
 }
 
 math::Vec3<float> color_of(const float* sh, const math::View<float>& view, const math::Vec3<float>& mean, int degree) {
-  return math::sh_color<float>(degree, math::sh_basis(degree, math::view_direction(view, mean)), [sh](int k) {
+  return math::sh_color<float>(degree, math::sh_basis(degree, math::direction_by_model(view, mean)), [sh](int k) {
     return math::Vec3<float>{sh[3 * k], sh[3 * k + 1], sh[3 * k + 2]};
   });
 }
@@ -207,6 +232,7 @@ void ReferenceRenderer::Workspace::project(const SceneParts& scene, const math::
   blocks.resize(n_blocks);
   ScreenSplat* const all = splats.at_least(n_blocks * kBlock);
   const int degree = std::min(scene.sh_degree, settings.sh_degree_limit);
+  const float period = math::period_px(view);
   constexpr std::uint64_t kAhead = 4;
   const auto sh_floats = static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree));
   std::atomic<std::uint64_t> n_listed{0};
@@ -230,12 +256,13 @@ void ReferenceRenderer::Workspace::project(const SceneParts& scene, const math::
         const float* r = &part.rotation[4 * i];
         const float* s = &part.scale[3 * i];
         const math::Vec3<float> mean{m[0], m[1], m[2]};
-        const auto projected = math::project<float>(view, mean, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]},
-                                                    part.opacity[i], settings.low_pass, settings.anti_aliasing);
+        const auto projected =
+            math::project_by_model<float>(view, mean, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]}, part.opacity[i],
+                                          settings.low_pass, settings.anti_aliasing);
         if (!projected.footprint.valid) continue;
         const float cutoff = math::power_cutoff(projected.footprint.opacity);
         const auto ellipse = math::ellipse(projected.mean, projected.footprint, cutoff);
-        append_spans(projected, settings.extent, grid, ellipse, block.spans, *out, block.n_instances);
+        append_spans(projected, settings.extent, grid, period, ellipse, block.spans, *out, block.n_instances);
         if (out->n_rows == 0) continue;
         out->mean = projected.mean;
         out->conic = projected.footprint.conic;
@@ -308,7 +335,7 @@ void ReferenceRenderer::Workspace::sort_by_depth() {
 // Stable counting sort of all (tile, Gaussian) pairs by tile, in depth order.
 void ReferenceRenderer::Workspace::list_by_tile() {
   constexpr std::uint64_t kAhead = 12;
-  const std::uint64_t tiles = n_tiles();
+  const std::uint64_t tiles = n_tiles(), columns = static_cast<std::uint64_t>(grid.columns);
   const std::uint64_t n_parts = parts(tiles);
   const auto part_begin = [&](std::uint64_t part) { return n_visible * part / n_parts; };
   const auto for_each_tile = [&](std::uint64_t part, const auto& f) {
@@ -318,11 +345,12 @@ void ReferenceRenderer::Workspace::list_by_tile() {
       if (i + 2 * kAhead < end) hwy::Prefetch(&splats.get()[static_cast<std::uint32_t>(order.get()[i + 2 * kAhead])]);
       if (i + kAhead < end) hwy::Prefetch(rows_of(static_cast<std::uint32_t>(order.get()[i + kAhead])).data());
       const auto index = static_cast<std::uint32_t>(order.get()[i]);
-      std::uint64_t row =
-          static_cast<std::uint64_t>(splats.get()[index].first_row) * static_cast<std::uint64_t>(grid.columns);
+      std::uint64_t row = static_cast<std::uint64_t>(splats.get()[index].first_row) * columns;
       for (const Span16 span : rows_of(index)) {
-        for (std::uint64_t tile = row + span.first; tile < row + span.last; ++tile) f(tile, index);
-        row += static_cast<std::uint64_t>(grid.columns);
+        const std::uint64_t end_of_row = row + columns, last = row + span.last;
+        for (std::uint64_t tile = row + span.first; tile < std::min(last, end_of_row); ++tile) f(tile, index);
+        for (std::uint64_t tile = end_of_row; tile < last; ++tile) f(tile - columns, index);
+        row = end_of_row;
       }
     }
   };
@@ -404,6 +432,7 @@ void ReferenceRenderer::Workspace::blend(const math::View<float>& view, const Re
     job.y = static_cast<int>(tile / static_cast<std::uint64_t>(grid.columns)) * math::kTileSize;
     job.width = std::min(math::kTileSize, view.width - job.x);
     job.height = std::min(math::kTileSize, view.height - job.y);
+    job.period = math::period_px(view);
     job.exponent = settings.exponent;
     job.exp = settings.exp;
     job.details = !target.depth.empty() || !target.blended.empty() || !target.contributions.empty();

@@ -238,6 +238,10 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   return detail::guard_memory([&]() -> Result<FrameStats> {
     Impl& w = *impl_;
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
+    if (camera.model != CameraModel::pinhole) {
+      return make_error(Errc::unavailable, Error::kNone,
+                        "CUDA draws pinhole cameras alone: use Backend::cpu (--backend cpu) for this one");
+    }
     const auto detail_px = detail::drawn_detail(options, scene.has_levels());
     if (!detail_px) return tl::unexpected(detail_px.error());
     const auto resolved =

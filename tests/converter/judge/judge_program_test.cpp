@@ -110,6 +110,17 @@ TEST_CASE("no picture that is judged, and no picture of a camera of the same nam
   CHECK(fs::exists(pictures + "/" + name + "_0001.client.png"));
 }
 
+TEST_CASE("cameras that are no pinholes are refused") {
+  const Pictures p;
+  json cameras = json::parse(read_text(p.cameras));
+  cameras.at(1)["model"] = "opencv_fisheye";
+  write_text(p.cameras, cameras.dump());
+  p.render({});
+  const ProgramResult result = p.judge({"--against", p.out});
+  CHECK(result.exit_code == 4);
+  CHECK(result.err.find("pinhole cameras alone") != std::string::npos);
+}
+
 TEST_CASE("a picture with NaN is refused") {
   const Pictures p;
   p.render({"--format", "exr"});

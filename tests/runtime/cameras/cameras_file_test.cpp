@@ -16,6 +16,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "checkout.hpp"
 #include "rgs/camera_file.hpp"
@@ -105,6 +106,8 @@ TEST_CASE("camera files give what they should") {
       CHECK(camera.height == wanted["height"]);
       const double lens[] = {camera.fx, camera.fy, camera.cx, camera.cy};
       constexpr const char* kLens[] = {"fx", "fy", "cx", "cy"};
+      CHECK(std::string(camera_model_name(camera.model)) == wanted.value("model", "pinhole"));
+      CHECK(camera.distortion == wanted.value("distortion", decltype(camera.distortion){}));
       for (int k = 0; k < 4; ++k) CHECK(lens[k] == doctest::Approx(wanted[kLens[k]].get<double>()).epsilon(1e-14));
       using Numbers = std::array<double, 3>;
       const auto rows = wanted["rotation"].get<std::array<Numbers, 3>>();
@@ -117,16 +120,40 @@ TEST_CASE("camera files give what they should") {
   }
 }
 
-TEST_CASE("transforms.json: any distortion is refused") {
-  for (const char* key : {"k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"}) {
-    std::string one = golden("transforms.json");
-    one.replace(one.find(R"("k1":0)"), 6, "\"" + std::string(key) + "\":-1e-9");
-    const auto refused = parse_camera_json(one);
-    REQUIRE_FALSE(refused);
-    CHECK(refused.error().code == Errc::unsupported_feature);
-    CHECK(refused.error().found == 0);  // the first frame
-    CHECK(std::string(refused.error().what).find("(" + std::string(key) + " is not 0)") != std::string::npos);
+TEST_CASE("transforms.json: a coefficient is one of the model's, or the file is refused") {
+  const auto parsed = [](const std::string& fields) {
+    std::string file = golden("transforms.json");
+    return parse_camera_json(file.replace(file.find(R"("k1":0)"), 6, fields));
+  };
+  struct Case {
+    std::string model;
+    std::string_view has;
+  };
+  const Case cases[] = {{"", "k1 k2 k3 p1 p2"},
+                        {R"("camera_model":"PINHOLE",)", "k1 k2 k3 p1 p2"},
+                        {R"("camera_model":"OPENCV",)", "k1 k2 k3 p1 p2"},
+                        {R"("camera_model":"OPENCV_FISHEYE",)", "k1 k2 k3 k4"},
+                        {R"("is_fisheye":true,)", "k1 k2 k3 k4"},
+                        {R"("camera_model":"EQUIRECTANGULAR",)", ""}};
+  for (const Case& of : cases) {
+    for (const std::string key : {"k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"}) {
+      CAPTURE(of.model);
+      CAPTURE(key);
+      const auto set = parsed(of.model + "\"" + key + "\":-1e-9");
+      CHECK(set.has_value() == (of.has.find(key) != std::string_view::npos));
+      if (set) CHECK(set->cameras[0].model != CameraModel::pinhole);
+      if (set) continue;
+      CHECK(set.error().code == Errc::unsupported_feature);
+      CHECK(set.error().found == 0);  // the first frame
+    }
   }
+  CHECK(parsed(R"("camera_model":"OPENCV")")->cameras[0].model == CameraModel::pinhole);
+  CHECK(parsed(R"("camera_model":"FISHEYE624")").error().code == Errc::unsupported_feature);
+  // 500.5 px over an angle of pi; the circle is wider than the picture.
+  CHECK(parsed(R"("camera_model":"EQUIRECTANGULAR")")->cameras[0].fx == doctest::Approx(500.5 / 3.14159265358979));
+  std::string angle = golden("transforms_angle.json");
+  angle.insert(1, R"("camera_model":"OPENCV_FISHEYE",)");
+  CHECK(parse_camera_json(angle).error().code == Errc::bad_syntax);
 }
 
 TEST_CASE("JSON that ends in the hundred-thousandth list is truncated") {
@@ -201,11 +228,12 @@ TEST_CASE("COLMAP binary: counts beyond the file's size, trailing bytes, unknown
   check_error(parse(good_cameras, good_images + '\0'), Errc::trailing_bytes, good_images.size());
 
   std::string opencv = good_cameras, twice = good_cameras, wide = good_cameras;
-  opencv[12] = 4;
-  check_error(parse(opencv, good_images), Errc::unsupported_feature, 8);
-  CHECK(std::string(parse(opencv, good_images).error().what).find("OPENCV, which has lens distortion k1") !=
-        std::string::npos);
-  CHECK(parse(opencv, good_images).error().found == 0);
+  for (const char model : {'\x07', '\x0a'}) {
+    opencv[12] = model;
+    check_error(parse(opencv, good_images), Errc::unsupported_feature, 8);
+    CHECK(std::string(parse(opencv, good_images).error().what).find("image_undistorter") != std::string::npos);
+    CHECK(parse(opencv, good_images).error().found == 0);
+  }
   opencv[12] = 99;
   check_error(parse(opencv, good_images), Errc::unsupported_feature, 8);
   twice[8 + 56] = 7;
@@ -223,13 +251,59 @@ TEST_CASE("COLMAP binary: counts beyond the file's size, trailing bytes, unknown
   CHECK(parse(good_cameras, std::string(8, '\0')).error().code == Errc::bad_value);
 }
 
+TEST_CASE("COLMAP binary: lenses are what the text says") {
+  struct Lens {
+    std::uint32_t model;
+    std::vector<double> parameters;
+  };
+  const std::vector<Lens> lenses{{2, {500.5, 310, 240, 0.1}},
+                                 {3, {500.5, 310, 240, 0.1, -0.02}},
+                                 {4, {500.5, 501.5, 310, 240, 0.1, -0.02, 0.001, -0.002}},
+                                 {5, {500.5, 501.5, 310, 240, 0.1, -0.02, 0.003, -0.0004}},
+                                 {6, {500.5, 501.5, 310, 240, 0.1, -0.02, 0.001, -0.002, 0.003, 0.004, 0.005, 0.006}},
+                                 {8, {500.5, 310, 240, 0.1}},
+                                 {9, {500.5, 310, 240, 0.1, -0.02}},
+                                 {3, {500.5, 310, 240, 0, 0}}};
+  std::string cameras, images;
+  const auto put = [](std::string& out, const auto& value) {
+    out.append(reinterpret_cast<const char*>(&value), sizeof(value));
+  };
+  put(cameras, std::uint64_t{lenses.size()});
+  put(images, std::uint64_t{lenses.size()});
+  for (std::uint32_t i = 0; i < lenses.size(); ++i) {
+    put(cameras, i);
+    put(cameras, lenses[i].model);
+    put(cameras, std::uint64_t{640});
+    put(cameras, std::uint64_t{480});
+    for (const double value : lenses[i].parameters) put(cameras, value);
+    put(images, i);
+    for (const double value : {1., 0., 0., 0., 0., 0., 0.}) put(images, value);
+    put(images, i);
+    images += static_cast<char>('a' + i);
+    images += std::string(1 + 8, '\0');
+  }
+  const auto read = parse_colmap_binary(ExactCopy(cameras).bytes(), ExactCopy(images).bytes());
+  const auto text = read_camera_set(kGolden + "colmap_lenses");
+  REQUIRE(read);
+  REQUIRE(text);
+  REQUIRE(read->cameras.size() == text->cameras.size());
+  for (std::size_t i = 0; i < lenses.size(); ++i) {
+    const Camera &a = read->cameras[i], &b = text->cameras[i];
+    CHECK(a.model == b.model);
+    CHECK(a.distortion == b.distortion);
+    CHECK((a.fx == b.fx && a.fy == b.fy && a.cx == b.cx && a.cy == b.cy));
+  }
+}
+
 TEST_CASE("COLMAP text: the error has the byte offset") {
   const std::string images = colmap_images_txt();
-  check_error(parse_colmap_text("1 OPENCV 4 4 1 1 1 1 0 0 0 0\n", images), Errc::unsupported_feature, 0);
-  const auto radial = parse_colmap_text("1 PINHOLE 4 4 1 1 1 1\n2 RADIAL 4 4 1 1 1 0 0\n", images);
-  REQUIRE_FALSE(radial);
-  CHECK(radial.error().found == 1);
-  CHECK(std::string(radial.error().what).find("RADIAL, which has lens distortion k1, k2") != std::string::npos);
+  const auto fov = parse_colmap_text("1 PINHOLE 4 4 1 1 1 1\n2 FOV 4 4 1 1 1 1 0\n", images);
+  REQUIRE_FALSE(fov);
+  CHECK(fov.error().code == Errc::unsupported_feature);
+  CHECK(fov.error().found == 1);
+  CHECK(std::string(fov.error().what).find("model FOV") != std::string::npos);
+  check_error(parse_colmap_text("1 OPENCV 4 4 1 1 1 1 0 0 0\n", images), Errc::bad_syntax, 26);
+  check_error(parse_colmap_text("1 OPENCV 4 4 1 1 1 1 0 0 0 1e999\n", images), Errc::bad_syntax, 32);
   check_error(parse_colmap_text("1 MY_LENS 4 4 1 1 1 0 0\n", images), Errc::unsupported_feature, 0);
   check_error(parse_colmap_text("1 PINHOLE 4 4 1 1 1\n", images), Errc::bad_syntax, 19);
   check_error(parse_colmap_text("1 PINHOLE 4 4 1 1 1 1 1\n", images), Errc::bad_syntax, 22);

@@ -50,11 +50,47 @@ TEST_CASE("validate accepts a view and names what is wrong with every damaged on
     CAPTURE(i);
     REQUIRE_FALSE(validate(bad[i]));
     CHECK(validate(bad[i]).error().code == Errc::bad_camera);
-    const auto& [name, width, height, fx, fy, cx, cy, pose] = bad[i];
-    const auto made = make_camera(pose, {width, height, fx, fy, cx, cy});
+    const Camera& b = bad[i];
+    const auto made = make_camera(b.world_to_camera, {b.width, b.height, b.fx, b.fy, b.cx, b.cy});
     REQUIRE_FALSE(made);
     CHECK(std::string(made.error().what) == validate(bad[i]).error().what);
   }
+}
+
+TEST_CASE("validate knows what each camera model has") {
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  Camera camera = some_camera();
+  const auto refused = [&] { return !validate(camera) && validate(camera).error().code == Errc::bad_camera; };
+  const auto with = [&](CameraModel model, std::size_t coefficient, double value) -> const Camera& {
+    camera.model = model;
+    camera.distortion = {};
+    camera.distortion[coefficient] = value;
+    return camera;
+  };
+  for (std::size_t k = 0; k < camera.distortion.size(); ++k) {
+    CAPTURE(k);
+    CHECK(validate(with(CameraModel::opencv, k, 0.01)));
+    CHECK(validate(with(CameraModel::opencv_fisheye, k, 0.01)).has_value() == (k < 4));
+    for (const auto model : {CameraModel::pinhole, CameraModel::equirectangular, CameraModel::orthographic}) {
+      with(model, k, 1e-9);
+      CHECK(refused());
+    }
+    with(CameraModel::opencv, k, kNan);
+    CHECK(refused());
+  }
+  with(static_cast<CameraModel>(5), 0, 0);
+  CHECK(refused());
+  with(CameraModel::equirectangular, 0, 0);
+  camera.fx = camera.fy = 640 / (2 * std::numbers::pi);
+  CHECK(validate(camera));
+  CHECK(validate(resized(camera, 1111, 500)));
+  camera.width += 2;
+  CHECK(refused());
+
+  for (const auto model : {CameraModel::pinhole, CameraModel::opencv, CameraModel::opencv_fisheye,
+                           CameraModel::equirectangular, CameraModel::orthographic})
+    CHECK(find_camera_model(camera_model_name(model)) == model);
+  CHECK(find_camera_model("OPENCV") == std::nullopt);
 }
 
 TEST_CASE("a camera from GLM's matrices has their motion, in OpenCV's and OpenGL's axes") {

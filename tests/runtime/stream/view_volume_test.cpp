@@ -106,4 +106,7 @@ TEST_CASE("boxes behind the camera, before the near plane and behind the far pla
   CHECK(volume.may_show(at(0, 0, 50.5F, 1)));
   CHECK(!volume.may_show(at(40, 0, 10, 1)));
   CHECK(!volume.may_show(at(0, -40, 10, 1)));
+  camera.model = CameraModel::opencv_fisheye;  // its volume is not a pinhole's: everything may show
+  CHECK(pages::ViewVolume(detail::make_view(camera, kNoOrigin, *settings), settings->low_pass)
+            .may_show(at(0, 0, -10, 1)));
 }

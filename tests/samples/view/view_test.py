@@ -169,6 +169,10 @@ def case_begin():
         assert said["mode"] == "slider"
         view.end()
     assert refused(folder / "a.rgs", "--view", "0")[0] == 2
+    lenses = [dict(entry, model="orthographic") for entry in json.loads((folder / "views.json").read_text())]
+    (folder / "lenses.json").write_text(json.dumps(lenses))
+    got, said = refused(folder / "a.rgs", "--cameras", folder / "lenses.json")
+    assert got == 4 and "pinhole cameras alone" in said, said
     for name in ("nobody", "all"):
         got, said = refused(folder / "a.rgs", "--cameras", folder / "views.json", "--view", name)
         assert got == 2 and "--view" in said, said

@@ -64,6 +64,11 @@ test("camera files give what they should", () => {
   }
 });
 
+test("cameras that are no pinholes are refused", () => {
+  const text = readFileSync(new URL("../../../tests/golden/cameras/list_models.json", import.meta.url), "utf8");
+  assert.throws(() => modules.cameras.parseCameras(text), /camera 0 is no pinhole/);
+});
+
 test("a view keeps a camera's picture at any size", () => {
   const { pinholeOf, viewOf } = modules.cameras;
   const camera = { width: 400, height: 300, fx: 500, fy: 510, cx: 190, position: [-3, -2, 1], rotation: identity };

@@ -1,4 +1,4 @@
-// camera.hpp - a pinhole view as the projection needs it, and points through it.
+// camera.hpp - a view as the projection needs it, and points through a pinhole's.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -7,6 +7,7 @@
 
 #include "rgs/hd.hpp"
 #include "rgs/math/constants.hpp"
+#include "rgs/math/options.hpp"
 #include "rgs/math/vec.hpp"
 
 namespace rgs::math {
@@ -24,6 +25,9 @@ struct View {
   T slope_low_y, slope_high_y;  ///< the same for y/z
   T near_plane, far_plane;      ///< draws near_plane < z <= far_plane
   int width, height;            ///< px
+  CameraModel model;            ///< what follows is of others than the pinhole: camera_models.hpp
+  T distortion[kDistortions];
+  T reach;  ///< nothing is drawn beyond: x^2 + y^2 in the plane z = 1 (opencv), angle to the axis (opencv_fisheye)
 };
 
 /// Where R p + t is 0, for a row-major 4x4 matrix [R t]: -R^-1 t. Not -R^T t, since a rotation with few digits is not
@@ -37,8 +41,8 @@ RGS_HD inline Vec3<double> camera_position(const double (&world_to_camera)[16]) 
           scale * (bc.z * m[3] + ca.z * m[7] + ab.z * m[11])};
 }
 
-/// Builds a view from a row-major rigid 4x4 matrix, for means relative to `origin` (double: large world coordinates
-/// cancel here instead of per Gaussian). far_plane = 0 means none.
+/// Builds a pinhole's view from a row-major rigid 4x4 matrix, for means relative to `origin` (double: large world
+/// coordinates cancel here instead of per Gaussian). far_plane = 0 means none.
 template <class T>
 RGS_HD inline View<T> make_view(const double (&world_to_camera)[16], int width, int height, double fx, double fy,
                                 double cx, double cy, T near_plane, T far_plane,

@@ -44,16 +44,26 @@ RGS_HD inline void rotation_matrix(const Quaternion<T>& q, T (&r)[9]) {
   r[8] = T(1) - two * (q.x * q.x + q.y * q.y);
 }
 
-/// Covariance on the image, before the low-pass, of a Gaussian with camera-space mean p (p.z > 0), unit rotation and
-/// standard deviations s in world units.
+/// Covariance on the image, before the low-pass, of a Gaussian with unit rotation and standard deviations s in world
+/// units. du and dv, the rows of J W: how its place on the image moves with the mean, px per world unit in world axes.
 ///
 /// Zwicker et al. 2001 (EWA), eq. 31: J W Sigma W^T J^T with Sigma = R S S R^T (Kerbl et al. 2023, eqs. 5 and 6).
 /// Formed as M M^T with M = J W R S, 2x3, which stays positive semi-definite under rounding and does not need Sigma.
 template <class T>
-RGS_HD inline Cov2<T> project_covariance(const View<T>& view, const Vec3<T>& p, const Quaternion<T>& rotation,
-                                         const Vec3<T>& s) {
+RGS_HD inline Cov2<T> linear_covariance(const Vec3<T>& du, const Vec3<T>& dv, const Quaternion<T>& rotation,
+                                        const Vec3<T>& s) {
   T r[9];
   rotation_matrix(rotation, r);
+  const Vec3<T> axis_x{r[0], r[3], r[6]}, axis_y{r[1], r[4], r[7]}, axis_z{r[2], r[5], r[8]};
+  const Vec3<T> mu{dot(du, axis_x) * s.x, dot(du, axis_y) * s.y, dot(du, axis_z) * s.z};
+  const Vec3<T> mv{dot(dv, axis_x) * s.x, dot(dv, axis_y) * s.y, dot(dv, axis_z) * s.z};
+  return {dot(mu, mu), dot(mu, mv), dot(mv, mv)};
+}
+
+/// The same for a pinhole and a mean p in the camera's axes, p.z > 0.
+template <class T>
+RGS_HD inline Cov2<T> project_covariance(const View<T>& view, const Vec3<T>& p, const Quaternion<T>& rotation,
+                                         const Vec3<T>& s) {
   const T inverse_z = T(1) / p.z;
   const T slope_x = clamp(p.x * inverse_z, view.slope_low_x, view.slope_high_x);
   const T slope_y = clamp(p.y * inverse_z, view.slope_low_y, view.slope_high_y);
@@ -62,10 +72,7 @@ RGS_HD inline Cov2<T> project_covariance(const View<T>& view, const Vec3<T>& p, 
   // Rows of J W: d(u)/d(world) = fx/z (w_x - x/z w_z), and v likewise.
   const Vec3<T> du{jx * (w[0] - slope_x * w[6]), jx * (w[1] - slope_x * w[7]), jx * (w[2] - slope_x * w[8])};
   const Vec3<T> dv{jy * (w[3] - slope_y * w[6]), jy * (w[4] - slope_y * w[7]), jy * (w[5] - slope_y * w[8])};
-  const Vec3<T> axis_x{r[0], r[3], r[6]}, axis_y{r[1], r[4], r[7]}, axis_z{r[2], r[5], r[8]};
-  const Vec3<T> mu{dot(du, axis_x) * s.x, dot(du, axis_y) * s.y, dot(du, axis_z) * s.z};
-  const Vec3<T> mv{dot(dv, axis_x) * s.x, dot(dv, axis_y) * s.y, dot(dv, axis_z) * s.z};
-  return {dot(mu, mu), dot(mu, mv), dot(mv, mv)};
+  return linear_covariance(du, dv, rotation, s);
 }
 
 /// A projected Gaussian.

@@ -28,6 +28,16 @@ enum class DepthOrder : std::uint8_t {
 /// Bins of equal depth (linear, the paper) or of equal depth ratio (logarithmic); declared in .rgs files.
 using rgs::DepthMapping;
 
+/// How a camera maps camera points to its image; docs/format/RENDERING.md, "Camera models".
+enum class CameraModel : std::uint8_t {
+  pinhole,
+  opencv,           ///< a pinhole with OpenCV's radial and tangential distortion
+  opencv_fisheye,   ///< the radius on the image is a polynomial of the angle to the axis (Kannala and Brandt 2006)
+  equirectangular,  ///< longitude and latitude; the latitude is from the plane of x and z
+  orthographic,     ///< x and y
+};
+inline constexpr int kDistortions = 8;  ///< coefficients, in OpenCV's and COLMAP's order; those without use are 0
+
 /// How the exponent of a pair is evaluated.
 enum class Exponent : std::uint8_t {
   direct,  ///< from the offsets to the mean; opacity multiplies the exponential
