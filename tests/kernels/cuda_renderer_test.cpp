@@ -235,6 +235,42 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
   }
 }
 
+TEST_CASE("lenses, fisheyes and parallel rays follow the CPU renderer in every mode, FP32 and compact") {
+  if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
+  const auto [width, height] = small_sizes() ? std::pair(90, 50) : std::pair(640, 360);
+  const auto cloud = cloud_of(random_splats(607, small_sizes() ? 400 : 20000), 3);
+  const Scene fp32 = scene_of(cloud);
+  const auto compact = CompactScene::of(cloud);
+  const DeviceScene uploaded[] = {upload(fp32), upload(compact.file)};
+  Random random(608);
+  for (const auto model : {CameraModel::opencv, CameraModel::opencv_fisheye, CameraModel::orthographic}) {
+    Camera camera = random_camera(random, width, height);
+    camera.model = model;
+    if (model == CameraModel::opencv) camera.distortion = {-0.2, 0.05, 0.003, -0.002, 0.01, 0.02, -0.01, 0.003};
+    if (model == CameraModel::opencv_fisheye) {  // 190 degrees wide
+      camera.fx = camera.fy = width / 3.3;
+      camera.distortion = {0.03, -0.012, 0.004, -0.0006, 0, 0, 0, 0};
+    }
+    if (model == CameraModel::orthographic) camera.fx = camera.fy = width / 12.0;
+    Device device(camera);
+    for (std::size_t m = 0; m < kModeCount; ++m) {
+      const RenderOptions options = modes()[m];
+      for (const bool is_compact : {false, true}) {
+        const Frame host = cpu_frame(is_compact ? compact.scene : fp32, camera, options);
+        require_ok(device.render(uploaded[is_compact ? 1 : 0], options));
+        const double quality = psnr(device.rgb(), host.rgb), error = largest_difference(device.rgb(), host.rgb);
+        MESSAGE(camera_model_name(model), ", ", kModes[m], ": ", quality, " dB, at most ", 255 * error, "/255");
+        CAPTURE(kModes[m]);
+        CAPTURE(is_compact);
+        CHECK(host.stats.visible > fp32.size() / 10);
+        CHECK(quality >= lowest_psnr(options));
+        CHECK(error <= largest_error(options));
+      }
+    }
+  }
+}
+
 TEST_CASE("a scene far from the world's origin gives the same frame as near it, FP32 and compact") {
   if (!device_answers()) return;
   if (race_sizes()) return skip("RGS_TEST_SIZE is race");
@@ -1103,6 +1139,9 @@ TEST_CASE("refusals: cameras and options") {
   Camera bad = front_camera(8, 8);
   bad.fx = std::numeric_limits<double>::quiet_NaN();
   check_error(device.renderer().render(scene, bad, {}), Errc::bad_camera);
+  Camera panorama = front_camera(8, 8);
+  panorama.model = CameraModel::equirectangular;
+  check_error(device.renderer().render(scene, panorama, {}), Errc::unavailable);
   check_error(device.render(scene, {.near_plane = -1}), Errc::bad_argument);
   check_error(device.render(scene, Arithmetic{.depth_bits = 33}), Errc::bad_argument);
   check_error(device.render(scene, {.pipeline = Pipeline::paper, .paper = {.pixels_per_thread = 3}}),

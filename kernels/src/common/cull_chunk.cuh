@@ -30,8 +30,11 @@ struct CullPlanes {
 /// low_pass along an axis, with the slope clamped as in the projection, so it reaches at most 3.34 (f/z sqrt(1 +
 /// slope^2) s + sqrt(low_pass)) pixels from its mean. Times z/f this is a distance from the planes through the image's
 /// edges, moved outwards by the low-pass' share and a pixel.
+///
+/// Of other models than the pinhole everything is in view.
 inline CullPlanes cull_planes(const ViewParameters& v) {
   const math::View<float>& view = v.view;
+  if (view.model != math::CameraModel::pinhole) return {};
   const float* const w = view.rotation;
   // Beyond the plane: x X + y Y + z Z > distance in camera coordinates.
   const auto plane = [&](double x, double y, double z, double distance, float reach) {

@@ -5,6 +5,7 @@
 #include <cstdint>
 
 #include "common/attributes.hpp"
+#include "rgs/math/camera_models.hpp"
 #include "rgs/math/projection.hpp"
 #include "rgs/math/sh.hpp"
 #include "rgs/quantize.hpp"
@@ -119,11 +120,12 @@ __device__ inline void prefetch_color(const CompactAttributes& a, std::uint32_t 
   asm volatile("prefetch.global.L2 [%0];" : : "l"(a.sh + static_cast<std::uint64_t>(i) * words));
 }
 
-/// Colour of Gaussian i from the view's position. Coefficients above the evaluated degree get a basis of 0.
-template <class Attributes>
+/// Colour of Gaussian i as the view sees it. Coefficients above the evaluated degree get a basis of 0.
+template <bool kAnyModel, class Attributes>
 __device__ inline math::Vec3<float> color_of(const Attributes& a, std::uint32_t i, const math::View<float>& view,
                                              const math::Vec3<float>& mean, int degree) {
-  const auto basis = math::sh_basis(degree, math::view_direction(view, mean));
+  const auto basis =
+      math::sh_basis(degree, kAnyModel ? math::direction_by_model(view, mean) : math::view_direction(view, mean));
   switch (a.sh_degree) {
     case 0: return load_color<0>(a, i, basis);
     case 1: return load_color<1>(a, i, basis);

@@ -156,7 +156,7 @@ __device__ void emit(Shared<E>& s, std::uint32_t n_rows, std::uint32_t first, co
   }
 }
 
-template <class A, math::Extent E, class Key>
+template <class A, math::Extent E, class Key, bool kAnyModel>
 __global__ void __launch_bounds__(kThreads)
     fused_kernel(A attributes, std::uint32_t n, ViewParameters v, Output out, DrawnChunks drawn) {
   __shared__ Shared<E> s;
@@ -177,7 +177,7 @@ __global__ void __launch_bounds__(kThreads)
   if (i < n) {
     scene_row = row_of(attributes, drawn, i);
     mean = load_mean(attributes.mean, scene_row);
-    p = project_splat(attributes, scene_row, v, mean);
+    p = project_splat<kAnyModel>(attributes, scene_row, v, mean);
     if (p.footprint.valid) {
       cutoff = math::power_cutoff(p.footprint.opacity);
       const auto cover = Cover<E>::of(p, cutoff, v.grid);
@@ -199,7 +199,8 @@ __global__ void __launch_bounds__(kThreads)
   }
   allocate(s, block_total(n_tiles, s.warp_sums[1]), out);
   const bool listed = s.listed[threadIdx.x] != 0;
-  if (listed) out.splats[i] = screen_splat(p, cutoff, color_of(attributes, scene_row, v.view, mean, v.sh_degree));
+  if (listed)
+    out.splats[i] = screen_splat(p, cutoff, color_of<kAnyModel>(attributes, scene_row, v.view, mean, v.sh_degree));
   const int visible = __syncthreads_count(listed);
   if (threadIdx.x == 0 && visible > 0) {
     atomic_add(out.counters->visible, static_cast<std::uint64_t>(visible));
@@ -211,11 +212,12 @@ template <class A, math::Extent E>
 void run(const A& attributes, const FusedArguments& a, Stream stream) {
   const Output out{a.splats, a.pairs, a.counters, a.block_state};
   const std::uint32_t blocks = fused_blocks(a.n);
-  if (a.pairs.narrow_keys) {
-    fused_kernel<A, E, std::uint32_t><<<blocks, kThreads, 0, stream>>>(attributes, a.n, a.view, out, a.drawn);
-  } else {
-    fused_kernel<A, E, std::uint64_t><<<blocks, kThreads, 0, stream>>>(attributes, a.n, a.view, out, a.drawn);
-  }
+  with_model(a.view.view, [&](auto any_model) {
+    constexpr bool kAnyModel = any_model();
+    const auto kernel = a.pairs.narrow_keys ? fused_kernel<A, E, std::uint32_t, kAnyModel>
+                                            : fused_kernel<A, E, std::uint64_t, kAnyModel>;
+    kernel<<<blocks, kThreads, 0, stream>>>(attributes, a.n, a.view, out, a.drawn);
+  });
 }
 
 }  // namespace

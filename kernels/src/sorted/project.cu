@@ -24,7 +24,7 @@ namespace {
 
 constexpr int kThreads = 256;
 
-template <class A, math::Extent E>
+template <class A, math::Extent E, bool kAnyModel>
 __global__ void __launch_bounds__(kThreads)
     project_kernel(A attributes, std::uint32_t n, ViewParameters v, ScreenSplat* splats, Cover<E>* covers,
                    std::uint32_t* tiles, Counters* counters, DrawnChunks drawn) {
@@ -33,7 +33,7 @@ __global__ void __launch_bounds__(kThreads)
   if (i < n) {
     const std::uint32_t row = row_of(attributes, drawn, i);
     const math::Vec3<float> mean = load_mean(attributes.mean, row);
-    const auto p = project_splat(attributes, row, v, mean);
+    const auto p = project_splat<kAnyModel>(attributes, row, v, mean);
     if (p.footprint.valid) {
       const float cutoff = math::power_cutoff(p.footprint.opacity);
       const auto cover = Cover<E>::of(p, cutoff, v.grid);
@@ -43,7 +43,7 @@ __global__ void __launch_bounds__(kThreads)
       }
       if (n_tiles > 0) {
         covers[i] = cover;
-        splats[i] = screen_splat(p, cutoff, color_of(attributes, row, v.view, mean, v.sh_degree));
+        splats[i] = screen_splat(p, cutoff, color_of<kAnyModel>(attributes, row, v.view, mean, v.sh_degree));
       }
     }
     tiles[i] = n_tiles;
@@ -77,8 +77,10 @@ __global__ void __launch_bounds__(kThreads)
 
 template <class A, math::Extent E>
 void run_project(const A& attributes, const ProjectArguments& a, Stream stream) {
-  project_kernel<A, E><<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(
-      attributes, a.n, a.view, a.splats, static_cast<Cover<E>*>(a.covers), a.tiles, a.counters, a.drawn);
+  with_model(a.view.view, [&](auto any_model) {
+    project_kernel<A, E, any_model()><<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(
+        attributes, a.n, a.view, a.splats, static_cast<Cover<E>*>(a.covers), a.tiles, a.counters, a.drawn);
+  });
 }
 
 template <math::Extent E, class Key>

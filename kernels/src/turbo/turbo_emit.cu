@@ -133,8 +133,8 @@ __device__ void set_aside(const TurboArrays& out, const math::Ellipse<float>& el
                          static_cast<std::uint16_t>(rect.x1), static_cast<std::uint16_t>(rect.y1)};
 }
 
-template <class A>
-__global__ void __launch_bounds__(kThreads, resident_on_90(5))
+template <bool kAnyModel, class A>
+__global__ void __launch_bounds__(kThreads, resident_on_90(kAnyModel ? 0 : 5))
     turbo_emit_kernel(A attributes, const __grid_constant__ CullPlanes planes, TurboEmitArguments a) {
   __shared__ Shared memory;
   Shared& s = memory;
@@ -166,7 +166,7 @@ __global__ void __launch_bounds__(kThreads, resident_on_90(5))
     // overlap.
     const Geometry g = load_geometry(attributes, row);
     prefetch_color(attributes, row);
-    const auto p = math::project(v.view, mean, g.rotation, g.scale, g.opacity, v.low_pass, v.anti_aliasing);
+    const auto p = project<kAnyModel>(v, mean, g);
     if (p.footprint.valid) {
       const float cutoff = math::power_cutoff(p.footprint.opacity);
       const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);
@@ -176,7 +176,7 @@ __global__ void __launch_bounds__(kThreads, resident_on_90(5))
         n_rows = static_cast<std::uint32_t>(rect.y1 - rect.y0);
         s.ellipse[threadIdx.x] = ellipse;
         s.depth[threadIdx.x] = turbo_depth(p.z, v.view.near_plane);
-        a.splats[i] = screen_splat(p, cutoff, color_of(attributes, row, v.view, mean, v.sh_degree));
+        a.splats[i] = screen_splat(p, cutoff, color_of<kAnyModel>(attributes, row, v.view, mean, v.sh_degree));
       }
     }
   }
@@ -260,7 +260,9 @@ Status launch_turbo_emit(const TurboEmitArguments& a, Stream stream) {
   const CullPlanes planes = cull_planes(a.view);
   std::visit(
       [&](const auto& attributes) {
-        turbo_emit_kernel<<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(attributes, planes, a);
+        with_model(a.view.view, [&](auto any_model) {
+          turbo_emit_kernel<any_model()><<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(attributes, planes, a);
+        });
       },
       a.attributes);
   if (const auto ok = launched("the turbo front end could not be launched"); !ok) return ok;

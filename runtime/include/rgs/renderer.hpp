@@ -66,8 +66,8 @@ inline constexpr float kDefaultDetailPx = 1;
 /// What a frame shows and how it is made.
 struct RenderOptions {
   std::array<float, 3> background = {0, 0, 0};  ///< red, green, blue, 0 to 1
-  float near_plane = math::kNearPlane;          ///< Gaussians at camera z <= near_plane are not drawn
-  float far_plane = 0;                          ///< Gaussians at camera z > far_plane are not drawn; 0 = no limit
+  float near_plane = math::kNearPlane;          ///< Gaussians at a depth <= near_plane are not drawn
+  float far_plane = 0;                          ///< Gaussians at a depth > far_plane are not drawn; 0 = no limit
   int sh_degree_limit = 3;                      ///< higher SH degrees are ignored
   /// px^2 added to the projected covariance; absent: as the scene declares, or default_low_pass_px2() if another
   /// anti-aliasing is requested than it declares.

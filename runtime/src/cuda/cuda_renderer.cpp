@@ -238,9 +238,9 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   return detail::guard_memory([&]() -> Result<FrameStats> {
     Impl& w = *impl_;
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
-    if (camera.model != CameraModel::pinhole) {
+    if (camera.model == CameraModel::equirectangular) {
       return make_error(Errc::unavailable, Error::kNone,
-                        "CUDA draws pinhole cameras alone: use Backend::cpu (--backend cpu) for this one");
+                        "CUDA draws no equirectangular cameras: use Backend::cpu (--backend cpu)");
     }
     const auto detail_px = detail::drawn_detail(options, scene.has_levels());
     if (!detail_px) return tl::unexpected(detail_px.error());
