@@ -26,11 +26,17 @@ tl::unexpected<Error> too_many(std::uint64_t n) {
   return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index", kMaxDrawn - 1, n);
 }
 
+bool drawn_by_cuda(const Camera& camera) {
+  return camera.model != CameraModel::equirectangular;
+}
+
 }  // namespace
 
 struct Renderer::Impl {
   std::optional<detail::ReferenceRenderer> reference;  // null if CUDA draws
   std::optional<detail::CudaBackend> cuda;
+  std::optional<RendererOptions> cpu_options;  // with CUDA by Backend::automatic: of the renderer below
+  std::unique_ptr<Renderer> on_cpu;            // draws what CUDA does not
   std::string name;
   std::vector<float> scratch;  // for a picture whose codes alone are wanted
   detail::FrameBudget budget;  // of RenderOptions::frame_ms
@@ -76,6 +82,8 @@ Result<Renderer> Renderer::create(const RendererOptions& options) {
       if (cuda) {
         impl->cuda.emplace(std::move(*cuda));
         impl->name = impl->cuda->name();
+        if (options.backend == Backend::automatic)
+          impl->cpu_options = {.backend = Backend::cpu, .threads = options.threads, .simd = options.simd};
         return Renderer(std::move(impl));
       }
       if (options.backend == Backend::cuda) return tl::unexpected(cuda.error());
@@ -105,6 +113,17 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
 
 Result<FrameStats> Renderer::draw(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                   const RenderOptions& options) {
+  if (impl_->cpu_options && !drawn_by_cuda(camera)) {
+    impl_->n_cut = 0;
+    return detail::guard_memory([&]() -> Result<FrameStats> {
+      if (!impl_->on_cpu) {
+        auto renderer = create(*impl_->cpu_options);
+        if (!renderer) return tl::unexpected(renderer.error());
+        impl_->on_cpu = std::make_unique<Renderer>(*std::move(renderer));
+      }
+      return impl_->on_cpu->draw(scene, camera, target, options);
+    });
+  }
   if (scene.is_streamed()) return render_streamed(scene, camera, target, options);
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
   RenderOptions drawn = options;
@@ -140,7 +159,8 @@ Result<std::vector<FrameStats>> Renderer::render_all(const Scene& scene, std::sp
       return make_error(Errc::bad_argument, Error::kNone, "the cameras of one call have different image sizes");
   }
   return detail::guard_memory([&] {
-    return impl_->cuda && !scene.is_streamed() && (pictures.on_device || cameras.size() > 1)
+    const bool some_on_cpu = impl_->cpu_options && !std::ranges::all_of(cameras, drawn_by_cuda);
+    return impl_->cuda && !scene.is_streamed() && (pictures.on_device || (cameras.size() > 1 && !some_on_cpu))
                ? impl_->render_on_device(scene, cameras, pictures, options)
                : render_each(scene, cameras, pictures, options);
   });

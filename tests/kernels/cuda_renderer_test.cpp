@@ -1142,6 +1142,17 @@ TEST_CASE("refusals: cameras and options") {
   Camera panorama = front_camera(8, 8);
   panorama.model = CameraModel::equirectangular;
   check_error(device.renderer().render(scene, panorama, {}), Errc::unavailable);
+  // Of Backend::automatic the CPU draws it, alone and beside others.
+  const Scene wall = walls(1);
+  auto renderer = Renderer::create();
+  require_ok(renderer);
+  Frame frame = Frame::of(panorama);
+  require_ok(renderer->render(wall, panorama, frame.target()));
+  const Frame host = cpu_frame(wall, panorama, {});
+  CHECK(psnr(frame.rgb, host.rgb) > 90);
+  std::vector<float> both(2 * host.rgb.size(), NAN);
+  require_ok(renderer->render_all(wall, std::vector{front_camera(8, 8), panorama}, {.rgb = both.data()}));
+  CHECK(psnr(std::span(both).last(host.rgb.size()), host.rgb) > 90);
   check_error(device.render(scene, {.near_plane = -1}), Errc::bad_argument);
   check_error(device.render(scene, Arithmetic{.depth_bits = 33}), Errc::bad_argument);
   check_error(device.render(scene, {.pipeline = Pipeline::paper, .paper = {.pixels_per_thread = 3}}),
