@@ -212,6 +212,21 @@ Status validate(const RenderTarget& t, const Camera& camera) {
   return {};
 }
 
+std::uint64_t pixels_of(const Camera& camera) {
+  return static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
+}
+
+PictureArrays pictures_from(PictureArrays p, std::uint64_t first, std::uint64_t n_pixels) {
+  const auto move = [&](auto*& data, std::uint64_t n) {
+    if (data != nullptr) data += first * n;
+  };
+  move(p.rgb, 3 * n_pixels);
+  move(p.codes, 3 * n_pixels);
+  move(p.alpha, n_pixels);
+  move(p.depth, n_pixels);
+  return p;
+}
+
 math::View<float> make_view(const Camera& camera, const Origin& origin, const FrameSettings& settings) {
   return view_of(camera, origin, settings.near_plane, settings.far_plane);
 }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <optional>
 
 #include "rgs/ablation.hpp"
@@ -62,6 +63,10 @@ lod::Eye eye_of(const Camera& camera, const Origin& origin, float z_near);
 
 /// bad_argument unless every span is empty or has the camera's pixels.
 Status validate(const RenderTarget& target, const Camera& camera);
+
+std::uint64_t pixels_of(const Camera& camera);
+/// The arrays of the pictures from `first` on, each of `n_pixels`.
+PictureArrays pictures_from(PictureArrays pictures, std::uint64_t first, std::uint64_t n_pixels);
 
 /// For a scene whose means are relative to `origin`.
 math::View<float> make_view(const Camera& camera, const Origin& origin, const FrameSettings& settings);

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <future>
 #include <optional>
 #include <string>
 #include <utility>
@@ -34,9 +35,10 @@ bool drawn_by_cuda(const Camera& camera) {
 
 struct Renderer::Impl {
   std::optional<detail::ReferenceRenderer> reference;  // null if CUDA draws
-  std::optional<detail::CudaBackend> cuda;
-  std::optional<RendererOptions> cpu_options;  // with CUDA by Backend::automatic: of the renderer below
-  std::unique_ptr<Renderer> on_cpu;            // draws what CUDA does not
+  std::optional<detail::CudaBackend> cuda;             // of the first device
+  std::vector<detail::CudaBackend> others;             // of the further devices
+  std::optional<RendererOptions> cpu_options;          // with CUDA by Backend::automatic: of the renderer below
+  std::unique_ptr<Renderer> on_cpu;                    // draws what CUDA does not
   std::string name;
   std::vector<float> scratch;  // for a picture whose codes alone are wanted
   detail::FrameBudget budget;  // of RenderOptions::frame_ms
@@ -59,6 +61,23 @@ struct Renderer::Impl {
                             const RenderTarget& target, const RenderOptions& options);
   Result<std::vector<FrameStats>> render_on_device(const Scene& scene, std::span<const Camera> cameras,
                                                    const PictureArrays& pictures, const RenderOptions& options);
+  // f(device, k) of the first n devices, all at once; the results in this order.
+  template <class F>
+  auto on_devices(std::size_t n, const F& f) {
+    using Done = decltype(f(*cuda, n));
+    const auto on_device = [this, &f](std::size_t k) -> Done {
+      return detail::guard_memory([&] { return f(k == 0 ? *cuda : others[k - 1], k); });
+    };
+    std::vector<Done> all;
+    std::vector<std::future<Done>> waited_for;  // also after an exception
+    all.reserve(n), waited_for.reserve(n);
+    // One for which no thread can be started follows the others.
+    for (std::size_t k = 1; k < n; ++k)
+      waited_for.push_back(std::async(std::launch::async | std::launch::deferred, on_device, k));
+    all.push_back(on_device(0));
+    for (auto& other : waited_for) all.push_back(other.get());
+    return all;
+  }
   Result<detail::StreamRule> rule_of(const Scene& scene, const Camera& camera, const RenderOptions& options) const;
   std::uint64_t n_missing(const Scene& scene, const Camera& camera, const RenderOptions& options,
                           float detail_px) const;
@@ -76,17 +95,28 @@ Renderer::~Renderer() = default;
 Result<Renderer> Renderer::create(const RendererOptions& options) {
   return detail::guard_memory([&]() -> Result<Renderer> {
     if (options.threads < 0) return make_error(Errc::bad_argument, Error::kNone, "the number of threads is negative");
+    const std::vector<int>& devices = options.devices;
+    if (!devices.empty() && options.backend == Backend::cpu)
+      return make_error(Errc::bad_argument, Error::kNone, "devices are CUDA's: name none, or use Backend::cuda");
+    if (std::ranges::any_of(devices, [](int device) { return device < 0; }))
+      return make_error(Errc::bad_argument, Error::kNone, "the number of a device is negative: they count from 0");
     auto impl = std::make_unique<Impl>();
     if (options.backend != Backend::cpu) {
-      auto cuda = detail::CudaBackend::create();
+      auto cuda = detail::CudaBackend::create(devices.empty() ? std::nullopt : std::optional(devices.front()));
+      if (!cuda && (options.backend == Backend::cuda || !devices.empty())) return tl::unexpected(cuda.error());
       if (cuda) {
         impl->cuda.emplace(std::move(*cuda));
         impl->name = impl->cuda->name();
+        impl->others.reserve(devices.size());
+        for (std::size_t k = 1; k < devices.size(); ++k) {
+          auto other = detail::CudaBackend::create(devices[k]);
+          if (!other) return tl::unexpected(other.error());
+          impl->others.push_back(std::move(*other));
+        }
         if (options.backend == Backend::automatic)
           impl->cpu_options = {.backend = Backend::cpu, .threads = options.threads, .simd = options.simd};
         return Renderer(std::move(impl));
       }
-      if (options.backend == Backend::cuda) return tl::unexpected(cuda.error());
     }
     impl->reference.emplace(options.threads, options.simd);
     impl->name = std::string("cpu ") + impl->reference->name();
@@ -95,7 +125,15 @@ Result<Renderer> Renderer::create(const RendererOptions& options) {
 }
 
 Status Renderer::prepare(const Scene& scene) {
-  if (impl_->cuda) return detail::guard_memory([&] { return impl_->cuda->prepare(scene); });
+  if (impl_->cuda) {
+    return detail::guard_memory([&]() -> Status {
+      const auto prepare_on = [&scene](detail::CudaBackend& device, std::size_t) { return device.prepare(scene); };
+      for (const Status& ok : impl_->on_devices(1 + impl_->others.size(), prepare_on)) {
+        if (!ok) return ok;
+      }
+      return {};
+    });
+  }
   const auto view = scene.view();
   if (!view) return tl::unexpected(view.error());
   return {};
@@ -150,6 +188,10 @@ Result<std::vector<FrameStats>> Renderer::render_all(const Scene& scene, std::sp
     return make_error(Errc::unavailable, Error::kNone,
                       "only CUDA draws pictures into device memory: use Backend::cuda");
   }
+  if (pictures.on_device && !impl_->others.empty()) {
+    return make_error(Errc::bad_argument, Error::kNone,
+                      "several devices draw into the host's memory: draw into a device's with that device alone");
+  }
   if (pictures.on_device && scene.is_streamed()) {
     return make_error(Errc::bad_argument, Error::kNone, "streamed scenes are drawn into the host's memory");
   }
@@ -174,10 +216,22 @@ Result<std::vector<FrameStats>> Renderer::Impl::render_on_device(const Scene& sc
   const RenderOptions drawn = detail::with_levels(within_time(options), *detail);
   const auto settings = detail::resolve(drawn, scene.declarations(), Backend::cuda);
   if (!settings) return tl::unexpected(settings.error());
-  auto stats = cuda->render_all(scene, cameras, pictures, with_declarations(drawn, scene.declarations()));
-  if (!stats) return stats;
+  const RenderOptions how = with_declarations(drawn, scene.declarations());
+  const std::uint64_t n_pixels = cameras.empty() ? 0 : detail::pixels_of(cameras.front());
+  const std::size_t n_parts = std::clamp<std::size_t>(cameras.size(), 1, 1 + others.size());
+  auto parts = on_devices(n_parts, [&](detail::CudaBackend& device, std::size_t k) {
+    const std::size_t first = cameras.size() * k / n_parts, end = cameras.size() * (k + 1) / n_parts;
+    return device.render_all(scene, cameras.subspan(first, end - first),
+                             detail::pictures_from(pictures, first, n_pixels), how);
+  });
+  std::vector<FrameStats> stats;
+  stats.reserve(cameras.size());
+  for (const auto& part : parts) {
+    if (!part) return part;
+    stats.insert(stats.end(), part->begin(), part->end());
+  }
   for (std::size_t i = 0; i < cameras.size(); ++i) {
-    FrameStats& s = (*stats)[i];
+    FrameStats& s = stats[i];
     s.depth_resolution = detail::depth_resolution(*settings, s.depth_bits, cameras[i], scene.declarations());
     s.stream.pages_missing = n_missing(scene, cameras[i], drawn, s.detail_px);
   }
@@ -213,7 +267,7 @@ Result<DeviceBlock> Renderer::allocate_on_device(std::uint64_t bytes) const {
                       "only CUDA draws pictures into device memory: use Backend::cuda");
   }
   if (bytes == 0) return make_error(Errc::bad_argument, Error::kNone, "an array on the device has 0 bytes");
-  return detail::guard_memory([&] { return detail::CudaBackend::allocate(bytes); });
+  return detail::guard_memory([&] { return impl_->cuda->allocate(bytes); });
 }
 
 Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& camera, const RenderTarget& target,

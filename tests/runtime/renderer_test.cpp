@@ -29,8 +29,8 @@ using math::Extent;
 
 namespace {
 
-constexpr RendererOptions kScalar{.backend = Backend::cpu, .threads = 1, .simd = false};
-constexpr RendererOptions kVector{.backend = Backend::cpu, .threads = 1, .simd = true};
+const RendererOptions kScalar{.backend = Backend::cpu, .threads = 1, .simd = false};
+const RendererOptions kVector{.backend = Backend::cpu, .threads = 1, .simd = true};
 
 /// Every Gaussian's contribution to one picture or several.
 std::vector<Contribution> contributions_of(const Scene& scene, const std::vector<Camera>& cameras,
@@ -751,4 +751,9 @@ TEST_CASE("refusals: cameras, options, targets, scenes, backends") {
   cloud.mean.pop_back();
   CHECK(Scene::load(cloud).error().code == Errc::bad_argument);
   CHECK(Renderer::create({.threads = -1}).error().code == Errc::bad_argument);
+  CHECK(Renderer::create({.backend = Backend::cpu, .devices = {0}}).error().code == Errc::bad_argument);
+  CHECK(Renderer::create({.devices = {0, -1}}).error().code == Errc::bad_argument);
+  // Never the CPU instead.
+  const auto first = Renderer::create({.devices = {0}});
+  CHECK((first ? first->backend() == Backend::cuda : first.error().code == Errc::unavailable));
 }

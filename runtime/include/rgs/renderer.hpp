@@ -26,6 +26,10 @@ struct RendererOptions {
   Backend backend = Backend::automatic;
   int threads = 0;   ///< CPU threads, at most as many as the machine has; 0: all
   bool simd = true;  ///< CPU: false runs the scalar definition in rgs::math, the reference for everything else
+  /// CUDA's numbers of the drawing devices; not for Backend::cpu, nor replaced by the CPU. Each holds the whole
+  /// scene. render_all() deals its pictures out, render() uses the first; a streamed scene is drawn where its pages
+  /// are. A number may appear again: two renderers then share the device. Empty: the one that is current at create().
+  std::vector<int> devices = {};
 };
 
 /// How a frame is made.
@@ -145,17 +149,18 @@ struct DeviceBlock {
 /// of them may share a Scene.
 class Renderer {
  public:
-  /// Errors: bad_argument (negative thread count), unavailable (the backend is not built or no device answers),
-  /// device_out_of_memory, device_failed. A moved-from Renderer may only be destroyed or assigned to.
+  /// Errors: bad_argument (negative thread count; devices that are not there, or for the CPU), unavailable (the backend
+  /// is not built or no device answers), device_out_of_memory, device_failed. A moved-from Renderer may only be
+  /// destroyed or assigned to. No call changes the thread's current device.
   static Result<Renderer> create(const RendererOptions& options = {});
 
   Renderer(Renderer&&) noexcept;
   Renderer& operator=(Renderer&&) noexcept;
   ~Renderer();
 
-  /// Uploads the scene ahead of the first render(), which does it otherwise: CUDA takes it, with levels all pages, and
-  /// decodes on the device what Scene::open() left in its file; the CPU makes its FP32 arrays. Errors: those of
-  /// Scene::view() and DeviceScene::upload().
+  /// Uploads the scene ahead of the first render(), which does it otherwise: each CUDA device takes it, with levels all
+  /// pages, and decodes on the device what Scene::open() left in its file; the CPU makes its FP32 arrays. Errors: those
+  /// of Scene::view() and DeviceScene::upload().
   Status prepare(const Scene& scene);
 
   /// Fills `target` and returns what it cost. Of a streamed scene draws the resident pages: the frame waits for no
@@ -168,9 +173,10 @@ class Renderer {
                             const RenderOptions& options = {});
 
   /// Pictures of several cameras of one size, each as by render(). CUDA keeps several in flight, which pays for small
-  /// pictures. Complete on return; stage times are those of a single picture. Errors: those of render(); bad_argument
-  /// (sizes differ, an array is not in the device's memory, or the scene is streamed and arrays are), unavailable
-  /// (device arrays, but the CPU draws).
+  /// pictures. Of several devices each draws a run of the cameras on a thread of its own, unless the scene is streamed.
+  /// Complete on return; stage times are those of a single picture. Errors: those of render(), the first in the order
+  /// of these runs; bad_argument (sizes differ, an array is not in the device's memory, or arrays are but the scene is
+  /// streamed or there are several devices), unavailable (device arrays, but the CPU draws).
   Result<std::vector<FrameStats>> render_all(const Scene& scene, std::span<const Camera> cameras,
                                              const PictureArrays& pictures, const RenderOptions& options = {});
 
@@ -181,8 +187,8 @@ class Renderer {
   /// nobody will release any); those of render().
   Result<bool> refine(const Scene& scene, const Camera& camera, double seconds, const RenderOptions& options = {});
 
-  /// Memory of the drawing device, for PictureArrays. Errors: unavailable (the CPU has none), bad_argument (0 bytes),
-  /// device_out_of_memory, device_failed.
+  /// Memory of the first drawing device, for PictureArrays. Errors: unavailable (the CPU has none), bad_argument (0
+  /// bytes), device_out_of_memory, device_failed.
   Result<DeviceBlock> allocate_on_device(std::uint64_t bytes) const;
 
   Backend backend() const;           ///< the backend in use, never automatic

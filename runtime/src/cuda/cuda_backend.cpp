@@ -84,6 +84,14 @@ struct StreamedFrames {
 };
 
 struct CudaBackend::Impl {
+  // f(), a Result or Status, with the device current.
+  template <class F>
+  auto on_device(const F& f) const -> decltype(f()) {
+    const OnDevice here(device);
+    return here.status() ? f() : tl::unexpected(here.status().error());
+  }
+
+  int device;
   std::unique_ptr<FrameMaker> maker;
   DeviceScene scene = {};
   std::uint64_t scene_identity = 0;
@@ -92,13 +100,27 @@ struct CudaBackend::Impl {
 
 CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 CudaBackend::CudaBackend(CudaBackend&&) noexcept = default;
-CudaBackend& CudaBackend::operator=(CudaBackend&&) noexcept = default;
-CudaBackend::~CudaBackend() = default;
+CudaBackend::~CudaBackend() {
+  if (impl_ == nullptr) return;
+  const OnDevice here(impl_->device);
+  impl_.reset();
+}
 
-Result<CudaBackend> CudaBackend::create() {
-  auto maker = FrameMaker::create({});
+Result<CudaBackend> CudaBackend::create(std::optional<int> device) {
+  int current = 0, n_devices = 0;
+  const bool answers =
+      cudaGetDeviceCount(&n_devices) == cudaSuccess && n_devices > 0 && cudaGetDevice(&current) == cudaSuccess;
+  if (answers && device.value_or(0) >= n_devices) {
+    return make_error(Errc::bad_argument, Error::kNone,
+                      "no CUDA device has this number: name devices that nvidia-smi lists and CUDA_VISIBLE_DEVICES "
+                      "leaves, counted from 0",
+                      static_cast<std::uint64_t>(n_devices - 1), static_cast<std::uint64_t>(*device));
+  }
+  const OnDevice here(device.value_or(current));
+  if (answers && !here.status()) return tl::unexpected(here.status().error());
+  auto maker = FrameMaker::create({});  // says why no device answers
   if (!maker) return tl::unexpected(maker.error());
-  return CudaBackend(std::unique_ptr<Impl>(new Impl{std::move(*maker)}));
+  return CudaBackend(std::unique_ptr<Impl>(new Impl{device.value_or(current), std::move(*maker)}));
 }
 
 const char* CudaBackend::name() const {
@@ -107,33 +129,35 @@ const char* CudaBackend::name() const {
 
 Status CudaBackend::prepare(const Scene& scene) {
   if (impl_->scene_identity == scene.identity()) return {};
-  impl_->scene = {};  // before the next one: both may not fit
-  impl_->scene_identity = 0;
-  auto uploaded = upload(scene);
-  if (!uploaded) return tl::unexpected(uploaded.error());
-  impl_->scene = std::move(*uploaded);
-  impl_->scene_identity = scene.identity();
-  return {};
+  return impl_->on_device([&]() -> Status {
+    impl_->scene = {};  // before the next one: both may not fit
+    impl_->scene_identity = 0;
+    auto uploaded = upload(scene);
+    if (!uploaded) return tl::unexpected(uploaded.error());
+    impl_->scene = std::move(*uploaded);
+    impl_->scene_identity = scene.identity();
+    return {};
+  });
 }
 
 Result<FrameStats> CudaBackend::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                        const RenderOptions& options) {
   if (const auto ok = prepare(scene); !ok) return tl::unexpected(ok.error());
-  return impl_->maker->draw(impl_->scene, camera, target, options);
+  return impl_->on_device([&] { return impl_->maker->draw(impl_->scene, camera, target, options); });
 }
 
 Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene& scene, std::span<const Camera> cameras,
                                                         const PictureArrays& pictures, const RenderOptions& options) {
   if (const auto ok = prepare(scene); !ok) return tl::unexpected(ok.error());
-  return impl_->batch.render(impl_->scene, cameras, pictures, options);
+  return impl_->on_device([&] { return impl_->batch.render(impl_->scene, cameras, pictures, options); });
 }
 
 // Not from the pool: whoever frees it may have queued work that reads it, and cudaFree() waits for that.
-Result<DeviceBlock> CudaBackend::allocate(std::uint64_t bytes) {
+Result<DeviceBlock> CudaBackend::allocate(std::uint64_t bytes) const {
+  const OnDevice here(impl_->device);
+  if (!here.status()) return tl::unexpected(here.status().error());
   void* data = nullptr;
-  DeviceBlock block;
-  if (Status ok = device_status(cudaGetDevice(&block.device), "the current device could not be read"); !ok)
-    return tl::unexpected(ok.error());
+  DeviceBlock block{.data = nullptr, .device = impl_->device};
   const cudaError_t error = cudaMalloc(&data, bytes);
   if (error == cudaErrorMemoryAllocation) {
     cudaGetLastError();
@@ -147,12 +171,8 @@ Result<DeviceBlock> CudaBackend::allocate(std::uint64_t bytes) {
 // The destructor of the temporary storage waits for the frame, so the slots may be reused on return.
 Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
                                        const RenderOptions& options) {
-  int device = 0;
-  if (Status ok = device_status(cudaGetDevice(&device), "the current device could not be read"); !ok)
-    return tl::unexpected(ok.error());
-  if (device != draw.slots.device()) {
-    return make_error(Errc::bad_argument, Error::kNone, "the scene's pages are on another device than the current one");
-  }
+  const OnDevice here(draw.slots.device());
+  if (!here.status()) return tl::unexpected(here.status().error());
   const SlotPlan& plan = draw.slots.plan();
   auto storage = std::make_shared<SceneStorage>();
   storage->n = draw.gaussians;

@@ -7,10 +7,9 @@ namespace rgs::detail {
 struct CudaBackend::Impl {};
 CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 CudaBackend::CudaBackend(CudaBackend&&) noexcept = default;
-CudaBackend& CudaBackend::operator=(CudaBackend&&) noexcept = default;
 CudaBackend::~CudaBackend() = default;
 
-Result<CudaBackend> CudaBackend::create() {
+Result<CudaBackend> CudaBackend::create(std::optional<int>) {
   return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
 }
 Status CudaBackend::prepare(const Scene&) {
@@ -26,7 +25,7 @@ Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene&, std::span<
                                                         const RenderOptions&) {
   return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
 }
-Result<DeviceBlock> CudaBackend::allocate(std::uint64_t) {
+Result<DeviceBlock> CudaBackend::allocate(std::uint64_t) const {
   return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
 }
 const char* CudaBackend::name() const {

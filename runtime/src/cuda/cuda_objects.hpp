@@ -18,6 +18,32 @@ inline Status device_status(cudaError_t error, const char* what) {
   return make_error(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
 }
 
+/// Makes a device current for its lifetime, then restores the one before. Sets nothing if it is current already:
+/// cudaSetDevice() creates a context of hundreds of megabytes on a device without one.
+class OnDevice {
+ public:
+  explicit OnDevice(int device) {
+    status_ = device_status(cudaGetDevice(&before_), "the current device could not be read");
+    if (!status_ || before_ == device) return;
+    status_ = device_status(cudaSetDevice(device), kNotCurrent);
+    is_changed_ = status_.has_value();
+  }
+  OnDevice(const OnDevice&) = delete;
+  OnDevice& operator=(const OnDevice&) = delete;
+  ~OnDevice() {
+    if (is_changed_) cudaSetDevice(before_);
+  }
+  /// Errors: device_failed.
+  const Status& status() const { return status_; }
+
+  static constexpr const char* kNotCurrent = "a device could not be made current";
+
+ private:
+  int before_ = 0;
+  bool is_changed_ = false;
+  Status status_;
+};
+
 /// A point in a stream's work. All functions may fail with device_failed.
 class Event {
  public:

@@ -16,21 +16,6 @@ constexpr std::size_t kLanes = 8;
 // Device memory of pictures that are copied to the host together.
 constexpr std::uint64_t kStagedBytes = std::uint64_t{64} << 20;
 
-std::uint64_t pixels_of(const Camera& camera) {
-  return static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
-}
-
-PictureArrays from(PictureArrays p, std::uint64_t first, std::uint64_t n_pixels) {
-  const auto move = [&](auto*& data, std::uint64_t n) {
-    if (data != nullptr) data += first * n;
-  };
-  move(p.rgb, 3 * n_pixels);
-  move(p.codes, 3 * n_pixels);
-  move(p.alpha, n_pixels);
-  move(p.depth, n_pixels);
-  return p;
-}
-
 Status check_place(const void* data) {
   if (data == nullptr) return {};
   int device = 0;
@@ -107,7 +92,7 @@ Result<std::vector<FrameStats>> PictureBatch::render_on_device(const DeviceScene
       if (done) done = begun.hold(lane->stream.get());
     }
     std::vector<FrameStats> drawn;
-    if (done) done = draw(scene, cameras.subspan(first), from(pictures, first, n_pixels), how, lanes, drawn);
+    if (done) done = draw(scene, cameras.subspan(first), pictures_from(pictures, first, n_pixels), how, lanes, drawn);
     std::ranges::copy(drawn, stats.begin() + static_cast<std::ptrdiff_t>(first));
     return done;
   };
@@ -153,7 +138,7 @@ Status PictureBatch::draw(const DeviceScene& scene, std::span<const Camera> came
     if (n_queued >= most) finish(n_queued - most);
     if (!ok) break;
     const Lane& lane = *lanes[n_queued % lanes.size()];
-    const PictureArrays place = from(pictures, n_queued, n_pixels);
+    const PictureArrays place = pictures_from(pictures, n_queued, n_pixels);
     DeviceTarget target;
     target.rgb = place.rgb;
     target.alpha = place.alpha;

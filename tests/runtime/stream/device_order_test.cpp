@@ -853,6 +853,31 @@ TEST_CASE("a scene is drawn by the renderer of its pages' device, and the other 
   CHECK(cuda.n_faults == 0);
 }
 
+TEST_CASE("several devices draw a run of the cameras each, and the first run's error is told") {
+  const FakeCuda cuda(FakeCuda::Pace::at_once);
+  auto renderer = Renderer::create({.devices = {1, 0, 1}});
+  REQUIRE(renderer);
+  const std::vector<std::vector<std::uint64_t>> drawn_by{{1, 0}, {1, 0, 1}, {1, 1, 0, 0, 1, 1, 1}};
+  for (const std::vector<std::uint64_t>& expected : drawn_by) {
+    const std::size_t n = expected.size();
+    std::vector<Camera> cameras(n, camera_at({0, 12, 30}, {0, 0, 0}, 4, 2));
+    for (std::size_t i = 0; i < n; ++i) cameras[i].fx = static_cast<double>(100 + i);
+    std::vector<std::uint8_t> codes(n * 24);
+    const auto stats = renderer->render_all(Scene(), cameras, {.codes = codes.data()});
+    REQUIRE(stats);
+    REQUIRE(stats->size() == n);
+    for (std::size_t i = 0; i < n; ++i) {
+      CHECK((*stats)[i].gaussians == expected[i]);
+      CHECK(codes[24 * i] == 100 + i);
+    }
+    cameras[n / 2].name = cameras.back().name = "fails";
+    const auto refused = renderer->render_all(Scene(), cameras, {.codes = codes.data()});
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().found == 100 + n / 2);
+    CHECK(renderer->render_all(Scene(), cameras, {.on_device = true}).error().code == Errc::bad_argument);
+  }
+}
+
 TEST_CASE("a pool with a device holds no more host memory than its budget, counting every allocation") {
   if (!counts_memory()) return;
   // Threads, and copies in the fake device's queues.

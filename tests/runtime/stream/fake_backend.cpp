@@ -1,4 +1,5 @@
-// fake_backend.cpp - a CUDA backend on the fake device: reads slots like the kernels, and draws with the CPU renderer.
+// fake_backend.cpp - a CUDA backend on the fake devices: reads slots like the kernels, and draws with the CPU renderer.
+// Of other scenes it only says which device would draw.
 // SPDX-License-Identifier: Apache-2.0
 #include <cuda_runtime_api.h>
 
@@ -89,18 +90,18 @@ bool reserve(FrameWorkspace& workspace, std::uint64_t bytes) {
 }  // namespace
 
 struct CudaBackend::Impl {
+  int device;
   ReferenceRenderer renderer{1, true};
 };
 
 CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 CudaBackend::CudaBackend(CudaBackend&&) noexcept = default;
-CudaBackend& CudaBackend::operator=(CudaBackend&&) noexcept = default;
 CudaBackend::~CudaBackend() = default;
 
-Result<CudaBackend> CudaBackend::create() {
+Result<CudaBackend> CudaBackend::create(std::optional<int> device) {
   if (test::FakeCuda::current() == nullptr)
     return make_error(Errc::unavailable, Error::kNone, "the test has no device now");
-  return CudaBackend(std::make_unique<Impl>());
+  return CudaBackend(std::unique_ptr<Impl>(new Impl{device.value_or(0)}));
 }
 Status CudaBackend::prepare(const Scene&) {
   return make_error(Errc::unavailable, Error::kNone, "the test's device draws streamed scenes alone");
@@ -143,11 +144,20 @@ Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camer
   if (stats) stats->bytes = draw.slots.workspace().held();
   return stats;
 }
-Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene&, std::span<const Camera>, const PictureArrays&,
-                                                        const RenderOptions&) {
-  return make_error(Errc::unavailable, Error::kNone, "the test's device draws streamed scenes alone");
+// Writes a camera's focal length into the first code of its picture.
+Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene&, std::span<const Camera> cameras,
+                                                        const PictureArrays& pictures, const RenderOptions&) {
+  std::vector<FrameStats> stats(cameras.size());
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    const auto focal_px = static_cast<std::uint8_t>(cameras[i].fx);
+    if (cameras[i].name == "fails")
+      return make_error(Errc::device_failed, Error::kNone, "the test's camera fails", Error::kNone, focal_px);
+    *pictures_from(pictures, i, pixels_of(cameras[i])).codes = focal_px;
+    stats[i].gaussians = static_cast<std::uint64_t>(impl_->device);
+  }
+  return stats;
 }
-Result<DeviceBlock> CudaBackend::allocate(std::uint64_t) {
+Result<DeviceBlock> CudaBackend::allocate(std::uint64_t) const {
   return make_error(Errc::unavailable, Error::kNone, "the test's device draws streamed scenes alone");
 }
 const char* CudaBackend::name() const {
