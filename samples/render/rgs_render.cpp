@@ -13,6 +13,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <set>
+#include <span>
 #include <string>
 #include <thread>
 #include <vector>
@@ -78,6 +79,7 @@ struct Frame {
 constexpr double kDefaultWait = 60;  // seconds a frame
 constexpr int kWarmUps = 3;          // frames
 constexpr std::size_t kWaitingBytes = 512 << 20;
+constexpr std::size_t kDeviceShots = 8;  // at a time, of several devices each
 
 bool is_streamed(const Options& options) {
   return options.host_memory || options.device_memory || rgs::is_url(options.scene);
@@ -210,30 +212,46 @@ struct Picture {
   rgs::Image colour, depth;
 };
 
-rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const rgs::Scene& scene, const rgs::RenderOptions& options,
-                                 bool with_alpha, Frame& frame) {
-  const Shot& shot = *frame.shot;
-  Picture picture;
-  const int width = shot.camera.width, height = shot.camera.height;
-  picture.colour = rgs::Image::make(width, height, 3);
-  rgs::Image alpha;
-  rgs::RenderTarget target;
-  target.rgb = picture.colour.pixels;
+// The i-th of n images that lie one below the other.
+rgs::Image nth(rgs::Image& all, std::size_t i, std::size_t n) {
+  if (n == 1 || all.pixels.empty()) return std::move(all);
+  rgs::Image one = rgs::Image::make(all.width, all.height / static_cast<int>(n), all.channels);
+  std::ranges::copy(std::span(all.pixels).subspan(i * one.pixels.size(), one.pixels.size()), one.pixels.begin());
+  return one;
+}
+
+// Frames of one size.
+rgs::Result<std::vector<Picture>> render_shots(rgs::Renderer& renderer, const rgs::Scene& scene,
+                                               const rgs::RenderOptions& options, bool with_alpha,
+                                               std::span<Frame> frames) {
+  const std::size_t n = frames.size();
+  std::vector<rgs::Camera> cameras;
+  cameras.reserve(n);
+  for (const Frame& frame : frames) cameras.push_back(frame.shot->camera);
+  const int width = cameras.front().width, height = cameras.front().height * static_cast<int>(n);
+  rgs::Image colour = rgs::Image::make(width, height, 3), alpha, depth;
+  rgs::PictureArrays arrays;
+  arrays.rgb = colour.pixels.data();
   if (with_alpha) {
     alpha = rgs::Image::make(width, height, 1);
-    target.alpha = alpha.pixels;
+    arrays.alpha = alpha.pixels.data();
   }
-  if (!shot.depth.empty()) {
-    picture.depth = rgs::Image::make(width, height, 1);
-    target.depth = picture.depth.pixels;
+  if (!frames.front().shot->depth.empty()) {
+    depth = rgs::Image::make(width, height, 1);
+    arrays.depth = depth.pixels.data();
   }
   const auto begin = Clock::now();
-  const auto rendered = renderer.render(scene, shot.camera, target, options);
+  const auto rendered = renderer.render_all(scene, cameras, arrays, options);
   if (!rendered) return tl::unexpected(rendered.error());
-  frame.stats = *rendered;
-  frame.draw_ms = 1e3 * seconds_since(begin);
-  if (with_alpha) picture.colour = rgs::with_alpha(picture.colour, alpha.pixels);
-  return picture;
+  const double draw_ms = 1e3 * seconds_since(begin) / static_cast<double>(n);
+  std::vector<Picture> pictures(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    frames[i].stats = (*rendered)[i];
+    frames[i].draw_ms = draw_ms;
+    pictures[i] = {nth(colour, i, n), nth(depth, i, n)};
+    if (with_alpha) pictures[i].colour = rgs::with_alpha(pictures[i].colour, nth(alpha, i, n).pixels);
+  }
+  return pictures;
 }
 
 // Writes a frame's files; reports an error itself and returns the exit code.
@@ -420,7 +438,8 @@ void warn_of_coarse_depths(const std::vector<Frame>& frames) {
 
 // Draws and writes every shot, between begin(frame, options) and is_complete(frame). A picture is encoded while the next
 // frame is rendered; at most two are in memory. In real time no frame waits for the one before to be encoded or for the
-// disk, up to kWaitingBytes of pictures. Returns an exit code.
+// disk, up to kWaitingBytes of pictures. Several devices draw as many together, at least one each. Returns an exit
+// code.
 template <class Begin, class IsComplete>
 int draw_frames(const Options& options, rgs::Renderer& renderer, const rgs::Scene& scene,
                 const std::vector<Shot>& shots, Clock::time_point opened, const Begin& begin,
@@ -430,27 +449,36 @@ int draw_frames(const Options& options, rgs::Renderer& renderer, const rgs::Scen
   progress.begin("rendering", shots.size(), "frames");
   const rgs::Camera& camera = shots.front().camera;
   const auto picture_bytes = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height) * 16;
-  const std::size_t n_writers = options.realtime ? std::clamp<std::size_t>(kWaitingBytes / picture_bytes, 1, 32) : 1;
+  const std::size_t n_waiting = kWaitingBytes / picture_bytes, n_devices = options.renderer.devices.size();
+  const std::size_t n_at_once = n_devices > 1 ? std::clamp(n_waiting, n_devices, kDeviceShots * n_devices) : 1;
+  const std::size_t n_writers = options.realtime ? std::clamp<std::size_t>(n_waiting, 1, 32) : n_at_once;
   std::deque<std::future<int>> writing;
-  for (const Shot& shot : shots) {
-    Frame frame{&shot, {}};
-    begin(frame, how);
-    auto picture = render_shot(renderer, scene, how, options.alpha, frame);
-    if (!picture) return tool::report(shot.camera.name, picture.error());
-    if (drawn.first_frame_ms == 0) drawn.first_frame_ms = 1e3 * seconds_since(opened);
-    if (!is_complete(frame)) ++drawn.n_incomplete;
-    if (writing.size() == n_writers) {
-      if (const int code = writing.front().get(); code != tool::kSuccess) return code;
-      writing.pop_front();
+  for (auto next = shots.begin(); next != shots.end();) {
+    const rgs::Camera& size = next->camera;
+    std::vector<Frame> frames;
+    while (next != shots.end() && frames.size() < n_at_once && next->camera.width == size.width &&
+           next->camera.height == size.height) {
+      begin(frames.emplace_back(Frame{&*next++, {}}), how);
     }
-    // If no thread can be started it is written once later frames are rendered. Named, and so copied: libstdc++ would
-    // have moved it into the thread that does not start.
-    const auto write = [&shot, &options, done = std::make_shared<const Picture>(*std::move(picture))] {
-      return write_shot(shot, *done, options.overwrite);
-    };
-    writing.push_back(std::async(std::launch::async | std::launch::deferred, write));
-    drawn.frames.push_back(frame);
-    progress.advance(1);
+    auto pictures = render_shots(renderer, scene, how, options.alpha, frames);
+    if (!pictures) return tool::report(size.name, pictures.error());
+    if (drawn.first_frame_ms == 0) drawn.first_frame_ms = 1e3 * seconds_since(opened);
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+      if (!is_complete(frames[i])) ++drawn.n_incomplete;
+      if (writing.size() == n_writers) {
+        if (const int code = writing.front().get(); code != tool::kSuccess) return code;
+        writing.pop_front();
+      }
+      // If no thread can be started it is written once later frames are rendered. Named, and so copied: libstdc++ would
+      // have moved it into the thread that does not start.
+      const auto write = [shot = frames[i].shot, &options,
+                          done = std::make_shared<const Picture>(std::move((*pictures)[i]))] {
+        return write_shot(*shot, *done, options.overwrite);
+      };
+      writing.push_back(std::async(std::launch::async | std::launch::deferred, write));
+      drawn.frames.push_back(frames[i]);
+      progress.advance(1);
+    }
   }
   for (std::future<int>& one : writing) {
     if (const int code = one.get(); code != tool::kSuccess) return code;
@@ -596,11 +624,11 @@ int render_streamed(const Options& options) {
     Frame frame{&shots.front(), {}};
     rgs::RenderOptions warm_up = asked;
     if (keeps_time) warm_up.frame_ms = pace.draw_ms();
-    const auto picture = render_shot(*renderer, *scene, warm_up, options.alpha, frame);
+    const auto picture = render_shots(*renderer, *scene, warm_up, options.alpha, {&frame, 1});
     if (!picture) return tool::report(frame.shot->camera.name, picture.error());
     if (n > 0) continue;
     drawn.first_frame_ms = 1e3 * seconds_since(opened);
-    const auto encoded = rgs::encode_image(picture->colour, rgs::ImageFormat::png);
+    const auto encoded = rgs::encode_image(picture->front().colour, rgs::ImageFormat::png);
     if (!encoded) return tool::report(frame.shot->out, encoded.error());
   }
   const auto begin = [&](Frame& frame, rgs::RenderOptions& render_how) {
@@ -769,6 +797,11 @@ void add_options(CLI::App& app, Options& o) {
       ->transform(tool::one_of<rgs::Backend>(
           {{"auto", rgs::Backend::automatic}, {"cpu", rgs::Backend::cpu}, {"cuda", rgs::Backend::cuda}}))
       ->group(machine);
+  app.add_option("--devices", o.renderer.devices,
+                 "N,... of GPUs by CUDA's numbers; each holds the scene and draws a part of the pictures")
+      ->delimiter(',')
+      ->allow_extra_args(false)
+      ->group(machine);
   app.add_option("--threads", o.renderer.threads, "CPU threads, 0 for all cores")
       ->check(CLI::Range(0, 1024))
       ->capture_default_str()
@@ -798,6 +831,8 @@ std::string contradiction(const Options& o) {
     return "depth needs floating point: name the file .exr or .tif";
   if (o.host_memory == std::uint64_t{0}) return "--host-memory must be more than 0 bytes";
   if (o.device_memory == std::uint64_t{0}) return "--device-memory must be more than 0 bytes";
+  if (!o.renderer.devices.empty() && is_streamed(o))
+    return "a streamed scene is drawn on one device: leave out --devices, or name a file and no --device-memory";
   if ((o.wait || o.realtime) && !is_streamed(o))
     return "--wait and --realtime need a streamed scene: give --host-memory, --device-memory, or an address";
   for (const float v : o.render.background)

@@ -375,13 +375,16 @@ TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input") {
         "@scene.ply --out @a.png --depth @d.png", "@scene.ply --out @a.png --exp fast",
         "@scene.ply --out @a.png --orbit 0", "@scene.ply --out @a.png --frames 4",
         "@scene.ply --out @a.png --backend vulkan", "@scene.ply --out @a.png --mode paper --exp exact",
-        "@scene.ply --out @a.png --background 1,2"}) {
+        "@scene.ply --out @a.png --background 1,2", "@scene.ply --out @a.png --devices x"}) {
     CAPTURE(arguments);
     const Outcome outcome = stage.run(arguments);
     CHECK(outcome.code == 2);
     CHECK(outcome.out != "");
     CHECK_FALSE(stage.has("a.png"));
   }
+  const Outcome negative = stage.run("--devices 0,-1 @scene.ply --out @a.png");
+  CHECK(negative.code == 2);
+  CHECK(negative.out.find("negative") != std::string::npos);
   CHECK(stage.run("@missing.ply --out @a.png").code == 3);
   CHECK(stage.run("@missing.ply --out @a.png").out.find("No such file") != std::string::npos);
   CHECK(stage.run("@scene.ply -c @missing.json --out @a.png").code == 3);
@@ -675,6 +678,7 @@ TEST_CASE("inputs that cannot be streamed are refused with advice") {
   refused("@town.rgs --host-memory 1GiB --backend cuda", 2, "--device-memory");
   refused("@town.rgs --device-memory 1GiB --backend cpu", 2, "--device-memory");
   refused("@town.rgs --device-memory 0", 2, "0 bytes");
+  refused("@town.rgs --device-memory 1GiB --devices 0,1", 2, "--devices");
   refused("@scene.rgs --device-memory much", 2, "--device-memory");
   refused("@town.rgs --wait 3", 2, "--host-memory");
   refused("@town.rgs --host-memory 1GiB --realtime 10", 2, "--path");
