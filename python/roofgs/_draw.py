@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Dict, List, Optional, Tuple
+from typing import Dict, List, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +31,11 @@ def make_options(background: Tuple[float, float, float] = (0.0, 0.0, 0.0), near_
 class Drawer:
     """A renderer of the library; threads take turns."""
 
-    def __init__(self, device: str, threads: int = 0) -> None:
+    def __init__(self, device: str, threads: int = 0, devices: Sequence[int] = ()) -> None:
         self.handle = Handle()
-        made = work("make_renderer", into=self.handle, device=device, threads=threads)
+        made = work("make_renderer", into=self.handle, device=device, threads=threads, devices=list(devices))
         self.device, self.name = str(made["device"]), str(made["name"])
+        self._part = 64 * max(1, len(devices)) if self.device == "cuda" else 1
         self._turn = threading.Lock()
 
     def draw(self, scene: Handle, file: Optional[bytes], cameras: "NDArray[np.float64]", outputs: Outputs, options: Handle,
@@ -42,7 +43,7 @@ class Drawer:
         """Fills `outputs` with what packed `cameras` see; in GPU memory if there is a `stream`. Ctrl-C is heard between parts."""
         image, alpha, depth = (0 if output is None else output.address for output in outputs)
         rgb, codes = (image, 0) if outputs[0].dtype == "float32" else (0, image)
-        part = 1 if one_by_one or self.device == "cpu" else 64
+        part = 1 if one_by_one else self._part
         begin_work()
         with self._turn:
             for first in range(0, len(cameras) or 1, part):

@@ -47,6 +47,9 @@ class Renderer:
         The method; docs/format/RENDERING.md. "automatic" is the image's definition on the CPU and turbo on a GPU.
     threads : int
         CPU threads; 0 is all. Pictures do not depend on it.
+    devices : sequence of int
+        GPUs, by CUDA's numbers: each holds the scene and draws a part of one call's pictures. Empty: CUDA's current one. Several
+        draw into NumPy arrays alone.
 
     >>> import roofgs
     >>> scene = roofgs.load(examples / "scene.rgs")
@@ -60,14 +63,18 @@ class Renderer:
     (dtype('uint8'), (48, 64), True)
     """
 
-    def __init__(self, device: Device = "auto", pipeline: Pipeline = "automatic", *, threads: int = 0) -> None:
+    def __init__(self, device: Device = "auto", pipeline: Pipeline = "automatic", *, threads: int = 0,
+                 devices: Sequence[int] = ()) -> None:
         if device not in get_args(Device):
             raise argument_error(f"device is one of {', '.join(get_args(Device))}, not {device!r}")
         if pipeline not in get_args(Pipeline):
             raise argument_error(f"pipeline is one of {', '.join(get_args(Pipeline))}, not {pipeline!r}")
         if not 0 <= threads <= 1024:
             raise argument_error(f"threads is 0 to 1024, not {threads}")
-        self._drawer = Drawer(device, operator.index(threads))
+        devices = [operator.index(number) for number in devices]
+        if not all(0 <= number < 2**31 for number in devices):
+            raise argument_error(f"devices are numbers of GPUs, from 0 on, not {devices}")
+        self._drawer = Drawer(device, operator.index(threads), devices)
         self._pipeline = pipeline
         self._options: Dict[Tuple[Any, ...], Handle] = {}
 

@@ -35,6 +35,7 @@ Json make_renderer(const Json& a) {
   RendererOptions options;
   options.backend = device == "cuda" ? Backend::cuda : device == "cpu" ? Backend::cpu : Backend::automatic;
   options.threads = a.at("threads");
+  options.devices = a.at("devices").get<std::vector<int>>();
   auto renderer = take(Renderer::create(options));
   const char* const drawn_by = renderer.backend() == Backend::cuda ? "cuda" : "cpu";
   const std::string name = renderer.backend_name();

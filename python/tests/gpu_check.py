@@ -121,6 +121,16 @@ def several_pictures_are_those_of_each(s):
 
 
 @check
+def several_devices_draw_the_same(s):
+    several = roofgs.Renderer(devices=[0, 0, 0])
+    expected = s.renderer.render(s.scene, s.views, alpha=True, depth=True)
+    for have, want in zip(several.render(s.scene, s.views, alpha=True, depth=True), expected):
+        assert np.array_equal(have, want)
+    assert len(several.stats) == len(s.views)
+    refused(roofgs.ArgumentError, lambda: several.render(s.scene, s.views, on_device=True), "several devices")
+
+
+@check
 def new_arrays_on_the_device(s):
     for dtype in ("float32", "uint8"):
         wanted = s.renderer.render(s.scene, s.views[2], dtype=dtype)

@@ -148,7 +148,8 @@ def test_files_are_not_taken_for_what_they_hold(method, arguments, scene, render
 
 
 def test_bad_renderers():
-    for wrong in (dict(device="gpu"), dict(pipeline="fast"), dict(threads=-1), dict(threads=2**40)):
+    for wrong in (dict(device="gpu"), dict(pipeline="fast"), dict(threads=-1), dict(threads=2**40),
+                  dict(devices=[0, -1]), dict(devices=[2**40]), dict(device="cpu", devices=[0])):
         with pytest.raises(roofgs.ArgumentError):
             roofgs.Renderer(**wrong)
     with pytest.raises(roofgs.UnavailableError) as caught:
