@@ -55,31 +55,6 @@ struct TurboRuns {
   }
 };
 
-/// Calls f(entry) for every entry, without a barrier: for entries whose positions do not matter. All threads of the
-/// block call it. A warp takes 32 entries of a run at a time, so that no lane searches for its entry's run.
-template <int Threads, class F>
-__device__ void for_each_by_warps(const TurboRuns& list, const F& f) {
-  constexpr std::uint32_t kWarps = Threads / 32;
-  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  for (std::uint32_t begin = 0; begin < list.n_runs; begin += 32) {
-    const TurboRun run = begin + lane < list.n_runs ? list.runs[begin + lane] : TurboRun{0, 0};
-    const std::uint32_t own_pieces = (run.n + 31) / 32, end = inclusive_warp_sum(own_pieces);
-    const std::uint32_t n_pieces = __shfl_sync(kFullWarp, end, 31);
-    const auto load = [&](std::uint32_t piece) {
-      const int owner = __ffs(static_cast<int>(__ballot_sync(kFullWarp, end > piece))) - 1;
-      const std::uint32_t k = 32 * (piece - __shfl_sync(kFullWarp, end - own_pieces, owner)) + lane;
-      const std::uint32_t first = __shfl_sync(kFullWarp, run.begin, owner), n = __shfl_sync(kFullWarp, run.n, owner);
-      return k < n ? list.entries[first + k] : TurboEntry{0};
-    };
-    TurboEntry next = warp < n_pieces ? load(warp) : TurboEntry{0};
-    for (std::uint32_t piece = warp; piece < n_pieces; piece += kWarps) {
-      const TurboEntry entry = next;
-      if (piece + kWarps < n_pieces) next = load(piece + kWarps);
-      if (entry != 0) f(entry);  // an entry touches a cell
-    }
-  }
-}
-
 /// Counts, over the block, how many entries touch each cell. An entry's bits are added to 16-bit counters, four to a
 /// word, which are flushed before one can overflow.
 class CellCounter {

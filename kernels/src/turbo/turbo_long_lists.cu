@@ -5,7 +5,7 @@
 // In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, cells; bins, unit_cells
 // Cost    an entry: 8 B read three times, 8 B written anywhere; an atomic addition a slice and bin, twice
 // Launch  256 threads a slice of 1,024 to 4,096 entries; as many blocks as the device holds at a time take slices in turn
-// Shared  4 KiB of bins; the last block of a list 4 KiB more
+// Shared  4 KiB of bins, 2 KiB of runs; the last block of a list 4 KiB more
 // Order   of entries in a bin, of lists' units and cells in memory: any
 //
 // One block would take as long as the list is, and the whole frame would wait for it.
@@ -113,6 +113,7 @@ __device__ TurboRuns runs_of(const TurboArrays& a, const TurboLongList& list, st
 
 struct Counting {
   Stretches stretches;
+  TurboRuns::Places<kThreads> places;
   std::uint32_t bins[kTurboBins];  // entries of each; in the last block of a list, their offsets
   std::uint32_t cell_n[kTurboCells];
   // Of the last block of a list:
@@ -197,7 +198,7 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   __syncthreads();
   const DepthBins bins(a, list, s.stretches);
   CellCounter cells(s.cell_n);
-  for_each_by_warps<kThreads>(runs_of(a, list, slice), [&](TurboEntry entry) {
+  runs_of(a, list, slice).for_each(s.places, [&](TurboEntry entry, std::uint32_t) {
     atomicAdd(s.bins + bins.of(entry), 1u);
     cells.add(entry);
   });
@@ -240,6 +241,7 @@ __global__ void __launch_bounds__(kThreads) turbo_count_kernel(TurboArrays a, ma
 
 struct Scattering {
   Stretches stretches;
+  TurboRuns::Places<kThreads> places;
   std::uint32_t bins[kTurboBins];  // entries of the slice; then the place of the next one
 };
 
@@ -252,16 +254,14 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
     const TurboRuns runs = runs_of(a, list, slice);
     clear(s.bins);
     __syncthreads();
-    for_each_by_warps<kThreads>(runs, [&](TurboEntry entry) { atomicAdd(s.bins + bins.of(entry), 1u); });
-    __syncthreads();
+    runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t) { atomicAdd(s.bins + bins.of(entry), 1u); });
     std::uint32_t* const places = a.bins + std::uint64_t{kTurboBins} * own;
     for (std::uint32_t k = threadIdx.x; k < kTurboBins; k += kThreads) {
       if (s.bins[k] > 0) s.bins[k] = atomicAdd(places + k, s.bins[k]);
     }
     __syncthreads();
-    for_each_by_warps<kThreads>(runs,
-                                [&](TurboEntry entry) { a.scratch[atomicAdd(s.bins + bins.of(entry), 1u)] = entry; });
-    __syncthreads();
+    runs.for_each(s.places,
+                  [&](TurboEntry entry, std::uint32_t) { a.scratch[atomicAdd(s.bins + bins.of(entry), 1u)] = entry; });
   }
 }
 
