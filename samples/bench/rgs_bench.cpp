@@ -356,6 +356,9 @@ int bench(const Options& o) {
   rgs::Result<std::vector<rgs::Camera>> cameras;  // none for stress views that are framed by the scene's box
   if (!o.cameras.empty()) cameras = rgs::read_cameras(o.cameras);
   if (!cameras) return tool::report(o.cameras, cameras.error());
+  const auto is_pinhole = [](const rgs::Camera& camera) { return camera.model == rgs::CameraModel::pinhole; };
+  if (o.is_stress() && !std::ranges::all_of(*cameras, is_pinhole))
+    return tool::report_usage("--views stress takes pinhole cameras alone");
   report.n_cameras = cameras->size();
   const auto views = load_views(o);
   if (!views) return views.error();

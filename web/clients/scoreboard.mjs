@@ -23,10 +23,11 @@ const psnrOf = (mse) => (mse > 0 ? -10 * Math.log10(mse) : null);
 
 /** The first camera of a list, 180 rows high: rgs-judge draws a large scene some hundred times. */
 function resized(from, to) {
-  const [{ name, width, height, fx, fy, cx, cy, world_to_camera }] = readJson(from);
+  const [camera] = readJson(from);
+  const { width, height, fx, fy, cx, cy } = camera;
   const scale = 180 / height;
-  const camera = { name, split: "test", width: Math.round(scale * width), height: 180, fx: scale * fx, fy: scale * fy, cx: scale * cx, cy: scale * cy, world_to_camera };
-  writeFileSync(to, JSON.stringify([camera]));
+  const size = { width: Math.round(scale * width), height: 180, fx: scale * fx, fy: scale * fy, cx: scale * cx, cy: scale * cy };
+  writeFileSync(to, JSON.stringify([{ ...camera, split: "test", ...size }]));
 }
 
 /** Writes the scenes of these names, or all. */

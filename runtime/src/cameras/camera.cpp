@@ -216,6 +216,8 @@ Camera resized(const Camera& camera, int width, int height) {
   out.width = width;
   out.height = height;
   out.fx = camera.fx * s;
+  // A full circle stays one: validate() allows a pixel of it.
+  if (camera.model == CameraModel::equirectangular) out.fx = std::max(out.fx, (width - 0.5) / (2 * std::numbers::pi));
   out.fy = camera.fy * s;
   out.cx = 0.5 * width + s * (camera.cx - 0.5 * camera.width);
   out.cy = 0.5 * height + s * (camera.cy - 0.5 * camera.height);
@@ -347,13 +349,15 @@ std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames
       camera.world_to_camera = detail::world_to_camera(glm::transpose(rotation), position(segment, t));
       const Camera a = resized(keys[segment], camera.width, camera.height);
       const Camera b = resized(keys[segment + 1], camera.width, camera.height);
-      camera.fx = std::lerp(a.fx, b.fx, t);
-      camera.fy = std::lerp(a.fy, b.fy, t);
-      camera.cx = std::lerp(a.cx, b.cx, t);
-      camera.cy = std::lerp(a.cy, b.cy, t);
-      camera.model = a.model;
+      // Between two models there is nothing.
+      const double s = a.model == b.model ? t : t < 1 ? 0 : 1;
+      camera.model = s < 1 ? a.model : b.model;
+      camera.fx = std::lerp(a.fx, b.fx, s);
+      camera.fy = std::lerp(a.fy, b.fy, s);
+      camera.cx = std::lerp(a.cx, b.cx, s);
+      camera.cy = std::lerp(a.cy, b.cy, s);
       for (std::size_t k = 0; k < a.distortion.size(); ++k)
-        camera.distortion[k] = b.model == a.model ? std::lerp(a.distortion[k], b.distortion[k], t) : a.distortion[k];
+        camera.distortion[k] = std::lerp(a.distortion[k], b.distortion[k], s);
     }
     camera.name = "frame_" + std::to_string(frame);
     path.push_back(camera);

@@ -142,25 +142,13 @@ class Fields {
 constexpr const char* kNoSize = "the camera of this index has no image size (width, height)";
 constexpr const char* kNoFocal = "the camera of this index has no focal length (fx, fy)";
 
-void read_size_and_focal(Fields& fields, Camera& camera) {
+void read_intrinsics(Fields& fields, Camera& camera) {
   camera.width = fields.side("width", kNoSize);
   camera.height = fields.side("height", kNoSize);
   camera.fx = fields.required("fx", kNoFocal);
   camera.fy = fields.required("fy", kNoFocal);
   camera.cx = fields.number("cx").value_or(0.5 * camera.width);
   camera.cy = fields.number("cy").value_or(0.5 * camera.height);
-}
-
-// {name, split, width, height, fx, fy, cx, cy, model, distortion, world_to_camera}
-void read_list_entry(Fields& fields, Camera& camera, std::optional<Split>& split) {
-  constexpr const char* kShape = "the camera of this index has a world_to_camera that is not 4 rows of 4 numbers";
-  camera.name = fields.text("name");
-  if (const std::string declared = fields.text("split"); declared == "test" || declared == "train") {
-    split = declared == "test" ? Split::test : Split::train;
-  } else if (!declared.empty()) {
-    fields.refuse(Errc::bad_value, "the camera of this index has a split other than train and test");
-  }
-  read_size_and_focal(fields, camera);
   if (const std::string name = fields.text("model"); !name.empty()) {
     const auto model = find_camera_model(name);
     if (!model) {
@@ -176,13 +164,25 @@ void read_list_entry(Fields& fields, Camera& camera, std::optional<Split>& split
     const std::size_t n = k->is_array() ? std::min(k->size(), camera.distortion.size()) : 0;
     fields.list(*k, std::span(camera.distortion).first(n), kLongest);
   }
+}
+
+// {name, split, width, height, fx, fy, cx, cy, model, distortion, world_to_camera}
+void read_list_entry(Fields& fields, Camera& camera, std::optional<Split>& split) {
+  constexpr const char* kShape = "the camera of this index has a world_to_camera that is not 4 rows of 4 numbers";
+  camera.name = fields.text("name");
+  if (const std::string declared = fields.text("split"); declared == "test" || declared == "train") {
+    split = declared == "test" ? Split::test : Split::train;
+  } else if (!declared.empty()) {
+    fields.refuse(Errc::bad_value, "the camera of this index has a split other than train and test");
+  }
+  read_intrinsics(fields, camera);
   camera.world_to_camera = fields.matrix<4, 4>(fields.find("world_to_camera"), kShape);
 }
 
-// {id, img_name, width, height, position, rotation, fx, fy}: the camera's centre and its axes as the matrix columns.
+// {id, img_name, width, height, position, rotation, fx, fy}, and the intrinsics above: the camera's centre and its axes as the matrix columns.
 void read_training_entry(Fields& fields, Camera& camera) {
   camera.name = fields.text("img_name");
-  read_size_and_focal(fields, camera);
+  read_intrinsics(fields, camera);
   const glm::dmat3 axes = fields.matrix<3, 3>(
       fields.find("rotation"), "the camera of this index has a rotation that is not 3 rows of 3 numbers");
   glm::dvec3 centre{};
@@ -198,9 +198,12 @@ void read_transforms_model(Fields& fields, Camera& camera) {
                                                "RADIAL", "OPENCV"};
   const std::string model = fields.text("camera_model");
   const json* const is_fisheye = fields.find("is_fisheye");
+  if (is_fisheye != nullptr && !is_fisheye->is_boolean())
+    fields.refuse(Errc::bad_syntax, "the camera of this index has an is_fisheye that is not true or false");
   if (model == "EQUIRECTANGULAR") {
     camera.model = CameraModel::equirectangular;
-  } else if (model == "OPENCV_FISHEYE" || (is_fisheye != nullptr && *is_fisheye == true)) {
+  } else if (model == "OPENCV_FISHEYE" ||
+             ((model.empty() || model == "OPENCV") && is_fisheye != nullptr && *is_fisheye == true)) {
     camera.model = CameraModel::opencv_fisheye;
   } else if (std::ranges::find(kPerspective, model) != std::end(kPerspective)) {
     camera.model = CameraModel::opencv;
@@ -215,15 +218,25 @@ void read_transforms_model(Fields& fields, Camera& camera) {
                                             : camera.model == CameraModel::opencv_fisheye
                                                 ? std::span<const char* const>(kFisheye)
                                                 : std::span<const char* const>();
-  for (std::size_t i = 0; i < read.size(); ++i) camera.distortion[i] = fields.number(read[i]).value_or(0);
+  // Nerfstudio prefers its list to the single numbers.
+  constexpr std::array<const char*, 6> kListed{"k1", "k2", "k3", "k4", "p1", "p2"};
+  std::array<double, kListed.size()> listed{};
+  const json* const list = fields.find("distortion_params");
+  if (list != nullptr)
+    fields.list(*list, listed, "the camera of this index has distortion_params that are not 6 numbers");
+  const auto coefficient = [&](const char* key) {
+    if (list == nullptr) return fields.number(key).value_or(0);
+    const auto at = std::ranges::find(kListed, std::string_view(key));
+    return at == kListed.end() ? 0.0 : listed[static_cast<std::size_t>(at - kListed.begin())];
+  };
+  for (std::size_t i = 0; i < read.size(); ++i) camera.distortion[i] = coefficient(read[i]);
   for (const char* key : {"k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"}) {
-    if (std::ranges::find(read, std::string_view(key)) == read.end() && fields.number(key).value_or(0) != 0) {
+    if (std::ranges::find(read, std::string_view(key)) == read.end() && coefficient(key) != 0) {
       fields.refuse(Errc::unsupported_feature,
                     "the camera of this index has a distortion that its camera_model does not have: k1 k2 k3 p1 p2 for "
                     "OPENCV, k1 k2 k3 k4 for OPENCV_FISHEYE");
     }
   }
-  detail::simplify(camera);
 }
 
 // A frame of transforms.json. Its camera axes are OpenGL's (x right, y up, z back), so two columns change sign.
@@ -236,22 +249,25 @@ void read_transforms_entry(Fields& fields, Camera& camera) {
   camera.width = fields.side("w", kNoPixels);
   camera.height = fields.side("h", kNoPixels);
   const bool is_panorama = camera.model == CameraModel::equirectangular;
-  const auto from_angle = [&](const char* key, int side, double whole) -> std::optional<double> {
-    if (is_panorama) return side / whole;
+  const auto from_angle = [&](const char* key, int side) -> std::optional<double> {
     const auto angle = fields.number(key);
     if (!angle) return std::nullopt;
-    if (camera.model == CameraModel::opencv_fisheye) {
-      fields.refuse(Errc::bad_syntax,
-                    "the camera of this index is a fisheye without a focal length; add fl_x and fl_y");
-    }
     return 0.5 * side / std::tan(0.5 * *angle);
   };
   auto fx = fields.number("fl_x"), fy = fields.number("fl_y");
-  // Nerfstudio counts a panorama's pixels over an angle of pi.
-  if (is_panorama && fx) *fx /= std::numbers::pi;
-  if (is_panorama && fy) *fy /= std::numbers::pi;
-  if (!fx) fx = from_angle("camera_angle_x", camera.width, 2 * std::numbers::pi);
-  if (!fy) fy = from_angle("camera_angle_y", camera.height, std::numbers::pi);
+  if (is_panorama) {
+    // Nerfstudio counts a panorama's pixels over an angle of pi.
+    if (fx) *fx /= std::numbers::pi;
+    if (fy) *fy /= std::numbers::pi;
+    if (!fx && !fy) fx = camera.width / (2 * std::numbers::pi), fy = camera.height / std::numbers::pi;
+  } else if (camera.model == CameraModel::opencv_fisheye) {
+    if (!fx && !fy)
+      fields.refuse(Errc::bad_syntax,
+                    "the camera of this index is a fisheye without a focal length; add fl_x and fl_y");
+  } else {
+    if (!fx) fx = from_angle("camera_angle_x", camera.width);
+    if (!fy) fy = from_angle("camera_angle_y", camera.height);
+  }
   if (!fx && !fy)
     fields.refuse(Errc::bad_syntax, "the camera of this index has no focal length (fl_x, fl_y or camera_angle_x)");
   camera.fx = fx ? *fx : fy.value_or(0);
@@ -305,6 +321,7 @@ Result<CameraSet> read_all(std::string_view text, const json& root) {
       }
     }
     if (!fields.ok()) return make_error(fields.code(), element_offset(text, key, i), fields.what(), Error::kNone, i);
+    detail::simplify(camera);
     if (!validate(camera))
       return tl::unexpected(detail::validate_record(camera, element_offset(text, key, i), i).error());
     if (split) ++n_declared;

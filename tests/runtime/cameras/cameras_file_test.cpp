@@ -295,6 +295,55 @@ TEST_CASE("COLMAP binary: lenses are what the text says") {
   }
 }
 
+TEST_CASE("what bends a camera's rays is read or refused wherever it stands") {
+  const auto transforms = [](const std::string& fields) {
+    return parse_camera_json(R"({"w": 8, "h": 4, "frames": [{"transform_matrix":
+        [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], )" +
+                             fields + "}]}");
+  };
+  const auto lens = [&](const std::string& fields) {
+    const auto set = transforms(fields);
+    REQUIRE(set);
+    return set->cameras.front();
+  };
+  const auto code = [&](const std::string& fields) {
+    const auto set = transforms(fields);
+    return set ? Errc::internal : set.error().code;
+  };
+  const std::string focal = R"("fl_x": 5, "fl_y": 6)";
+  const Camera listed = lens(focal + R"(, "camera_model": "OPENCV", "k1": 9, "distortion_params": [1, 2, 3, 0, 5, 6])");
+  CHECK(listed.distortion == std::array<double, 8>{1, 2, 5, 6, 3});
+  const Camera fisheye = lens(focal + R"(, "is_fisheye": true, "distortion_params": [1, 2, 3, 4, 0, 0])");
+  CHECK(fisheye.model == CameraModel::opencv_fisheye);
+  CHECK(fisheye.distortion == std::array<double, 8>{1, 2, 3, 4});
+  CHECK(code(focal + R"(, "camera_model": "OPENCV", "distortion_params": [0, 0, 0, 1, 0, 0])") ==
+        Errc::unsupported_feature);
+  CHECK(code(focal + R"(, "is_fisheye": true, "distortion_params": [0, 0, 0, 0, 1, 0])") == Errc::unsupported_feature);
+  CHECK(code(focal + R"(, "distortion_params": [0, 0])") == Errc::bad_syntax);
+  CHECK(code(focal + R"(, "camera_model": "FISHEYE624", "is_fisheye": true)") == Errc::unsupported_feature);
+  CHECK(code(focal + R"(, "is_fisheye": 1)") == Errc::bad_syntax);
+
+  // A fisheye needs one focal length; angles are a pinhole's.
+  CHECK(lens(R"("camera_model": "OPENCV_FISHEYE", "fl_x": 5, "camera_angle_y": 1)").fy == 5);
+  CHECK(code(R"("camera_model": "OPENCV_FISHEYE", "camera_angle_x": 1)") == Errc::bad_syntax);
+  const Camera panorama = lens(R"("camera_model": "EQUIRECTANGULAR", "fl_x": 5)");
+  CHECK(panorama.fy == panorama.fx);
+
+  const auto training = [](const std::string& fields) {
+    return parse_camera_json(R"([{"width": 8, "height": 4, "fx": 5, "fy": 6, "position": [0, 0, 0],
+        "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]])" +
+                             fields + "}]");
+  };
+  const auto bent = training(R"(, "model": "opencv", "distortion": [0.5])");
+  REQUIRE(bent);
+  CHECK(bent->cameras.front().model == CameraModel::opencv);
+  CHECK(bent->cameras.front().distortion[0] == 0.5);
+  CHECK_FALSE(training(R"(, "distortion": [0.5])"));
+  const auto plain = training(R"(, "model": "opencv", "distortion": [0, 0])");
+  REQUIRE(plain);
+  CHECK(plain->cameras.front().model == CameraModel::pinhole);
+}
+
 TEST_CASE("COLMAP text: the error has the byte offset") {
   const std::string images = colmap_images_txt();
   const auto fov = parse_colmap_text("1 PINHOLE 4 4 1 1 1 1\n2 FOV 4 4 1 1 1 1 0\n", images);

@@ -292,3 +292,30 @@ TEST_CASE("paths of one key, equal keys, opposite views and no frames") {
   for (const Camera& camera : turn) REQUIRE(validate(camera));
   CHECK(std::abs(camera_axis(turn[2], 2)[2]) < 1e-9);  // half way round, although nothing moves
 }
+
+TEST_CASE("paths interpolate what bends rays, but nothing between two models") {
+  std::vector<Camera> keys{some_camera(), some_camera(), some_camera()};
+  for (Camera& key : keys) key.model = CameraModel::opencv_fisheye;
+  keys[0].distortion[1] = 0.1, keys[1].distortion[1] = keys[2].distortion[1] = 0.3;
+  keys[1].world_to_camera[3].x += 1, keys[2].world_to_camera[3].x += 2;
+  keys[2].model = CameraModel::equirectangular, keys[2].distortion = {};
+  keys[2].fx = keys[2].fy = keys[2].width / 6.0;
+  const auto path = interpolated_path(keys, 5);
+  REQUIRE(path.size() == 5);
+  for (const Camera& camera : path) CHECK(validate(camera));
+  CHECK(path[1].distortion[1] == doctest::Approx(0.2));
+  CHECK(path[3].model == CameraModel::opencv_fisheye);
+  CHECK(path[3].fx == doctest::Approx(keys[1].fx));
+  CHECK(path[3].distortion == keys[1].distortion);
+  CHECK(path[4].model == CameraModel::equirectangular);
+  CHECK(path[4].fx == doctest::Approx(keys[2].fx));
+}
+
+TEST_CASE("a panorama that is written with few digits stays one in all sizes") {
+  Camera camera = some_camera();
+  camera.model = CameraModel::equirectangular;
+  camera.width = 1920, camera.height = 960;
+  camera.fx = camera.fy = 305.5;  // 1920 / 2 pi is 305.577
+  REQUIRE(validate(camera));
+  for (const int width : {100, 7680, 65536}) CHECK(validate(resized(camera, width, width / 2)));
+}

@@ -119,7 +119,8 @@ function entryOf(entry: unknown, isOwn: boolean, index: number): CameraEntry | u
   if (!isSide(width) || !isSide(height) || !isNumber(fx) || !isNumber(fy) || !isNumber(cx) || !isNumber(cy)) return undefined;
   if (!isVector(position, 3) || !isRotation(rotation) || !(fx > 0 && fy > 0) || typeof name !== "string") return undefined;
   if (isOwn && !["", "train", "test"].includes(split as string)) return undefined;
-  if (isOwn && (fields["model"] ?? "pinhole") !== "pinhole") throw new Error(`camera ${index} is no pinhole; the page draws only those`);
+  const bends = [fields["distortion"] ?? []].flat().some((k) => Number(k) !== 0);
+  if ((fields["model"] ?? "pinhole") !== "pinhole" || bends) throw new Error(`camera ${index} is no pinhole; the page draws only those`);
   return { id: Number(id), img_name: name, width, height, fx, fy, cx, cy, position, rotation };
 }
 
