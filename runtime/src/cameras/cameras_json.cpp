@@ -179,7 +179,8 @@ void read_list_entry(Fields& fields, Camera& camera, std::optional<Split>& split
   camera.world_to_camera = fields.matrix<4, 4>(fields.find("world_to_camera"), kShape);
 }
 
-// {id, img_name, width, height, position, rotation, fx, fy}, and the intrinsics above: the camera's centre and its axes as the matrix columns.
+// {id, img_name, width, height, position, rotation, fx, fy}, and the intrinsics above: the camera's centre and its axes
+// as the matrix columns.
 void read_training_entry(Fields& fields, Camera& camera) {
   camera.name = fields.text("img_name");
   read_intrinsics(fields, camera);

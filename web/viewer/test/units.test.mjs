@@ -67,6 +67,9 @@ test("camera files give what they should", () => {
 test("cameras that are no pinholes are refused", () => {
   const text = readFileSync(new URL("../../../tests/golden/cameras/list_models.json", import.meta.url), "utf8");
   assert.throws(() => modules.cameras.parseCameras(text), /camera 0 is no pinhole/);
+  const training = JSON.parse(readFileSync(new URL("../../../tests/golden/cameras/training.json", import.meta.url), "utf8"));
+  for (const lens of [{ model: "opencv_fisheye" }, { distortion: [0, 0.1] }])
+    assert.throws(() => modules.cameras.parseCameras(JSON.stringify([{ ...training[0], ...lens }])), /camera 0 is no pinhole/);
 });
 
 test("a view keeps a camera's picture at any size", () => {
