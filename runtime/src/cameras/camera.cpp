@@ -337,7 +337,8 @@ std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames
 
   for (int frame = 0; frame < n_frames; ++frame) {
     Camera camera = keys.front();
-    const double wanted = n_frames > 1 ? travelled.back() * frame / (n_frames - 1) : 0;
+    const bool is_last = frame > 0 && frame == n_frames - 1;  // the quotient may be a little less than the whole path
+    const double wanted = is_last ? travelled.back() : frame > 0 ? travelled.back() * frame / (n_frames - 1) : 0;
     if (travelled.back() > 0) {
       const auto above = std::upper_bound(travelled.begin() + 1, travelled.end() - 1, wanted);
       const auto cell = static_cast<std::size_t>(above - travelled.begin()) - 1;

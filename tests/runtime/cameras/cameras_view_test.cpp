@@ -279,6 +279,18 @@ TEST_CASE("a path goes through its keys, is smooth, evenly timed and made of val
         1.9 * keys[0].fx);
 }
 
+TEST_CASE("a path ends in its last key, whatever the number of frames") {
+  std::vector<Camera> keys(2, some_camera());
+  keys[1].model = CameraModel::orthographic;
+  for (int tenths = 1; tenths < 20; ++tenths) {
+    keys[1].world_to_camera[3].x = keys[0].world_to_camera[3].x + 0.1 * tenths;
+    for (int n = 2; n < 100; ++n) {
+      CAPTURE(n);
+      CHECK(interpolated_path(keys, n).back().model == CameraModel::orthographic);
+    }
+  }
+}
+
 TEST_CASE("paths of one key, equal keys, opposite views and no frames") {
   const std::vector<Camera> one{some_camera()};
   CHECK(interpolated_path(one, 3).size() == 3);
