@@ -11,9 +11,10 @@
 #include <vector>
 
 #include "calls.hpp"
+#include "rgs/camera_view.hpp"
 #include "rgs/image.hpp"
+#include "rgs/math/camera_models.hpp"
 #include "rgs/math/coverage.hpp"
-#include "rgs/math/projection.hpp"
 #include "rgs/renderer.hpp"
 
 // Of Python's stable ABI; the process that has loaded this library holds them.
@@ -133,10 +134,7 @@ Json project(const Json& a) {
   const SceneView scene = take(held_scene.view());
   const RenderOptions options = with_declarations({}, held_scene.declarations());
   const Camera camera = cameras_of(a).front();
-  double matrix[16];
-  std::ranges::copy(row_major(camera.world_to_camera), matrix);
-  const auto view = math::make_view<float>(matrix, camera.width, camera.height, camera.fx, camera.fy, camera.cx,
-                                           camera.cy, a.at("near_plane"), a.at("far_plane"));
+  const auto view = view_of<float>(camera, kNoOrigin, a.at("near_plane"), a.at("far_plane"));
   const auto width = static_cast<float>(camera.width), height = static_cast<float>(camera.height);
   auto* const means2d = address<float>(a, "means2d");
   auto* const depths = address<float>(a, "depths");
@@ -146,8 +144,8 @@ Json project(const Json& a) {
   for (std::size_t i = 0; i < scene.n; ++i) {
     const float *m = &scene.mean[3 * i], *r = &scene.rotation[4 * i], *s = &scene.scale[3 * i];
     opacities[i] = scene.opacity[i];
-    const auto p = math::project<float>(view, {m[0], m[1], m[2]}, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]},
-                                        scene.opacity[i], *options.low_pass, *options.anti_aliasing);
+    const auto p = math::project_by_model<float>(view, {m[0], m[1], m[2]}, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]},
+                                                 scene.opacity[i], *options.low_pass, *options.anti_aliasing);
     if (!p.footprint.valid) continue;
     const float level = -2 * math::power_cutoff(p.footprint.opacity);
     if (!(level > 0)) continue;

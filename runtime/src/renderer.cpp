@@ -53,6 +53,21 @@ struct Renderer::Impl {
   // Identifies this renderer's view of streamed scenes.
   std::uint64_t identity = next_identity();
 
+  // f(renderer): on the CPU, of a camera that CUDA does not draw.
+  template <class F>
+  auto leave_to_cpu(const Scene& scene, const F& f) -> decltype(f(*on_cpu)) {
+    if (scene.is_streamed() && scene.streamed()->store->is_on_device())
+      return make_error(Errc::unavailable, Error::kNone,
+                        "CUDA draws no equirectangular cameras: stream the scene by a pool without device_memory");
+    return detail::guard_memory([&]() -> decltype(f(*on_cpu)) {
+      if (!on_cpu) {
+        auto renderer = create(*cpu_options);
+        if (!renderer) return tl::unexpected(renderer.error());
+        on_cpu = std::make_unique<Renderer>(*std::move(renderer));
+      }
+      return f(*on_cpu);
+    });
+  }
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
   Result<FrameStats> draw_on_cpu(const Scene& scene, const Camera& camera, const RenderTarget& target,
@@ -141,6 +156,9 @@ Status Renderer::prepare(const Scene& scene) {
 
 Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                     const RenderOptions& options) {
+  if (impl_->cpu_options && !drawn_by_cuda(camera)) {
+    return impl_->leave_to_cpu(scene, [&](Renderer& on_cpu) { return on_cpu.render(scene, camera, target, options); });
+  }
   if (!options.frame_ms) return draw(scene, camera, target, options);
   const auto begin = std::chrono::steady_clock::now();
   auto stats = draw(scene, camera, target, impl_->within_time(options));
@@ -151,17 +169,6 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
 
 Result<FrameStats> Renderer::draw(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                   const RenderOptions& options) {
-  if (impl_->cpu_options && !drawn_by_cuda(camera)) {
-    impl_->n_cut = 0;
-    return detail::guard_memory([&]() -> Result<FrameStats> {
-      if (!impl_->on_cpu) {
-        auto renderer = create(*impl_->cpu_options);
-        if (!renderer) return tl::unexpected(renderer.error());
-        impl_->on_cpu = std::make_unique<Renderer>(*std::move(renderer));
-      }
-      return impl_->on_cpu->draw(scene, camera, target, options);
-    });
-  }
   if (scene.is_streamed()) return render_streamed(scene, camera, target, options);
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
   RenderOptions drawn = options;
@@ -194,6 +201,10 @@ Result<std::vector<FrameStats>> Renderer::render_all(const Scene& scene, std::sp
   }
   if (pictures.on_device && scene.is_streamed()) {
     return make_error(Errc::bad_argument, Error::kNone, "streamed scenes are drawn into the host's memory");
+  }
+  if (pictures.on_device && !std::ranges::all_of(cameras, drawn_by_cuda)) {
+    return make_error(Errc::unavailable, Error::kNone,
+                      "CUDA draws no equirectangular cameras: draw them into the host's memory");
   }
   for (const Camera& camera : cameras) {
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
@@ -409,6 +420,9 @@ Result<FrameStats> Renderer::render_streamed(const Scene& scene, const Camera& c
 
 Result<bool> Renderer::refine(const Scene& scene, const Camera& camera, double seconds, const RenderOptions& options) {
   if (!scene.is_streamed()) return true;
+  if (impl_->cpu_options && !drawn_by_cuda(camera)) {
+    return impl_->leave_to_cpu(scene, [&](Renderer& on_cpu) { return on_cpu.refine(scene, camera, seconds, options); });
+  }
   const auto rule = impl_->rule_of(scene, camera, impl_->within_time(options));
   if (!rule) return tl::unexpected(rule.error());
   return detail::guard_memory(

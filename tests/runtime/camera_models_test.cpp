@@ -259,6 +259,7 @@ TEST_CASE("turning a panorama shifts its picture around, across its seam and ove
   std::vector<Splat> splats = splats_around(23, 600, kWidth / (2 * pi));
   for (int i = 0; i < 40; ++i) splats[static_cast<std::size_t>(i)].log_scale[i % 3] += 2;  // some are wide
   for (const double x : {0.0, 0.02, -0.3}) splats.push_back(splat_at(x, 3, 0.01, 0.3, 0.5));
+  splats.push_back(splat_at(0, 3, 0, 0.3, 0.9)), splats.push_back(splat_at(0, -3, 0, 0.3, 0.9));
   const Scene scene = scene_of(cloud_of(splats, 1));
   const Camera camera = panorama(kWidth), shifted = turned(camera, 2 * pi * kShift / kWidth, {0, 1, 0});
   for (const auto extent : {math::Extent::ellipse, math::Extent::square}) {
@@ -362,4 +363,25 @@ TEST_CASE("whatever a valid camera's numbers, its picture is finite") {
     CHECK(std::ranges::all_of(frame.rgb, [](float value) { return std::isfinite(value); }));
     CHECK(detail::eye_of(camera, kNoOrigin, 0.2F).focal_px > 0);
   }
+}
+
+TEST_CASE("a Gaussian straight above, below or behind the camera is drawn") {
+  const Camera camera = panorama(200);
+  for (const double y : {3.0, -3.0}) {
+    const Frame frame = render(scene_of(cloud_of(std::vector{splat_at(0, y, 0, 0.3, 0.9)})), camera, {}, kOnCpu);
+    const std::size_t row = y > 0 ? 200 * 99 : 0;
+    for (std::size_t x = 0; x < 200; x += 20) CHECK(frame.alpha[row + x] > 0.5);
+  }
+  const Camera behind = camera_of(CameraModel::opencv_fisheye, 200, 200, 100 / pi);
+  const Frame ring = render(scene_of(cloud_of(std::vector{splat_at(0, 0, -3, 0.3, 0.9)})), behind, {}, kOnCpu);
+  CHECK(ring.alpha[200 * 100 + 199] > 0.5);
+}
+
+TEST_CASE("tangential distortion folds nothing into the picture") {
+  Camera camera = camera_of(CameraModel::opencv, 200, 100, 100);
+  camera.distortion = {0, 0, 0, 0.01, 0, 0, 0, 0};
+  const double x = -33.333;  // x + 0.03 x^2 is 0 again
+  const Scene scene = scene_of(cloud_of(std::vector{splat_at(x, 0, 1, 0.02, 0.9)}));
+  const Frame frame = render(scene, camera, {}, kOnCpu);
+  for (const float alpha : frame.alpha) REQUIRE(alpha == 0);
 }

@@ -68,13 +68,15 @@ double rises_up_to(double most, const Rises& rises) {
   return low;
 }
 
-// The largest x^2 + y^2 up to which the radial distortion rises.
+// The largest x^2 + y^2 up to which the radial distortion rises faster than the tangential one can fall, whose
+// derivatives are a symmetric matrix of norm at most 6 |p| r: up to there no two points land on one.
 inline double opencv_reach(const double (&k)[kDistortions]) {
   constexpr double kSteepest = 1.57;  // rad; beyond, slopes are above 1,000
   const double radial[kDistortions] = {k[0], k[1], 0, 0, k[4], k[5], k[6], k[7]};
   const double angle = rises_up_to(kSteepest, [&](double a) {
-    const Distorted<double> d = distort(radial, std::tan(a), 0.0);
-    return d.x > 0 && d.xx > 0;
+    const double r = std::tan(a), fall = 6 * (std::fabs(k[2]) + std::fabs(k[3])) * r;
+    const Distorted<double> d = distort(radial, r, 0.0);
+    return d.xx > fall && d.yy > fall;
   });
   return angle < kSteepest ? std::tan(angle) * std::tan(angle) : std::numeric_limits<double>::infinity();
 }
@@ -141,13 +143,17 @@ View<T> with_model(View<T> view, CameraModel model, const double (&distortion)[k
 template <class T>
 double pixels_per_radian(const View<T>& view) {
   constexpr int kSamples = 64;
+  constexpr double kMarginShare = 0.5 * (kFovClamp - 1.0) / kFovClamp;
   const auto d = [](T value) { return static_cast<double>(value); };
   const double fx = d(view.fx), fy = d(view.fy);
   double k[kDistortions], most = 1;
   for (int i = 0; i < kDistortions; ++i) k[i] = d(view.distortion[i]);
   if (view.model == CameraModel::opencv) {
-    const double x = max(-d(view.slope_low_x), d(view.slope_high_x)),
-                 y = max(-d(view.slope_low_y), d(view.slope_high_y));
+    // Without the margin that the slopes have beyond the picture.
+    const double margin_x = kMarginShare * (d(view.slope_high_x) - d(view.slope_low_x)),
+                 margin_y = kMarginShare * (d(view.slope_high_y) - d(view.slope_low_y));
+    const double x = max(-d(view.slope_low_x), d(view.slope_high_x)) - margin_x,
+                 y = max(-d(view.slope_low_y), d(view.slope_high_y)) - margin_y;
     const double corner = min(std::sqrt(x * x + y * y), std::sqrt(d(view.reach)));
     const double radial[kDistortions] = {k[0], k[1], 0, 0, k[4], k[5], k[6], k[7]};
     for (int i = 1; i <= kSamples; ++i) {
@@ -162,7 +168,7 @@ double pixels_per_radian(const View<T>& view) {
       const double angle = d(view.reach) * i / kSamples;
       const FisheyeRadius<double> r = fisheye_radius(k, angle);
       if (r.radius * r.radius > x * x + y * y) break;
-      most = max(max(r.slope, r.radius / max(std::sin(angle), 0.1)), most);
+      most = max(angle < 1.57 ? max(r.slope, r.radius / std::sin(angle)) : r.slope, most);
     }
   }
   return most * max(fx, fy);
@@ -215,10 +221,11 @@ RGS_HD inline Landing<T> land(const View<T>& view, const Vec3<T>& p) {
       const T across = p.x * p.x + p.y * p.y, rho = std::sqrt(across), angle = std::atan2(rho, p.z);
       const FisheyeRadius<T> r = fisheye_radius(view.distortion, angle);
       const T inverse_square = T(1) / (across + p.z * p.z);
-      // On the axis the direction is any, and the image moves as much along as across it.
-      const bool on_axis = rho <= T(1e-6) * p.z;
+      // On the axis the direction is any, and before the camera the image moves as much along as across it.
+      const bool on_axis = rho <= T(1e-6) * std::fabs(p.z);
       const T c = on_axis ? T(1) : p.x / rho, s = on_axis ? zero : p.y / rho;
-      const T along = r.slope * p.z * inverse_square, aside = on_axis ? along : r.radius / rho;
+      const T along = r.slope * p.z * inverse_square;
+      const T aside = on_axis && p.z > zero ? along : r.radius / max(rho, T(1e-6) * std::fabs(p.z));
       const T back = -r.slope * rho * inverse_square, mixed = (along - aside) * c * s;
       return {{view.fx * (r.radius * c) + u0, view.fy * (r.radius * s) + v0},
               {view.fx * (along * c * c + aside * s * s), view.fx * mixed, view.fx * back * c},
@@ -226,12 +233,16 @@ RGS_HD inline Landing<T> land(const View<T>& view, const Vec3<T>& p) {
               angle <= view.reach};
     }
     case CameraModel::equirectangular: {
-      const T level = p.x * p.x + p.z * p.z, rho = std::sqrt(level), square = level + p.y * p.y;
-      const T u = view.fx * std::atan2(p.x, p.z) + u0, v = view.fy * std::atan2(p.y, rho) + v0;
+      // Straight above and below the camera as close beside it.
+      const T least = T(1e-6) * std::fabs(p.y);
+      const bool at_pole = p.x * p.x + p.z * p.z < least * least;
+      const T x = at_pole ? zero : p.x, z = at_pole ? least : p.z;
+      const T level = x * x + z * z, rho = std::sqrt(level), square = level + p.y * p.y;
+      const T u = view.fx * std::atan2(x, z) + u0, v = view.fy * std::atan2(p.y, rho) + v0;
       const T jx = view.fx / level, jy = view.fy / (square * rho);
       return {{nearest_copy(u, T(0.5) * static_cast<T>(view.width - 1), period_px(view)), v},
-              {jx * p.z, zero, -jx * p.x},
-              {-jy * p.y * p.x, jy * level, -jy * p.y * p.z},
+              {jx * z, zero, -jx * x},
+              {-jy * p.y * x, jy * level, -jy * p.y * z},
               true};
     }
     default:  // orthographic
