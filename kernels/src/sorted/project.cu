@@ -8,7 +8,7 @@
 //         duplicate: 12 or 8 B written a pair, uncoalesced: each thread writes its own run
 // Launch  256 threads, ceil(n / 256) blocks
 // Order   deterministic: pairs lie in the order of the Gaussians, which a stable sort keeps for equal depths. Compiled
-//         without contraction to FMA, so that positions, covers and depths equal the CPU's to the bit.
+//         without contraction to FMA, so that positions, covers and depths of pinholes equal the CPU's to the bit.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
