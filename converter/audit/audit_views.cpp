@@ -68,7 +68,8 @@ Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& o
   if (!different.empty())
     return make_error(fmt::format("{}: {}", options.photos, listed(different)),
                       {Errc::bad_argument, Error::kNone,
-                       "photographs differ in size from their cameras; undistort and scale them to match"});
+                       "photographs differ in size from their cameras; scale them to match (undistorted photographs "
+                       "need undistorted cameras)"});
   return views;
 }
 

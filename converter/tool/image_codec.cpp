@@ -57,7 +57,7 @@ OIIO::ImageSpec specification(const Image& image, ImageFormat format, const Imag
   if (options.depth) {
     spec.channelnames = {"Z"};
     spec.z_channel = 0;
-    spec.attribute("ImageDescription", "Depth along the camera's forward axis in world units, 0 for no surface");
+    spec.attribute("ImageDescription", "Depth in world units, 0 for no surface");
   } else {
     // In TIFF the tag would become an Exif directory, which the library writes over the picture's own in memory files.
     if (format != ImageFormat::tiff) spec.attribute("oiio:ColorSpace", "sRGB");

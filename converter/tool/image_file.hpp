@@ -30,7 +30,7 @@ Status load_image_format(ImageFormat format);
 
 struct ImageFileOptions {
   AtomicFile::Options file{.overwrite = false, .sync = false};
-  bool depth = false;      ///< the image [height, width, 1] is camera-space depth in world units, not colour
+  bool depth = false;      ///< the image [height, width, 1] is depth in world units, not colour
   int jpeg_quality = 95;   ///< 1..100; chroma is not subsampled
   int png_level = 6;       ///< of deflate, 0..9; does not change pixels
   std::string software{};  ///< the picture's software tag, if not empty
