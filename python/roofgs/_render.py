@@ -33,7 +33,7 @@ class Frame(NamedTuple):
 
     image: Any  #: [height, width, 3] colour over the background, float32 or uint8
     alpha: Any  #: [height, width] 1 - transmittance; None unless requested
-    depth: Any  #: [height, width] expected z in the camera's axes, world units; 0 where the picture is empty
+    depth: Any  #: [height, width] expected depth (docs/format/RENDERING.md), world units; 0 where the picture is empty
 
 
 class Renderer:
@@ -42,7 +42,7 @@ class Renderer:
     Parameters
     ----------
     device : "auto", "cpu" or "cuda"
-        "auto" is the GPU if there is one.
+        "auto" is the GPU if there is one; panoramas are drawn on the CPU.
     pipeline : "automatic", "baseline", "paper" or "turbo"
         The method; docs/format/RENDERING.md. "automatic" is the image's definition on the CPU and turbo on a GPU.
     threads : int

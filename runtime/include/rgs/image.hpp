@@ -70,7 +70,7 @@ struct PictureArrays {
 struct RenderTarget {
   std::span<float> rgb = {};    ///< [height, width, 3] colour over the background
   std::span<float> alpha = {};  ///< [height, width] 1 - transmittance
-  std::span<float> depth = {};  ///< [height, width] expected camera-space z, world units; 0 where alpha is 0
+  std::span<float> depth = {};  ///< [height, width] expected depth (RENDERING.md), world units; 0 where alpha is 0
   std::span<std::uint32_t> evaluated = {};  ///< [height, width] Gaussians that the pixel visited before it stopped
   std::span<std::uint32_t> blended = {};    ///< [height, width] Gaussians that contributed
   /// [Gaussians of the scene], CPU only. Frames add to it: zero it before the first. The same bits for any number of

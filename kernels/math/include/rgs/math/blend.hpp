@@ -213,7 +213,7 @@ RGS_HD inline Vec3<T> resolve(const Pixel<T>& pixel, const Vec3<T>& background) 
   return {pixel.r + t * background.x, pixel.g + t * background.y, pixel.b + t * background.z};
 }
 
-/// Mean camera z of a pixel; 0 if nothing was blended.
+/// Mean depth of a pixel; 0 if nothing was blended.
 template <class T>
 RGS_HD inline T expected_depth(const Pixel<T>& pixel) {
   const T alpha = T(1) - pixel.transmittance;

@@ -9,7 +9,7 @@ namespace rgs::math {
 
 inline constexpr int kTileSize = 16;  ///< pixels along a tile's side; a 3DGS square is listed tile by tile
 
-inline constexpr float kNearPlane = 0.2F;  ///< camera z at or below which a Gaussian is not drawn, world units
+inline constexpr float kNearPlane = 0.2F;  ///< depth at or below which a Gaussian is not drawn, world units
 
 /// The projection is linearised at most this far outside the image, as a multiple of tan(fov/2): farther out, the
 /// Jacobian of a Gaussian beside the camera would smear it over the whole image.

@@ -21,8 +21,8 @@ enum class AntiAliasing : std::uint8_t {
 };
 
 enum class DepthOrder : std::uint8_t {
-  exact,      ///< FP32 camera z; equal depths in the order of the scene
-  quantized,  ///< b_d bits of camera z; Gaussians of one bin in the order of the scene
+  exact,      ///< FP32 depth; equal depths in the order of the scene
+  quantized,  ///< b_d bits of depth; Gaussians of one bin in the order of the scene
 };
 
 /// Bins of equal depth (linear, the paper) or of equal depth ratio (logarithmic); declared in .rgs files.

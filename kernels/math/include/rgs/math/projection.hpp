@@ -13,7 +13,7 @@ namespace rgs::math {
 template <class T>
 struct Projected {
   PixelPoint<T> mean;
-  T z;  ///< camera depth of the mean, the sort key
+  T z;  ///< depth of the mean, the sort key: depth_of() of camera_models.hpp
   Footprint<T> footprint;
 };
 
