@@ -109,7 +109,7 @@ constexpr PairOps folded_ops(math::Exp exp, int pixels) {
 // and the colour where it is blended.
 constexpr double kSharedBytes = 6 * kWord, kSharedColorBytes = 3 * kWord;
 
-// Turbo blends a cell without a branch: what is evaluated takes all operations.
+// Turbo blends a cell without a branch: what is evaluated takes all operations, unless matrix products leave it out.
 constexpr double kTurboCellPixels = cuda::kTurboCellWidth * cuda::kTurboCellHeight;
 
 // In FP32: a thread's column of pixels has 3 FMA in x, then a pixel 2 FMA; ex2; test and select; weight, difference,
@@ -119,15 +119,15 @@ constexpr Ops kTurboOps{2 * (3 / kTurboColumn + 2) + 1 + 1 + 6, 3 / kTurboColumn
 constexpr double kTurboSharedBytes = 2 * 16;  // six coefficients, colour in FP16
 
 // By matrix products, whose exponents and colours are not counted: they have units of their own, which are busy for a
-// shorter time than those of the exponentials (docs/records/MEASUREMENTS.md, "Roofline"). A lane has 16 (pixel, Gaussian) pairs of a row
-// and 32 Gaussians, two in an instruction: eight times the test's FMA, opacity, weight and what it lets through, but the
-// first of a chain has its weight already; eight products with the chain's transmittance; seven products and two
+// shorter time than those of the exponentials (docs/records/MEASUREMENTS.md, "Roofline"). A lane has 16 (pixel,
+// Gaussian) pairs of 16 pixels and 32 Gaussians, two in an instruction: eight times the test's FMA, opacity, weight and
+// what it lets through, but the first of a chain has its weight already; eight products with the chain's transmittance; seven products and two
 // selections over the chains. ex2.approx.f16x2 takes the special function units twice, once a pair.
 constexpr double kLanePairs = 16;
 constexpr Ops kTensorOps{(2 * (8 * (2 + 1 + 1 + 2 + 1) - 2) + 2 * 7) / kLanePairs,
                          (8 * (1 + 1 + 1 + 1 + 1) - 2 + 7 + 2) / kLanePairs + 1, 1};
-// A warp reads four coefficient registers and one of colours for its two rows of 16 pixels and 32 Gaussians.
-constexpr double kTensorLoads = 5, kTensorLoadPairs = 2 * 16 * 32;
+// For 32 pixels and 32 Gaussians a warp reads coefficients, twice, and colours.
+constexpr double kTensorLoads = 3, kTensorLoadPairs = 2 * 16 * 32;
 
 void add(Cost& cost, const Ops& ops, double times) {
   cost.flops += ops.flops * times;
@@ -217,7 +217,8 @@ Cost turbo_order_cost(const FrameWork& w, const Counts& n) {
 }
 
 // Evaluated pairs are those of the definition, whose pixels stop at kTransmittanceMin. Matrix products stop at a
-// higher one, though only with all pixels of a warp: their floor may be too high by what lies between.
+// higher one, though only with all pixels of a warp, and leave out what does not touch them in long lists: their floor
+// may be too high by that.
 Cost turbo_blend_cost(const FrameWork& w, const Counts& n) {
   Cost c;
   const double staged = staged_by_cells(n);

@@ -1054,14 +1054,22 @@ TEST_CASE("cells of many Gaussians are blended in segments: the picture is the C
   const int n = sized(200000, 12000, 6000);
   const Camera camera = race_sizes() ? front_camera(16, 8) : front_camera(90, 50);
   const double reach_x = sized(10.8, 10.8, 8.0), reach_y = sized(7.2, 7.2, 4.0);  // px
-  for (const double opacity : {0.5, 0.02, 0.0045}) {
+  for (const auto& kind : {std::pair(0.5, false), {0.02, false}, {0.0045, false}, {0.02, true}, {0.0045, true}}) {
+    const double opacity = kind.first;
+    const bool needles = kind.second;
     CAPTURE(opacity);
+    CAPTURE(needles);
     Random random(41);
     std::vector<Splat> splats;
     for (int i = 0; i < n; ++i) {
       const double z = random.uniform(40, 60), unit = z / camera.fx;
       const double x = random.uniform(-reach_x, reach_x) * unit, y = random.uniform(-reach_y, reach_y) * unit;
       splats.push_back(splat_at(x, y, z, 1e-3, opacity, static_cast<float>(random.uniform(0, 1))));
+      if (!needles) continue;
+      const double half_turn = random.uniform(0, 1.6);
+      splats.back().log_scale[0] = static_cast<float>(std::log(4 * unit));  // 4 px
+      splats.back().rotation[0] = static_cast<float>(std::cos(half_turn));
+      splats.back().rotation[3] = static_cast<float>(std::sin(half_turn));
     }
     const Scene scene = scene_of(cloud_of(splats));
     const DeviceScene uploaded = upload(scene);

@@ -4,10 +4,11 @@
 // Math    rgs/math/blend.hpp: fold(); docs/format/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
 // Cost    a Gaussian of a cell: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
-//         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each
-// Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell. For cells of long lists,
-//         and then for the rest of long cells, as many blocks as the device holds at a time, which take cells and segments in turn
-// Shared  Staging: 128 Gaussians; 5 KiB (numbers for cells 8 high)
+//         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each.
+//         Of long lists and segments only where the Gaussian's box meets the warp's pixels
+// Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has 8x4 pixels. For cells of long
+//         lists, then for the rest of long cells, as many blocks as the device holds at a time, which take them in turn
+// Shared  Staging: 128 Gaussians; 8 KiB (numbers for cells of 16x8)
 // Order   that of the cells' lists: deterministic
 //
 // Blending 32 Gaussians into 16 pixels is two matrix products with a step in between, like attention (register reuse as
@@ -20,11 +21,14 @@
 // The basis about the cell's centre is exact in FP16; each coefficient is the sum of two FP16 numbers, 22 bits, in two
 // products of depth 8. Exponents, opacities and weights are FP16; colours accumulate in FP32.
 //
-// mma gives a lane two columns of 8 and two rows: pixels g and g + 8, g = lane / 4, and Gaussians in columns 2q and 2q
-// + 1, q = lane % 4, of four products. Column c of product j is Gaussian 4 c + j, so each half of a lane's registers
-// holds four consecutive Gaussians, a chain, and a pixel's 32 Gaussians are eight chains. Transmittance is multiplied
-// down each chain and then over the chains (it is associative). The lanes' values are then the left operand of the
-// product with colours.
+// The 16 pixels are two rows of 8. mma gives a lane pixel g of both, g = lane / 4, and Gaussians in columns 2q and 2q +
+// 1, q = lane % 4, of four products. Column c of product j is Gaussian 4 c + j, so each half of a lane's registers has
+// four consecutive Gaussians, a chain, and a pixel's 32 Gaussians are eight chains. Transmittance is multiplied down
+// each chain and then over the chains (it is associative). The lanes' values are then the left operand of the product
+// with colours.
+//
+// Gaussians of long lists are small, and most touch the pixels of one or two warps: of what the block stages, a warp
+// lists what touches its own, and ldmatrix gathers it. The same for segments. Elsewhere it costs more than it saves.
 #include <cuda_fp16.h>
 
 #include <bit>
@@ -40,18 +44,25 @@
 namespace rgs::cuda {
 namespace {
 
-constexpr int kRows = 2;  // of a warp
-constexpr int kWarps = kTurboCellHeight / kRows;
+constexpr int kWarpWidth = 8, kWarpHeight = 4;  // px of a warp
+constexpr int kWarpColumns = kTurboCellWidth / kWarpWidth;
+constexpr int kWarps = kWarpColumns * kTurboCellHeight / kWarpHeight;
+constexpr int kRows = kWarpHeight / 2;  // of products: two rows of pixels each
 constexpr int kThreads = 32 * kWarps;
-constexpr int kResident = resident_blocks(1280 / kThreads, kThreads);
-static_assert(kTurboCellWidth == 16, "a row of a cell's pixels is the 16 rows of a product's left operand");
-static_assert(kTurboCellHeight % kRows == 0, "a warp has whole rows");
+// 56 registers where Gaussians are culled, and before 9.0, where 48 spill; else 48.
+constexpr int kResidentLong = resident_blocks(1152 / kThreads, kThreads);
+constexpr int kResident = resident_before_90(1) != 0 ? kResidentLong : resident_blocks(1280 / kThreads, kThreads);
+static_assert(kWarpWidth == 8, "two rows of a warp's pixels are the 16 rows of a product's left operand");
+static_assert(kWarpWidth * kWarpHeight == 32, "a lane a pixel");
+static_assert(kTurboCellWidth % kWarpWidth == 0 && kTurboCellHeight % kWarpHeight == 0, "a cell has whole warps");
+static_assert(kWarps <= 16, "a bit for each warp");
 // Transmittance below which a warp's pixels are finished: the rest adds less to 1 than half of FP16's step there, an
 // eighth of an 8-bit step.
 constexpr float kOpaque = 1.0F / 2048;
 constexpr float kCenterX = 0.5F * (kTurboCellWidth - 1), kCenterY = 0.5F * (kTurboCellHeight - 1);
 // Squares and products are odd numbers over 4.
-static_assert((kTurboCellHeight - 1) * (kTurboCellHeight - 1) < 1 << 11, "the basis is exact in FP16's 11 bits");
+constexpr int kTurboCellSide = math::max(kTurboCellWidth, kTurboCellHeight);
+static_assert((kTurboCellSide - 1) * (kTurboCellSide - 1) < 1 << 11, "the basis is exact in FP16's 11 bits");
 
 // D = A B, FP16, [16, 8] x [8, 8], where B is b.x + b.y, the latter smaller. Two products of depth 8: one of depth 16
 // would take each register of A twice, four in a row.
@@ -103,16 +114,17 @@ __device__ inline __half2 counts(__half2 exponent) {
   return __hfma2_sat(exponent, __float2half2_rn(256.0F), __float2half2_rn(2043.0F));
 }
 
-// 32 Gaussians as right operands.
-struct alignas(16) Staging {
-  // Of the first product, Gaussian 4 c + j at 8 j + c: high and low halves of two coefficients for each q; those of q =
-  // 3 are multiplied by zeros.
-  uint2 coefficients[32][4];
-  // Of the second, times kAlphaMax. Lane q's four registers of a channel are contiguous.
-  __half color[3][32];
+// Gaussians that a block blends at a time, as right operands, eight numbers in a slot, as ldmatrix gathers them.
+struct Staging {
+  static constexpr std::uint32_t kNone = kThreads;  // the slot of no Gaussian
+  // Of the first product: high and low halves of the coefficients; the last two are multiplied by zeros. Of the second:
+  // the colour times kAlphaMax; columns without a channel are not used.
+  uint4 high[kThreads + 1], low[kThreads + 1], color[kThreads + 1];
+  std::uint16_t warps[kThreads];             // whose pixels the Gaussian may touch, a bit each
+  std::uint16_t touching[kWarps][kThreads];  // slots of what touches a warp's pixels, in order
 };
 
-// Two coefficients as sums of two FP16 numbers each.
+// Two numbers as sums of two FP16 numbers each.
 __device__ inline uint2 split(float a, float b) {
   const __half2 high = __floats2half2_rn(a, b);
   const float2 back = __half22float2(high);
@@ -120,34 +132,105 @@ __device__ inline uint2 split(float a, float b) {
   return {reinterpret_cast<const std::uint32_t&>(high), reinterpret_cast<const std::uint32_t&>(low)};
 }
 
-// A warp stages gaussians[0 .. n - 1], n <= 32, one a lane. Up to 16 need only the first two products: Gaussian 2 c +
-// j.
-__device__ inline void stage(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float corner_x,
-                             float corner_y, Staging& staging) {
-  const std::uint32_t slot = threadIdx.x % 32;
-  const std::uint32_t column = slot % 8, product = slot / 8;
-  const std::uint32_t place = 8 * (column / 2) + 2 * product + column % 2;
-  math::Folded<float> f{0, 0, 0, 0, 0, -1000.0F};  // no Gaussian
-  math::Vec3<float> color{0, 0, 0};
-  const std::uint32_t own = n > 16 ? 4 * column + product : product < 2 ? 2 * column + product : 32;
-  if (own < n) {
-    const ScreenSplat splat = splats[gaussians[own]];
-    f = math::fold(splat.conic, {splat.mean.u - corner_x - kCenterX, splat.mean.v - corner_y - kCenterY},
-                   splat.log2_opacity + kExponentBias);
-    // Finite even if the colour is not, so that a weight of 0 leaves a pixel as it is.
-    const auto scaled = [](float c) { return kAlphaScale * math::min(c, kHalfMax); };
-    color = {scaled(splat.color.x), scaled(splat.color.y), scaled(splat.color.z)};
+// Of the warps' pixels, those that the bounding box of the Gaussian's ellipse meets; (u, v) is its mean from the cell's
+// first pixel. All, if rounding leaves nothing of the determinant.
+__device__ inline std::uint32_t touched_warps(const ScreenSplat& splat, float u, float v) {
+  const math::Conic<float>& q = splat.conic;
+  const float product = q.a * q.c, determinant = fmaf(-q.b, q.b, product) - 4e-7F * product;
+  // math::Ellipse::level, more than FP16 can add to an exponent, over the determinant.
+  const float scale = __fdividef(-2.04F * splat.cutoff + 0.02F, determinant);
+  // NaN if the determinant is not positive; then no comparison is true.
+  const auto root = [](float x) { return x * rsqrtf(x); };
+  const float half_width = root(scale * q.c), half_height = root(scale * q.a);
+  const auto beyond = [](float at, float reach, int first, int n) {
+    return at - reach > static_cast<float>(first + n - 1) || at + reach < static_cast<float>(first);
+  };
+  std::uint32_t columns = 0, warps = 0;
+#pragma unroll
+  for (int c = 0; c < kWarpColumns; ++c) {
+    if (!beyond(u, half_width, kWarpWidth * c, kWarpWidth)) columns |= 1u << c;
   }
-  const uint2 pairs[3] = {split(f.one, f.x), split(f.y, f.xx), split(f.xy, f.yy)};
-  auto* const to = reinterpret_cast<uint4*>(staging.coefficients[slot]);
-  to[0] = {pairs[0].x, pairs[0].y, pairs[1].x, pairs[1].y};
-  to[1] = {pairs[2].x, pairs[2].y, 0, 0};
-  staging.color[0][place] = __float2half_rn(color.x);
-  staging.color[1][place] = __float2half_rn(color.y);
-  staging.color[2][place] = __float2half_rn(color.z);
+#pragma unroll
+  for (int r = 0; r < kWarps / kWarpColumns; ++r) {
+    if (!beyond(v, half_height, kWarpHeight * r, kWarpHeight)) warps |= columns << (kWarpColumns * r);
+  }
+  return warps;
 }
 
-// A lane's part of the left operands of its warp's rows, in FP16: pixels g and g + 8 of each row, and by q (1, X), (Y,
+// Slot of a batch's Gaussian k, such that those of 4 c + j for the eight c of a product lie in different banks.
+__device__ inline std::uint32_t slot_of(std::uint32_t k) {
+  return k / 32 * 32 + k % 4 * 8 + k % 32 / 4;
+}
+// The Gaussian in the thread's slot.
+__device__ inline std::uint32_t own_gaussian() {
+  return threadIdx.x / 32 * 32 + threadIdx.x % 8 * 4 + threadIdx.x % 32 / 8;
+}
+
+// Stages the thread's Gaussian.
+template <bool Culls>
+__device__ inline void stage(const ScreenSplat splat, float corner_x, float corner_y, Staging& staging) {
+  const float u = splat.mean.u - corner_x, v = splat.mean.v - corner_y;
+  if constexpr (Culls) staging.warps[own_gaussian()] = static_cast<std::uint16_t>(touched_warps(splat, u, v));
+  const auto f = math::fold(splat.conic, {u - kCenterX, v - kCenterY}, splat.log2_opacity + kExponentBias);
+  const uint2 pairs[3] = {split(f.one, f.x), split(f.y, f.xx), split(f.xy, f.yy)};
+  staging.high[threadIdx.x] = {pairs[0].x, pairs[1].x, pairs[2].x, 0};
+  staging.low[threadIdx.x] = {pairs[0].y, pairs[1].y, pairs[2].y, 0};
+  // Finite even if the colour is not, so that a weight of 0 leaves a pixel as it is.
+  const auto scaled = [](float c) { return kAlphaScale * math::min(c, kHalfMax); };
+  const __half2 red_green = __floats2half2_rn(scaled(splat.color.x), scaled(splat.color.y));
+  const __half2 blue = __floats2half2_rn(scaled(splat.color.z), 0);
+  staging.color[threadIdx.x] = {reinterpret_cast<const std::uint32_t&>(red_green),
+                                reinterpret_cast<const std::uint32_t&>(blue), 0, 0};
+}
+
+// Lists those of the n staged Gaussians that touch the warp's pixels, and returns their number.
+__device__ inline std::uint32_t list_touching(Staging& staging, std::uint32_t n) {
+  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, below = (1u << lane) - 1;
+  std::uint32_t n_touching = 0;
+  for (std::uint32_t first = 0; first < n; first += 32) {
+    const std::uint32_t k = first + lane;
+    const bool is_touching = k < n && (staging.warps[k] >> warp & 1) != 0;
+    const std::uint32_t lanes = __ballot_sync(kFullWarp, is_touching);
+    if (is_touching) {
+      const std::uint32_t at = n_touching + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)));
+      staging.touching[warp][at] = static_cast<std::uint16_t>(slot_of(k));
+    }
+    n_touching += static_cast<std::uint32_t>(__popc(static_cast<int>(lanes)));
+  }
+  __syncwarp();
+  return n_touching;
+}
+
+// Four 8x8 matrices of FP16 whose rows the lanes name, eight a matrix. A lane gets two neighbours of row lane / 4 of
+// each; transposed, of column lane / 4.
+__device__ inline uint4 load_matrices(const uint4* row) {
+  uint4 m;
+  asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0, %1, %2, %3}, [%4];"
+               : "=r"(m.x), "=r"(m.y), "=r"(m.z), "=r"(m.w)
+               : "r"(static_cast<std::uint32_t>(__cvta_generic_to_shared(row)))
+               : "memory");
+  return m;
+}
+__device__ inline uint4 load_transposed(const uint4* row) {
+  uint4 m;
+  asm volatile("ldmatrix.sync.aligned.m8n8.x4.trans.shared.b16 {%0, %1, %2, %3}, [%4];"
+               : "=r"(m.x), "=r"(m.y), "=r"(m.z), "=r"(m.w)
+               : "r"(static_cast<std::uint32_t>(__cvta_generic_to_shared(row)))
+               : "memory");
+  return m;
+}
+
+// A warp's first pixel within the cell.
+RGS_HD constexpr TurboCorner first_pixel(std::uint32_t warp) {
+  return {kWarpWidth * (warp % kWarpColumns), kWarpHeight * (warp / kWarpColumns)};
+}
+// The thread's own pixel within the cell.
+__device__ inline TurboCorner own_corner() {
+  const TurboCorner first = first_pixel(threadIdx.x / 32);
+  return {first.x + threadIdx.x % kWarpWidth, first.y + threadIdx.x % 32 / kWarpWidth};
+}
+
+// A lane's part of the left operands of its warp's rows, in FP16: pixel g of two rows of pixels, and by q (1, X), (Y,
 // X^2), (XY, Y^2) or zeros. A table, since it depends on the thread alone.
 struct Bases {
   std::uint32_t pixel[kThreads][kRows][2];
@@ -164,8 +247,9 @@ constexpr Bases bases() {
   for (int thread = 0; thread < kThreads; ++thread) {
     const int g = thread % 32 / 4, q = thread % 4;
     for (int k = 0; k < 2 * kRows; ++k) {
-      const int x = 2 * (g + k % 2 * 8) - (kTurboCellWidth - 1);  // twice the distance from the cell's centre
-      const int y = 2 * (kRows * (thread / 32) + k / 2) - (kTurboCellHeight - 1);
+      const TurboCorner first = first_pixel(static_cast<std::uint32_t>(thread / 32));
+      const int x = 2 * (static_cast<int>(first.x) + g) - (kTurboCellWidth - 1);  // twice the distance from the centre
+      const int y = 2 * (static_cast<int>(first.y) + k) - (kTurboCellHeight - 1);
       const int low = q == 0 ? 4 : q == 1 ? 2 * y : q == 2 ? x * y : 0;
       const int high = q == 0 ? 2 * x : q == 1 ? x * x : q == 2 ? y * y : 0;
       all.pixel[thread][k / 2][k % 2] = half_of_quarters(low) | half_of_quarters(high) << 16;
@@ -175,18 +259,18 @@ constexpr Bases bases() {
 }
 __device__ constexpr Bases kBases = bases();
 
-// 16 pixels of a row, as lane (g, q) holds them.
+// Two rows of 8 pixels, as lane (g, q) holds them.
 struct Row {
   uint2 basis;     // left operand of the first product
-  __half2 t;       // transmittance of the pixels g and g + 8
-  float color[4];  // channels 2q and 2q + 1 of the pixels g and g + 8; the fourth is unused
+  __half2 t;       // transmittance of pixel g of both
+  float color[4];  // channels 2q and 2q + 1 of pixel g of the first row, then of the second; the fourth is unused
 
+  // (x, y): pixel g of the first row.
   __device__ Row(int x, int y, int row, int width, int height) {
-    const int g = static_cast<int>(threadIdx.x % 32 / 4);
     const auto& own = kBases.pixel[threadIdx.x][row];
     basis = {own[0], own[1]};
     // A pixel outside the image counts as finished.
-    t = __floats2half2_rn(y < height && x + g < width ? 1.0F : 0.0F, y < height && x + g + 8 < width ? 1.0F : 0.0F);
+    t = __floats2half2_rn(x < width && y < height ? 1.0F : 0.0F, x < width && y + 1 < height ? 1.0F : 0.0F);
     for (float& sum : color) sum = 0;
   }
   template <int Products>
@@ -230,66 +314,86 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
   }
 }
 
-// A warp's rows of a cell whose first pixel is (x, y).
+// A warp's pixels of a cell whose first pixel is (x, y).
 struct Rows {
   Row rows[kRows];
 
   __device__ Rows(int x, int y, int width, int height)
-      : rows{Row(x, y + first(), 0, width, height), Row(x, y + first() + 1, 1, width, height)} {}
-  __device__ static int first() { return kRows * static_cast<int>(threadIdx.x / 32); }
+      : rows{Row(x + own_x(), y + own_y(), 0, width, height), Row(x + own_x(), y + own_y() + 2, 1, width, height)} {}
   // Blends gaussians[0 .. n - 1] of the cell. True once all warps' pixels are opaque.
+  template <bool Culls>
   __device__ bool blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x, float y,
-                        Staging (&staged)[kWarps]);
-  // The thread's own pixel, number threadIdx.x of the cell row by row. Call after blend().
-  __device__ TurboPixel own_pixel(Staging (&staged)[kWarps]) const;
+                        Staging& staging);
+  // The thread's own pixel. Call after blend().
+  __device__ TurboPixel own_pixel(Staging& staging) const;
+
+ private:
+  __device__ bool is_opaque() const {  // the warp's pixels
+    __half2 largest = rows[0].t;
+#pragma unroll
+    for (const Row& row : rows) largest = __hmax2(largest, row.t);
+    return __all_sync(kFullWarp, __hblt2(largest, __float2half2_rn(kOpaque))) != 0;
+  }
+  // Pixel g of the first row, within the cell.
+  __device__ static int own_x() {
+    return static_cast<int>(first_pixel(threadIdx.x / 32).x + threadIdx.x % 32 / 4);
+  }
+  __device__ static int own_y() {
+    return static_cast<int>(first_pixel(threadIdx.x / 32).y);
+  }
 };
 
+template <bool Culls>
 __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x,
-                                   float y, Staging (&staged)[kWarps]) {
-  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  const auto* const own_coefficients = &staged[0].coefficients[lane / 4][lane % 4];
-  // Columns without a channel are never read.
-  const auto* const own_colors =
-      reinterpret_cast<const uint4*>(staged[0].color[math::min(lane / 4, 2u)] + 8 * (lane % 4));
-  bool opaque = false;
+                                   float y, Staging& staging) {
+  const std::uint32_t lane = threadIdx.x % 32, own = own_gaussian();
+  if (threadIdx.x == 0) {
+    staging.high[Staging::kNone] = {0xE3D0, 0, 0, 0};  // an exponent of -1000
+    staging.low[Staging::kNone] = staging.color[Staging::kNone] = {};
+  }
+  std::uint32_t next = own < n ? gaussians[own] : 0;
+  bool opaque = is_opaque();
   for (std::uint32_t begin = 0; begin < n; begin += kThreads) {
-    const std::uint32_t own = begin + 32 * warp;
-    if (own < n) stage(splats, gaussians + own, math::min(n - own, 32u), x, y, staged[warp]);
+    const std::uint32_t left = math::min(n - begin, static_cast<std::uint32_t>(kThreads));
+    if (own < left) stage<Culls>(splats[next], x, y, staging);
+    if (begin + kThreads + own < n) next = gaussians[begin + kThreads + own];
     __syncthreads();
-    const int left = static_cast<int>(math::min(n - begin, static_cast<std::uint32_t>(kThreads)));
-    for (int k = 0; 32 * k < left && !opaque; ++k) {
-      constexpr int kStep = sizeof(Staging) / sizeof(uint2);
-      uint2 coefficients[4];
-#pragma unroll
-      for (int j = 0; j < 4; ++j) coefficients[j] = own_coefficients[kStep * k + 8 * 4 * j];
-      const uint4 colors = own_colors[kStep / 2 * k];
-      if (left - 32 * k > 16) {
+    const std::uint32_t n_blended = !Culls ? left : opaque ? 0 : list_touching(staging, left);
+    for (std::uint32_t first = 0; first < n_blended && !opaque; first += 32) {
+      // Up to 16 Gaussians need only the first two products: Gaussian 2 c + j.
+      const bool is_short = n_blended - first <= 16;
+      const std::uint32_t k =
+          first + (is_short ? 2 * (lane % 8) + (lane < 16 ? lane / 8 : 32) : 4 * (lane % 8) + lane / 8);
+      const std::uint32_t slot = k >= n_blended ? Staging::kNone
+                                 : Culls        ? staging.touching[threadIdx.x / 32][k]
+                                                : slot_of(k);
+      const uint4 high = load_matrices(staging.high + slot), low = load_matrices(staging.low + slot);
+      const uint2 coefficients[4] = {{high.x, low.x}, {high.y, low.y}, {high.z, low.z}, {high.w, low.w}};
+      const uint4 colors = load_transposed(staging.color + slot);
+      if (!is_short) {
 #pragma unroll
         for (Row& row : rows) row.blend<4>(coefficients, colors);
       } else {
 #pragma unroll
         for (Row& row : rows) row.blend<2>(coefficients, colors);
       }
-      __half2 largest = rows[0].t;
-#pragma unroll
-      for (const Row& row : rows) largest = __hmax2(largest, row.t);
-      opaque = __all_sync(kFullWarp, __hblt2(largest, __float2half2_rn(kOpaque))) != 0;
+      opaque = is_opaque();
     }
     if (__syncthreads_and(opaque)) return true;
   }
   return false;
 }
 
-__device__ inline TurboPixel Rows::own_pixel(Staging (&staged)[kWarps]) const {
+__device__ inline TurboPixel Rows::own_pixel(Staging& staging) const {
   // Through the warp's part of shared memory, which no warp reads any more: lanes q = 0 hold red and green, q = 1 blue.
-  static_assert(sizeof(Staging) >= 32 * sizeof(TurboPixel) && kRows * kTurboCellWidth == 32, "a lane a pixel");
+  static_assert(sizeof(TurboPixel) == sizeof(uint4), "a lane a pixel");
   const std::uint32_t lane = threadIdx.x % 32, q = lane % 4;
-  auto* const pixels = reinterpret_cast<float2*>(&staged[threadIdx.x / 32]);
+  auto* const pixels = reinterpret_cast<float2*>(staging.high + (threadIdx.x - lane));
   if (q < 2) {
 #pragma unroll
     for (std::uint32_t k = 0; k < kRows; ++k) {
       const Row& row = rows[k];
-      float2* const to = pixels + 2 * (kTurboCellWidth * k + lane / 4) + q;
+      float2* const to = pixels + 2 * (16 * k + lane / 4) + q;
       to[0] = {row.color[0], q == 0 ? row.color[1] : __low2float(row.t)};
       to[16] = {row.color[2], q == 0 ? row.color[3] : __high2float(row.t)};
     }
@@ -340,7 +444,8 @@ __device__ inline void leave(const TurboBlendArguments& a, const TurboPixel& pix
   arrays.long_cell_pixels[std::uint64_t{kPixels} * own + threadIdx.x] = pixel;
 }
 
-__device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t number, Staging (&staged)[kWarps]) {
+template <bool Culls>
+__device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t number, Staging& staging) {
   const TurboCell cell = a.arrays.cells[number];
   const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
   if (x >= a.width || y >= a.height) return;
@@ -348,40 +453,40 @@ __device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t nu
   if (cell.n > 0) {
     const std::uint32_t front = turbo_front(a.arrays.state->counters.instances);
     Rows rows(x, y, a.width, a.height);
-    const bool opaque = rows.blend(a.splats, a.arrays.cell_gaussians + cell.begin, math::min(cell.n, front),
-                                   static_cast<float>(x), static_cast<float>(y), staged);
-    pixel = rows.own_pixel(staged);
+    const bool opaque = rows.blend<Culls>(a.splats, a.arrays.cell_gaussians + cell.begin, math::min(cell.n, front),
+                                          static_cast<float>(x), static_cast<float>(y), staging);
+    pixel = rows.own_pixel(staging);
     if (cell.n > front && !opaque) {
       leave(a, pixel, number, cell.n, front);
       return;
     }
   }
-  store(a, x + static_cast<int>(threadIdx.x) % kTurboCellWidth, y + static_cast<int>(threadIdx.x) / kTurboCellWidth,
-        pixel);
+  const TurboCorner own = own_corner();
+  store(a, x + static_cast<int>(own.x), y + static_cast<int>(own.y), pixel);
 }
 
 __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_kernel(TurboBlendArguments a) {
-  __shared__ Staging staged[kWarps];
-  if (blockIdx.x >= kTurboCells * a.arrays.state->n_long_lists) blend_cell(a, blockIdx.x, staged);
+  __shared__ Staging staging;
+  if (blockIdx.x >= kTurboCells * a.arrays.state->n_long_lists) blend_cell<false>(a, blockIdx.x, staging);
 }
 // For a filled picture, whose tiles without Gaussians are done.
 __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_sparse_kernel(TurboBlendArguments a) {
-  __shared__ Staging staged[kWarps];
+  __shared__ Staging staging;
   const std::uint32_t first = kTurboCells * a.arrays.state->n_long_lists, end = kTurboCells * listed_tiles(a.arrays);
   for (std::uint32_t number = first + blockIdx.x; number < end; number += gridDim.x) {
-    blend_cell(a, number, staged);
+    blend_cell<false>(a, number, staging);
     __syncthreads();
   }
 }
-__global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_long_kernel(TurboBlendArguments a) {
-  __shared__ Staging staged[kWarps];
+__global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_long_kernel(TurboBlendArguments a) {
+  __shared__ Staging staging;
   __shared__ std::uint32_t next;
   const std::uint32_t n = kTurboCells * a.arrays.state->n_long_lists;
   for (std::uint32_t number = blockIdx.x; number < n;) {
     // Prefetched: a block's first cell is its own, the others are taken in turn.
     std::uint32_t taken = 0;
     if (threadIdx.x == 0) taken = atomicAdd(&a.arrays.state->n_long_cells_taken, 1u);
-    blend_cell(a, number, staged);
+    blend_cell<true>(a, number, staging);
     if (threadIdx.x == 0) next = gridDim.x + taken;
     __syncthreads();
     number = next;
@@ -431,8 +536,8 @@ __device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& c
   __shared__ std::uint32_t done;  // one word for all threads, since it may change between their reads
   const TurboArrays& arrays = a.arrays;
   const TurboCell at = arrays.cells[cell.cell];
-  const int x = static_cast<int>(at.x) + static_cast<int>(threadIdx.x) % kTurboCellWidth;
-  const int y = static_cast<int>(at.y) + static_cast<int>(threadIdx.x) / kTurboCellWidth;
+  const TurboCorner own = own_corner();
+  const int x = static_cast<int>(at.x + own.x), y = static_cast<int>(at.y + own.y);
   const bool is_inside = x < a.width && y < a.height;
   float4* const held = pixels_of(arrays.long_cell_pixels, static_cast<std::uint64_t>(&cell - arrays.long_cells));
   if (threadIdx.x == 0) {
@@ -475,8 +580,8 @@ __device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& c
   }
 }
 
-__global__ void __launch_bounds__(kThreads, kResident) turbo_segment_kernel(TurboBlendArguments a) {
-  __shared__ Staging staged[kWarps];
+__global__ void __launch_bounds__(kThreads, kResidentLong) turbo_segment_kernel(TurboBlendArguments a) {
+  __shared__ Staging staging;
   __shared__ TurboSegment segment;
   __shared__ bool is_any, is_wanted;
   const TurboArrays& arrays = a.arrays;
@@ -503,10 +608,11 @@ __global__ void __launch_bounds__(kThreads, kResident) turbo_segment_kernel(Turb
     const std::uint32_t begin = long_cell.front + in_cell * long_cell.segment_n;
     const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
     Rows rows(x, y, a.width, a.height);
-    rows.blend(a.splats, arrays.cell_gaussians + cell.begin + begin, math::min(cell.n - begin, long_cell.segment_n),
-               static_cast<float>(x), static_cast<float>(y), staged);
+    rows.blend<true>(a.splats, arrays.cell_gaussians + cell.begin + begin,
+                     math::min(cell.n - begin, long_cell.segment_n), static_cast<float>(x), static_cast<float>(y),
+                     staging);
     TurboPixel* const to = arrays.segment_pixels + std::uint64_t{kPixels} * (long_cell.first_segment + in_cell);
-    to[threadIdx.x] = rows.own_pixel(staged);
+    to[threadIdx.x] = rows.own_pixel(staging);
     publish();
     const std::uint32_t wave = 31 - static_cast<std::uint32_t>(__clz(static_cast<int>(in_cell + 1)));
     const std::uint32_t first = (1u << wave) - 1;

@@ -68,7 +68,7 @@ TEST_CASE("bytes and operations of turbo's stages") {
   const Cost& blend = of(costs, Stage::blend);
   CHECK(blend.bytes == 4 * 48 + 4 * 4 + 8 * 16 + 256 * 12);
   CHECK(blend.l2_bytes == 4 * (48 + 4));
-  CHECK(blend.shared_loads == 512 / 1024.0 * 5);
+  CHECK(blend.shared_loads == 512 / 1024.0 * 3);
   CHECK(blend.special == 512);  // an exponential per pair, blended or not
   // 16 pairs of a lane: 38 packed instructions, 7 products and 2 selections over the chains, and the exponentials.
   CHECK(blend.operations == 512 * (47 / 16.0 + 1));
