@@ -4,7 +4,8 @@
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; turbo_geometry.hpp
 // In/Out  attributes [n] -> splats [n], entries, runs, large
 // Cost    as front_end.cu, with 8 B written an entry, and 16 B and an atomic addition a run
-// Launch  256 threads, ceil(n / 256) blocks; with levels n is a capacity, and blocks beyond the drawn rows end at once
+// Launch  256 threads, ceil(n / 256) blocks; with levels n is a capacity. Blocks beyond the drawn rows end at once; where
+//         chunks are whole blocks, those outside the view too
 // Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
 //         candidates between counting and placing; 33 KiB
 // Order   entries and runs: any. Lists are ordered later, by depth and index, so the image is the same on every run.
@@ -148,8 +149,11 @@ __global__ void __launch_bounds__(kThreads, resident_on_90(kAnyModel ? 0 : 5))
     if (first >= n) return;
     row = drawn_row(a.drawn, attributes.chunk_size, math::min(i, n - 1));
   }
-  const int dropped = turbo_dropped_bits(n);
-  if (i == 0) a.arrays.state->dropped = dropped;
+  if (i == 0) a.arrays.state->dropped = turbo_dropped_bits(n);
+  const bool is_chunk_in_view = chunk_in_view(attributes, math::min(i, n - 1), v.view, planes);
+  if constexpr (std::is_same_v<A, CompactAttributes>) {
+    if (!is_chunk_in_view && attributes.chunk_size % kThreads == 0) return;  // the whole block
+  }
   const auto clear_counts = [&s] {
     static_assert(kWindow == 4 * kThreads);
     reinterpret_cast<uint4*>(s.counts)[threadIdx.x] = {};
@@ -160,7 +164,7 @@ __global__ void __launch_bounds__(kThreads, resident_on_90(kAnyModel ? 0 : 5))
 
   math::TileRect rect{};
   std::uint32_t n_columns = 0, n_rows = 0;
-  if (i - i % 32 < n && chunk_in_view(attributes, math::min(i, n - 1), v.view, planes) && i < n) {
+  if (is_chunk_in_view && i < n) {
     const math::Vec3<float> mean = load_mean(attributes.mean, row);
     // Loads geometry before the depth is known: few Gaussians of a chunk in view are out of range, and the loads
     // overlap.
@@ -233,7 +237,7 @@ __global__ void __launch_bounds__(kThreads, resident_on_90(kAnyModel ? 0 : 5))
       s.listed[owner] = 1;
       const std::uint32_t at = atomicAdd(s.counts + tile, 1u);
       if (at < a.arrays.entry_capacity)
-        a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells_in(candidate), dropped);
+        a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells_in(candidate), turbo_dropped_bits(n));
     }
     window += kWindow;
     if (window >= n_tiles) break;
