@@ -91,16 +91,17 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
   }
 }
 
-// Merges neighbouring stretches of `length` ordered keys, of `total` in all; a thread makes kKeys keys of the result
-// and searches for their start in both stretches (Odeh, Green, Mwassi, Shmueli, Birk 2012).
+// Merges neighbouring stretches of `length` ordered keys, of n in all; a thread makes kKeys keys of the result and
+// searches for their start in both stretches (Odeh, Green, Mwassi, Shmueli, Birk 2012).
 template <std::uint32_t kKeys>
-__device__ inline void merge(const std::uint32_t* from, std::uint32_t* to, std::uint32_t length, std::uint32_t total) {
+__device__ inline void merge(const std::uint32_t* from, std::uint32_t* to, std::uint32_t length, std::uint32_t n) {
   const std::uint32_t first = kKeys * threadIdx.x;
-  if (first >= total) return;
+  if (first >= n) return;
   const std::uint32_t base = first & ~(2 * length - 1), place = first - base;
+  const std::uint32_t n_a = math::min(length, n - base), n_b = math::min(length, n - base - n_a);
   const std::uint32_t* const a = from + base;
   const std::uint32_t* const b = a + length;
-  std::uint32_t low = place > length ? place - length : 0, high = math::min(place, length);
+  std::uint32_t low = place > n_b ? place - n_b : 0, high = math::min(place, n_a);
   while (low < high) {
     const std::uint32_t middle = (low + high) / 2;
     if (a[middle] < b[place - 1 - middle]) {
@@ -110,7 +111,7 @@ __device__ inline void merge(const std::uint32_t* from, std::uint32_t* to, std::
     }
   }
   std::uint32_t i = low, j = place - low;
-  std::uint32_t next_a = i < length ? a[i] : ~0u, next_b = j < length ? b[j] : ~0u;
+  std::uint32_t next_a = i < n_a ? a[i] : ~0u, next_b = j < n_b ? b[j] : ~0u;
   std::uint32_t merged[kKeys];
 #pragma unroll
   for (std::uint32_t& k : merged) {
@@ -118,10 +119,10 @@ __device__ inline void merge(const std::uint32_t* from, std::uint32_t* to, std::
     k = is_a ? next_a : next_b;
     if (is_a) {
       ++i;
-      next_a = i < length ? a[i] : ~0u;
+      next_a = i < n_a ? a[i] : ~0u;
     } else {
       ++j;
-      next_b = j < length ? b[j] : ~0u;
+      next_b = j < n_b ? b[j] : ~0u;
     }
   }
   store_keys(merged, to + first);
@@ -147,24 +148,22 @@ struct DepthRange {
 template <std::uint32_t kKeys>
 __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shift, int position_bits) {
   constexpr std::uint32_t kWarpKeys = 32 * kKeys;
-  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  const std::uint32_t total =
-      s.n <= kWarpKeys ? kWarpKeys : kWarpKeys << (32 - __clz(static_cast<int>((s.n - 1) / kWarpKeys)));
-  if (kWarpKeys * warp < total) {
+  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, n = s.n;
+  if (kWarpKeys * warp < n) {
     std::uint32_t key[kKeys];
 #pragma unroll
     for (std::uint32_t k = 0; k < kKeys; ++k) {
       const std::uint32_t position = kWarpKeys * warp + 32 * k + lane;
       const auto value = static_cast<std::uint32_t>(((s.entries[position] >> kTurboCellBits) - low) >> shift);
-      key[k] = position < s.n ? value << position_bits | position : ~0u;
+      key[k] = position < n ? value << position_bits | position : ~0u;
     }
-    if (kWarpKeys * warp < s.n) sort_warp(key);
+    sort_warp(key);
     store_keys(key, s.exchange[0] + kWarpKeys * warp + kKeys * lane);
   }
   __syncthreads();
   int at = 0;
-  for (std::uint32_t length = kWarpKeys; length < total; length *= 2, at ^= 1) {
-    merge<kKeys>(s.exchange[at], s.exchange[at ^ 1], length, total);
+  for (std::uint32_t length = kWarpKeys; length < n; length *= 2, at ^= 1) {
+    merge<kKeys>(s.exchange[at], s.exchange[at ^ 1], length, n);
     __syncthreads();
   }
   return s.exchange[at];
@@ -192,10 +191,10 @@ __device__ __noinline__ void sort_whole(Shared& s) {
 
 // Writes the position of each of the s.n entries in their order to s.order. First orders 32-bit keys, whose depth is
 // relative to the list's range; the remaining bits hold the first bits of the index, since far away many depths are
-// equal. Neighbours whose keys do not decide are then corrected by their entries; if that takes too long, the entries
-// themselves are ordered. `range` holds the depths that the thread has seen.
+// equal. Runs of equal keys are then ordered by their entries; if one is too long, all entries are. `range` holds the
+// depths that the thread has seen.
 __device__ inline void order_entries(Shared& s, DepthRange range, int dropped) {
-  constexpr std::uint32_t kMostTurns = 24;
+  constexpr std::uint32_t kMostEqual = 24;
   range.combine(s);
   // Padding, all ones, comes last: no entry of its depth has a position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
@@ -209,25 +208,31 @@ __device__ inline void order_entries(Shared& s, DepthRange range, int dropped) {
   std::uint32_t* const order =
       s.n <= 4 * kThreads ? sort_keys<4>(s, low, shift, position_bits) : sort_keys<8>(s, low, shift, position_bits);
   s.order = order;
-  const auto is_inverted = [&](std::uint32_t k) {
-    const std::uint32_t a = order[k], b = order[k + 1];
-    return (a ^ b) >> position_bits == 0 && s.entries[a & positions] > s.entries[b & positions];
-  };
-  bool any = false;
-  for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) any = any || is_inverted(k);
-  if (!__syncthreads_or(any)) return;
-  std::uint32_t turn = 0;
-  for (std::uint32_t quiet = 0; quiet < 2; ++turn) {
-    if (turn == kMostTurns) return sort_whole(s);
-    bool swapped = false;
-    for (std::uint32_t k = 2 * threadIdx.x + turn % 2; k + 1 < s.n; k += 2 * kThreads) {
-      if (!is_inverted(k)) continue;
-      const std::uint32_t a = order[k];
-      order[k] = order[k + 1], order[k + 1] = a;
-      swapped = true;
-    }
-    quiet = __syncthreads_or(swapped) ? 0 : quiet + 1;
+  const std::uint32_t n = s.n;
+  const auto equals_next = [&](std::uint32_t k) { return (order[k] ^ order[k + 1]) >> position_bits == 0; };
+  // Lengths of the runs of equal keys that begin at the thread's keys, a byte each.
+  std::uint64_t runs = 0;
+  static_assert(kTurboRound / kThreads <= sizeof(runs) && kMostEqual < 255);
+  bool is_too_long = false;
+  for (std::uint32_t k = threadIdx.x, at = 0; k + 1 < n; k += kThreads, at += 8) {
+    if (!equals_next(k) || (k > 0 && equals_next(k - 1))) continue;
+    std::uint32_t end = k + 2;
+    while (end < n && end - k <= kMostEqual && equals_next(end - 1)) ++end;
+    runs |= std::uint64_t{end - k} << at;
+    is_too_long = is_too_long || end - k > kMostEqual;
   }
+  if (!__syncthreads_or(runs != 0)) return;
+  for (std::uint32_t first = threadIdx.x; runs != 0; first += kThreads, runs >>= 8) {
+    for (std::uint32_t k = 1; k < (runs & 0xFF); ++k) {
+      const std::uint32_t key = order[first + k];
+      std::uint32_t at = first + k;
+      for (; at > first && s.entries[order[at - 1] & positions] > s.entries[key & positions]; --at) {
+        order[at] = order[at - 1];
+      }
+      order[at] = key;
+    }
+  }
+  if (__syncthreads_or(is_too_long)) sort_whole(s);
 }
 
 // The lane's entry of a group of 32 ordered entries from position `begin` on; 0 past the last.
