@@ -19,6 +19,7 @@
 #include "conformance_files.hpp"
 #include "console.hpp"
 #include "convert.hpp"
+#include "garden_generator.hpp"
 #include "input_files.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/version.hpp"
@@ -38,7 +39,7 @@ struct Options {
   std::uint64_t seed = 1, memory_bytes = rgs::lod::kDefaultMemory;
   int degree = 3, blocks = 0;
   unsigned threads = 0;
-  bool town = false, overwrite = false, quiet = false, no_sync = false;
+  bool town = false, garden = false, overwrite = false, quiet = false, no_sync = false;
 };
 
 // A text file beside the scene, created before the work begins so that an obstacle shows at once.
@@ -137,11 +138,11 @@ rgs::Status visit_blocks(const Source& source, std::uint64_t before, std::uint64
 }
 
 rgs::lod::SplatStream stream_of(const Options& options, std::uint64_t n) {
-  if (!options.town) {
-    return {n, options.degree, [scene = rgs::SceneGenerator(options.seed, n, options.degree), n](const auto& visit) {
-              return visit_blocks(scene, 0, n, visit);
-            }};
-  }
+  const auto stream = [&](auto scene) -> rgs::lod::SplatStream {
+    return {n, options.degree, [scene, n](const auto& visit) { return visit_blocks(scene, 0, n, visit); }};
+  };
+  if (options.garden) return stream(rgs::GardenGenerator(options.seed, n, options.degree));
+  if (!options.town) return stream(rgs::SceneGenerator(options.seed, n, options.degree));
   const rgs::TownGenerator town(options.seed, n, options.degree, options.blocks);
   return {n, options.degree, [town](const rgs::lod::SplatStream::Visit& visit) -> rgs::Status {
             for (std::uint64_t k = 0; k < town.n_ranges(); ++k) {
@@ -188,7 +189,8 @@ int write_levels(const Options& options, std::uint64_t n, const rgs::AtomicFile:
 int write_views(const Options& options, TextFile& cameras, TextFile& camera_path) {
   const int width = 1280, height = 720;
   if (const int code = cameras.write(options.town ? rgs::town_cameras_json(options.seed, width, height, options.origin)
-                                                  : rgs::scene_cameras_json(width, height, options.origin));
+                                     : options.garden ? rgs::garden_cameras_json(width, height, options.origin)
+                                                      : rgs::scene_cameras_json(width, height, options.origin));
       code != tool::kSuccess)
     return code;
   if (!options.town) return tool::kSuccess;
@@ -229,7 +231,8 @@ int make_scene(const Options& options, std::uint64_t n) {
   progress.begin("writing", n, "Gaussians");
   const rgs::Status rows =
       options.town ? write_town(rgs::TownGenerator(options.seed, n, options.degree, options.blocks), *writer, progress)
-                   : write_batches(rgs::SceneGenerator(options.seed, n, options.degree), 0, n, *writer, progress);
+      : options.garden ? write_batches(rgs::GardenGenerator(options.seed, n, options.degree), 0, n, *writer, progress)
+                       : write_batches(rgs::SceneGenerator(options.seed, n, options.degree), 0, n, *writer, progress);
   if (!rows) return tool::report(options.output, rows.error());
   // Cameras first: a failure there leaves no scene without its cameras.
   if (const int code = write_views(options, cameras, camera_path); code != tool::kSuccess) return code;
@@ -249,7 +252,7 @@ int make_scene(const Options& options, std::uint64_t n) {
 int parse_and_make_scene(int argc, char** argv) {
   Options options;
   CLI::App app{
-      "Writes a deterministic synthetic scene (a house in a garden, or a town) as a 3DGS PLY, or as an "
+      "Writes a deterministic synthetic scene (a house, a town, or a garden) as a 3DGS PLY, or as an "
       ".rgs with levels of detail.",
       "rgs-make-scene"};
   app.add_option("output", options.output,
@@ -266,6 +269,10 @@ int parse_and_make_scene(int argc, char** argv) {
   auto* const town = app.add_flag("--town", options.town,
                                   "a town of streets, houses, gardens and trees under a wide sky, in metres; more "
                                   "Gaussians make it larger and finer");
+  app.add_flag("--garden", options.garden,
+               "a garden of many small Gaussians on a grid, so that lists are long as in dense trained scenes; more "
+               "Gaussians make it finer")
+      ->excludes(town);
   app.add_option(
          "--blocks", options.blocks,
          "blocks along each side of the town, 1 to 64; each measures about 78 x 64 m. By default 4 for 1M, 8 for "

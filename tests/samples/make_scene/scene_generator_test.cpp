@@ -1,4 +1,4 @@
-// scene_generator_test.cpp - the synthetic scene is reproducible, varied and statistically like a trained one.
+// scene_generator_test.cpp - the synthetic scenes are reproducible, varied and like trained ones.
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_generator.hpp"
 
@@ -16,6 +16,8 @@
 #include <thread>
 #include <vector>
 
+#include "garden_generator.hpp"
+#include "rgs/camera_file.hpp"
 #include "rgs/checksum.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
@@ -27,6 +29,12 @@ namespace {
 std::vector<Splat> whole(std::uint64_t seed, std::uint64_t n, int degree) {
   std::vector<Splat> splats(n);
   SceneGenerator(seed, n, degree).generate(0, splats);
+  return splats;
+}
+
+std::vector<Splat> garden(std::uint64_t seed, std::uint64_t n, int degree) {
+  std::vector<Splat> splats(n);
+  GardenGenerator(seed, n, degree).generate(0, splats);
   return splats;
 }
 
@@ -209,6 +217,66 @@ TEST_CASE("the portrait camera faces the house with a right-handed frame") {
   CHECK(row(1, tower_tip) < row(1, door));                                     // y down
 }
 
+TEST_CASE("a Gaussian of the garden depends on seed, count and index; a lower degree is the higher one truncated") {
+  constexpr std::uint64_t kN = 5003;
+  const std::vector<Splat> full = garden(3, kN, 3);
+  std::vector<Splat> pieces(kN);
+  for (std::uint64_t first = 0; first < kN; first += 1000)
+    GardenGenerator(3, kN, 3).generate(first,
+                                       std::span(pieces).subspan(first, std::min<std::uint64_t>(1000, kN - first)));
+  CHECK(same_bits(pieces, full));
+  for (int degree = 0; degree < 3; ++degree) {
+    std::vector<Splat> cut = full;
+    for (Splat& splat : cut) std::fill(splat.sh + 3 * sh_coefficients(degree), std::end(splat.sh), 0.0F);
+    CHECK(same_bits(garden(3, kN, degree), cut));
+  }
+  const std::vector<Splat> other = garden(4, kN, 3);
+  std::size_t equal = 0;
+  for (std::size_t i = 0; i < kN; ++i) equal += std::equal(full[i].mean, full[i].mean + 3, other[i].mean) ? 1U : 0U;
+  CHECK(equal < 5);
+}
+
+TEST_CASE("a garden's means lie on its grid, its values are finite, and its bytes never change") {
+  const auto is_sound = [](const Splat& s) {
+    const auto finite = [](const float* first, int n) {
+      return std::all_of(first, first + n, [](float v) { return std::isfinite(v); });
+    };
+    return finite(s.mean, 3) && finite(s.log_scale, 3) && finite(s.rotation, 4) && std::isfinite(s.opacity_logit) &&
+           finite(s.sh, 48) && std::all_of(s.mean, s.mean + 3, [](float v) {
+             return v / kGardenStep == std::round(v / kGardenStep) && std::abs(v) <= 200.5F;
+           });
+  };
+  garden(1, 0, 3);
+  for (std::uint64_t n = 1; n < 100; ++n) {
+    const std::vector<Splat> few = garden(1, n, 3);
+    REQUIRE(std::all_of(few.begin(), few.end(), is_sound));
+  }
+  const std::vector<Splat> splats = garden(1, 20011, 3);
+  CHECK(std::all_of(splats.begin(), splats.end(), is_sound));
+  Hasher hash;
+  for (const Splat& s : splats) hash.update(std::as_bytes(std::span(&s, 1)).first(offsetof(Splat, mean_rest)));
+  CHECK(hash.digest() == 13803895856918624913U);
+  std::vector<Splat> last(64);
+  GardenGenerator(1, kMaxSceneGaussians, 3).generate(kMaxSceneGaussians - last.size(), last);
+  CHECK(std::all_of(last.begin(), last.end(), is_sound));
+}
+
+TEST_CASE("the garden's cameras stand on its path and look at its middle") {
+  const auto set = parse_camera_json(garden_cameras_json());
+  REQUIRE(set);
+  REQUIRE(set->cameras.size() == 8);
+  for (const Camera& camera : set->cameras) {
+    const auto& m = camera.world_to_camera;  // columns
+    double eye[3] = {};
+    for (int a = 0; a < 3; ++a)
+      for (int r = 0; r < 3; ++r) eye[a] -= m[a][r] * m[3][r];
+    CHECK(std::hypot(eye[0], eye[2]) == doctest::Approx(12));
+    CHECK(eye[1] < -1.7);
+    CHECK(std::abs(m[3][0]) < 1e-6);  // the middle's x
+    CHECK(m[3][2] > 11);              // its depth
+  }
+}
+
 #ifdef RGS_TEST_MAKE_SCENE
 namespace {
 
@@ -264,6 +332,28 @@ TEST_CASE("rgs-make-scene writes the same bytes on one thread and on many") {
   REQUIRE(make_scene("--seed 5 --gaussians 0.030001M --threads 4 " + many) == 0);
   CHECK(contents(one) == contents(many));
   CHECK(contents(one).size() > 30001U * 248U);
+}
+
+TEST_CASE("rgs-make-scene --garden writes the generator's Gaussians on any number of threads, and its cameras") {
+  const test::TemporaryFolder folder;
+  const std::string one = folder.file("one.ply"), many = folder.file("many.ply"), cameras = folder.file("c.json");
+  REQUIRE(make_scene("--garden --seed 5 --gaussians 30001 --degree 1 --threads 1 --cameras " + cameras + " " + one) ==
+          0);
+  REQUIRE(make_scene("--garden --seed 5 --gaussians 30001 --degree 1 --threads 2 " + many) == 0);
+  const std::string bytes = contents(one);
+  CHECK(bytes == contents(many));
+  CHECK(contents(cameras) == garden_cameras_json());
+  const std::size_t header = bytes.find("end_header\n") + 11;
+  constexpr std::size_t kRow = 4 * (17 + 9);
+  REQUIRE(bytes.size() - header == 30001 * kRow);
+  const std::vector<Splat> expected = garden(5, 30001, 1);
+  std::size_t n_equal = 0;
+  for (std::size_t i = 0; i < expected.size(); ++i)
+    n_equal += std::memcmp(bytes.data() + header + i * kRow, expected[i].mean, sizeof expected[i].mean) == 0 ? 1U : 0U;
+  CHECK(n_equal == expected.size());
+  CHECK(make_scene("--garden --gaussians 2k --degree 0 " + folder.file("levels.rgs")) == 0);
+  CHECK(make_scene("--garden --town " + folder.file("both.ply")) == 2);
+  CHECK(make_scene("--garden --gaussians 201M " + folder.file("more.ply")) == 2);
 }
 
 TEST_CASE("rgs-make-scene keeps existing outputs unless told to replace them") {
