@@ -704,8 +704,8 @@ TEST_CASE("a finished asynchronous frame equals the synchronous one, even if it 
 
 namespace {
 
-CudaRenderer renderer_with(std::uint32_t frames_in_flight) {
-  auto renderer = CudaRenderer::create({.frames_in_flight = frames_in_flight});
+CudaRenderer renderer_with(std::uint32_t frames_in_flight, bool overlapping = true) {
+  auto renderer = CudaRenderer::create({.frames_in_flight = frames_in_flight, .overlapping = overlapping});
   require_ok(renderer);
   return *std::move(renderer);
 }
@@ -792,12 +792,15 @@ TEST_CASE("frames in flight equal those that are waited for: other cameras, size
   if (!device_answers()) return;
   const Script script;
   const Stream streams[2];
-  for (const std::uint32_t most : {1u, 3u, 8u}) {
+  for (const auto& how : {std::pair(1u, true), {2u, true}, {3u, true}, {3u, false}, {8u, true}}) {
+    const std::uint32_t most = how.first;
+    const bool overlapping = how.second;
     CAPTURE(most);
+    CAPTURE(overlapping);
     for (const bool one_stream : {false, true}) {
       CAPTURE(one_stream);
       const std::vector<Shot> shots = script.shots();
-      CudaRenderer renderer = renderer_with(most);
+      CudaRenderer renderer = renderer_with(most, overlapping);
       std::vector<FrameStats> stats;
       const auto finish_oldest = [&] {
         const auto drawn = renderer.finish_oldest();
@@ -866,14 +869,98 @@ TEST_CASE("frames in flight into one target leave the last one's picture, also i
   RenderOptions queued = turbo_options();
   queued.turbo.asynchronous = true;
   const Stream streams[2];
-  CudaRenderer renderer = renderer_with(3);  // its first workspace is too small
-  const DeviceArray<float> rgb(expected.size());
-  synchronize();
-  for (int k = 0; k < 3; ++k) {
-    require_ok(renderer.render(k == 0 ? large : small, camera, {.rgb = rgb.data()}, queued, streams[k % 2].stream));
+  for (const bool overlapping : {false, true}) {
+    CAPTURE(overlapping);
+    CudaRenderer renderer = renderer_with(3, overlapping);  // its first workspaces are too small
+    const DeviceArray<float> rgb(expected.size());
+    synchronize();
+    for (int k = 0; k < 3; ++k) {
+      require_ok(renderer.render(k == 0 ? large : small, camera, {.rgb = rgb.data()}, queued, streams[k % 2].stream));
+    }
+    require_ok(renderer.finish());
+    check_same(rgb.download(), expected);
   }
-  require_ok(renderer.finish());
-  check_same(rgb.download(), expected);
+}
+
+TEST_CASE("overlapping frames into one target: what the caller queues on the stream after each sees its picture") {
+  if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
+  const auto [width, height] = small_sizes() ? std::pair(64, 64) : std::pair(640, 360);
+  const DeviceScene scenes[] = {upload(walls(sized(6000, 300, 100))),
+                                upload(scene_of(cloud_of(random_splats(623, sized(3000, 400, 200)), 2))),
+                                DeviceScene()};  // after a few, tiles are filled before their Gaussians are known
+  const Stream stream;
+  Random random(624);
+  for (const std::size_t mode : {kTurbo, kTurboFp32}) {
+    CAPTURE(kModes[mode]);
+    RenderOptions options = modes()[mode];
+    options.background = {0.3F, 0.2F, 0.1F};
+    struct Step {
+      const DeviceScene& scene;
+      Camera camera;
+      std::vector<float> expected;
+      DeviceArray<float> seen;
+    };
+    std::vector<Step> steps;
+    steps.reserve(16);
+    for (std::size_t k = 0; k < 16; ++k) {
+      const DeviceScene& scene = scenes[k < 8 ? k % 3 % 2 : k < 12 ? 2 : k % 3];
+      const Camera camera =
+          scene.size() == scenes[0].size() ? front_camera(width, height) : random_camera(random, width, height);
+      Device waiting(camera);
+      require_ok(waiting.render(scene, options));
+      std::vector<float> expected = waiting.rgb();
+      DeviceArray<float> seen(expected.size());
+      steps.push_back({scene, camera, std::move(expected), std::move(seen)});
+    }
+    options.turbo.asynchronous = true;
+    CudaRenderer renderer = renderer_with(3);
+    const DeviceArray<float> rgb(steps.front().expected.size());
+    const DeviceArray<float> slow(small_sizes() ? 1 << 16 : 1 << 26);  // its clearing outlasts the next front end
+    for (const bool fits : {false, true}) {  // the first time workspaces grow, and some pictures are late
+      synchronize();
+      for (const Step& step : steps) {
+        require_ok(renderer.render(step.scene, step.camera, {.rgb = rgb.data()}, options, stream.stream));
+        require_cuda(cudaMemsetAsync(slow.data(), 0, slow.size() * sizeof(float), stream.stream));
+        require_cuda(cudaMemcpyAsync(step.seen.data(), rgb.data(), rgb.size() * sizeof(float), cudaMemcpyDeviceToDevice,
+                                     stream.stream));
+      }
+      require_ok(renderer.finish());
+      check_same(rgb.download(), steps.back().expected);
+      if (!fits) continue;
+      require_cuda(cudaStreamSynchronize(stream.stream));
+      for (std::size_t k = 0; k < steps.size(); ++k) {
+        CAPTURE(k);
+        check_same(steps[k].seen.download(), steps[k].expected);
+      }
+    }
+  }
+}
+
+TEST_CASE("a second workspace is added with a frame that is queued behind another, unless frames do not overlap") {
+  if (!device_answers()) return;
+  const Camera camera = front_camera(64, 64);
+  const DeviceScene scene = upload(walls(20));
+  RenderOptions queued = turbo_options();
+  queued.turbo.asynchronous = true;
+  Device waiting(camera);
+  require_ok(waiting.render(scene, turbo_options()));
+  const std::uint64_t bytes = waiting.renderer().bytes();
+  for (const bool overlapping : {false, true}) {
+    CAPTURE(overlapping);
+    CudaRenderer renderer = renderer_with(3, overlapping);
+    const DeviceTarget target = waiting.target();
+    for (int k = 0; k < 3; ++k) {
+      require_ok(renderer.render(scene, camera, target, queued));
+      require_ok(renderer.finish());
+    }
+    CHECK(renderer.bytes() == bytes);
+    for (int k = 0; k < 4; ++k) require_ok(renderer.render(scene, camera, target, queued));
+    const auto last = renderer.finish();
+    require_ok(last);
+    CHECK(renderer.bytes() == (overlapping ? 2 : 1) * bytes);
+    CHECK(last->bytes == renderer.bytes());
+  }
 }
 
 TEST_CASE("two renderers with frames in flight on streams of their own draw side by side") {

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <map>
 
@@ -242,6 +243,53 @@ TEST_CASE("a caller's allocator provides all memory and gets it all back, and it
     CHECK(scenes.held.empty());
     CHECK(ledger.n_wrong == 0);
     CHECK(scenes.n_wrong == 0);
+  }
+}
+
+TEST_CASE("overlapping frames go on in one workspace where there is no memory for two") {
+  if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
+  const Camera camera = small_sizes() ? front_camera(64, 48) : front_camera(640, 360);
+  const DeviceScene small = upload(walls(3).view().value());
+  const DeviceScene large = upload(walls(small_sizes() ? 300 : 6000).view().value());
+  RenderOptions queued = turbo_options();
+  queued.turbo.asynchronous = true;
+  CudaRenderer plain = renderer();
+  const auto expected_small = picture(plain, small, camera, turbo_options());
+  const std::uint64_t bytes = plain.bytes();
+  const auto expected_large = picture(plain, large, camera, turbo_options());
+  const std::uint64_t enough = std::max(2 * bytes, plain.bytes());  // for one that draws both
+  const TestStream stream;
+  struct Queue {
+    std::uint64_t limit;
+    std::vector<bool> is_large;
+  };
+  // No room for a second one; for two until the first or the second, or both, have to grow.
+  for (const Queue& queue :
+       {Queue{bytes, {false, false, false, false}}, Queue{enough, {false, false, true, false, false}},
+        Queue{enough, {false, false, false, true, false}}, Queue{enough, {false, true, true, false, false}}}) {
+    CAPTURE(queue.limit);
+    Ledger ledger;
+    ledger.limit = queue.limit;
+    {
+      CudaRenderer device = renderer({.allocator = ledger.allocator()});
+      std::vector<DeviceArray<float>> targets;
+      targets.reserve(queue.is_large.size());
+      for (std::size_t k = 0; k < queue.is_large.size(); ++k) targets.emplace_back(expected_small.size());
+      synchronize();
+      for (std::size_t k = 0; k < targets.size(); ++k) {
+        require_ok(
+            device.render(queue.is_large[k] ? large : small, camera, {.rgb = targets[k].data()}, queued, stream.get()));
+      }
+      require_ok(device.finish());
+      for (std::size_t k = 0; k < targets.size(); ++k)
+        CHECK(targets[k].download() == (queue.is_large[k] ? expected_large : expected_small));
+      CHECK(ledger.total == device.bytes());
+      ledger.limit = enough;
+      CHECK(picture(device, large, camera, turbo_options(), stream.get()) == expected_large);
+    }
+    CHECK(ledger.held.empty());
+    CHECK(ledger.n_wrong == 0);
   }
 }
 

@@ -129,15 +129,21 @@ struct DeviceTarget {
 };
 
 struct CudaRendererOptions {
-  DeviceAllocator allocator = {};  ///< for the workspace
-  /// Asynchronous frames that are queued before render() waits for the oldest of them, 1 to 16. They share the
-  /// workspace, so more of them take no device memory.
+  /// For the workspace. Where asynchronous frames overlap, `stream` may be one of the renderer's own.
+  DeviceAllocator allocator = {};
+  /// Asynchronous frames that are queued before render() waits for the oldest of them, 1 to 16. More than two take no
+  /// more device memory.
   std::uint32_t frames_in_flight = 3;
+  /// Asynchronous frames of scenes without levels of detail overlap: while one is blended, the next one's lists are
+  /// made. This takes a second workspace, which the renderer adds when it first queues a frame behind another, if half
+  /// of the device's free memory has room for it then. It releases it for good when it finds no memory to grow, but not
+  /// when others need memory: set false for them. With one workspace a frame begins when the one before has ended.
+  bool overlapping = true;
 };
 
 /// Renders frames into device memory. Owns the workspace, which is sized for the first scene; when a frame needs more
 /// it grows by half, or by what is needed if there is no more; other frames do not allocate. To grow, it waits for its
-/// own last frame alone. One CudaRenderer serves one thread at a time; its frames run in order, also on different
+/// own last frame alone. One CudaRenderer serves one thread at a time; its frames end in order, also on different
 /// streams. Several may run on streams of their own and share scenes. The device current at create() must be current at
 /// every call. The destructor waits for the last frame; a moved-from one may only be destroyed or assigned to.
 class CudaRenderer {
@@ -163,12 +169,15 @@ class CudaRenderer {
   ///
   /// With options.turbo.asynchronous it queues the frame and waits for nothing but a larger workspace and, if
   /// frames_in_flight are queued, for the oldest of them, which it settles first. The frame runs at the default
-  /// priority, whatever the stream's. A frame that is not asynchronous settles all. To settle a frame is to wait for
-  /// its end and check whether it fitted; if not, the workspace grows, and this frame and those queued after it are
-  /// drawn again, each on its stream. Frames are settled in their order, and only then is a picture confirmed: until
-  /// the call that settles its frame has returned, stream and target must live. An error of a queued frame is told
-  /// once, by the call that settles it; then no frame is queued or running, those queued after it have no picture, and
-  /// the renderer remains usable. After other errors queued frames remain queued.
+  /// priority, whatever the stream's. If it overlaps with the frame before (CudaRendererOptions::overlapping), it may
+  /// begin before earlier work on `stream` is done, but writes its target only after that; work that is queued there
+  /// later follows it. Its times then include the wait and what the other frame takes of the device. A frame that is not
+  /// asynchronous settles all.
+  /// To settle a frame is to wait for its end and check whether it fitted; if not, the workspace grows, and this frame
+  /// and those queued after it are drawn again, each on its stream. Frames are settled in their order, and only then is
+  /// a picture confirmed: until the call that settles its frame has returned, stream and target must live. An error of
+  /// a queued frame is told once, by the call that settles it; then no frame is queued or running, those queued after
+  /// it have no picture, and the renderer remains usable. After other errors queued frames remain queued.
   Result<FrameStats> render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                             const RenderOptions& options = {}, CudaStream stream = nullptr);
 
@@ -182,7 +191,7 @@ class CudaRenderer {
   /// would find frames_in_flight queued gets each frame, in order. Errors: as finish().
   Result<FrameStats> finish_oldest();
 
-  std::uint64_t bytes() const;  ///< device memory held by the workspace
+  std::uint64_t bytes() const;  ///< device memory held by the workspace, or by both
   const char* name() const;     ///< e.g. "cuda NVIDIA H100 80GB HBM3"
 
  private:

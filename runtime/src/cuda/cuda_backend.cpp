@@ -49,7 +49,8 @@ struct FrameMaker {
 };
 
 Result<std::unique_ptr<FrameMaker>> FrameMaker::create(const DeviceAllocator& allocator) {
-  auto renderer = CudaRenderer::create({.allocator = allocator, .frames_in_flight = PictureBatch::kFramesInFlight});
+  auto renderer = CudaRenderer::create(
+      {.allocator = allocator, .frames_in_flight = PictureBatch::kFramesInFlight, .overlapping = false});
   if (!renderer) return tl::unexpected(renderer.error());
   auto memory = DeviceMemory::create(allocator);
   if (!memory) return tl::unexpected(memory.error());

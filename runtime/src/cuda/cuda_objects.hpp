@@ -60,8 +60,8 @@ class Event {
     return device_status(cudaEventRecord(event_, stream), "an event could not be recorded");
   }
   /// Work queued on `stream` from now on waits for the event.
-  Status hold(cudaStream_t stream) const {
-    return device_status(cudaStreamWaitEvent(stream, event_), "a stream could not be made to wait");
+  Status hold(cudaStream_t stream, unsigned flags = 0) const {
+    return device_status(cudaStreamWaitEvent(stream, event_, flags), "a stream could not be made to wait");
   }
   /// Blocks the host until the event; returns at once if it was never recorded.
   Status wait() const { return device_status(cudaEventSynchronize(event_), "a kernel failed"); }

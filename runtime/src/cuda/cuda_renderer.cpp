@@ -68,32 +68,66 @@ Status check_pairs(std::uint64_t pairs) {
 }  // namespace
 
 struct CudaRenderer::Impl {
-  explicit Impl(std::size_t frames_in_flight) : readbacks(frames_in_flight), in_flight(frames_in_flight) {}
-  ~Impl() { state.wait_for_all(); }  // it uses all of this until then
+  explicit Impl(const CudaRendererOptions& options)
+      : can_overlap(options.overlapping), readbacks(options.frames_in_flight), in_flight(options.frames_in_flight) {}
+  ~Impl() { wait_for_all(); }  // it uses all of this until then
+
+  // What draws a frame at a time.
+  struct Workspace {
+    Status create() {
+      const Status ok = state.own.create();
+      return ok ? turbo.create() : ok;
+    }
+    std::uint64_t bytes() const { return state.splats.bytes() + state.cut.bytes() + sorted.bytes() + turbo.bytes(); }
+
+    detail::FrameState state;
+    detail::SortedPipeline sorted{state};
+    detail::TurboPipeline turbo{state};
+  };
 
   struct Outcome {
     FrameStats stats;
     bool is_repeated;
   };
 
-  // Calls `use` with the pipeline that draws the frame.
+  // Calls `use` with the pipeline that draws the frame; once more without the second workspace if memory runs out.
   template <class Use>
   auto with_pipeline(const Frame& f, const Use& use) {
-    return f.is_turbo ? use(turbo) : use(sorted);
+    const auto once = [&] {
+      Workspace& w = *workspaces[std::min(f.turn.value_or(0), workspaces.size() - 1)];
+      return f.is_turbo ? use(w.turbo) : use(w.sorted);
+    };
+    auto used = once();
+    if (used || used.error().code != Errc::device_out_of_memory || workspaces.size() == 1) return used;
+    wait_for_all();
+    workspaces.pop_back();
+    can_overlap = false;
+    return once();
   }
   Status create(const DeviceAllocator& allocator);
+  Status add_workspace();
+  bool overlaps();
   Status queue(const Frame& frame) {
     return with_pipeline(frame, [&](auto& pipeline) { return pipeline.queue(frame); });
   }
   Result<Outcome> outcome(const Frame& frame);
   Status settle_oldest();
-  std::uint64_t bytes() const { return state.splats.bytes() + state.cut.bytes() + sorted.bytes() + turbo.bytes(); }
+  void wait_for_all() const {
+    for (const auto& w : workspaces) w->state.wait_for_all();
+  }
+  std::uint64_t bytes() const {
+    std::uint64_t sum = 0;
+    for (const auto& w : workspaces) sum += w->bytes();
+    return sum;
+  }
 
   std::string name;
-  detail::FrameState state;
-  detail::SortedPipeline sorted{state};
-  detail::TurboPipeline turbo{state};
-  std::vector<detail::Readback> readbacks;  // by FramesInFlight::next_number()
+  std::shared_ptr<const detail::DeviceMemory> memory;
+  detail::FrameOrder order;
+  std::vector<std::unique_ptr<Workspace>> workspaces;  // one, or two that overlapping frames use in turn
+  std::size_t turn = 0;                                // of the last frame
+  bool can_overlap;                                    // a second workspace may be added
+  std::vector<detail::Readback> readbacks;             // by FramesInFlight::next_number()
   detail::FramesInFlight<Frame> in_flight;
   FrameStats last;  // of the frame that was settled last
 };
@@ -144,7 +178,7 @@ Result<CudaRenderer> CudaRenderer::create(const CudaRendererOptions& options) {
       return tl::unexpected(ok.error());
     }
     if (const auto ok = cuda::check_device_code(); !ok) return tl::unexpected(ok.error());
-    auto impl = std::make_unique<Impl>(options.frames_in_flight);
+    auto impl = std::make_unique<Impl>(options);
     impl->name = std::string("cuda ") + properties.name;
     if (const auto ok = impl->create(options.allocator); !ok) return tl::unexpected(ok.error());
     return CudaRenderer(std::move(impl));
@@ -152,15 +186,30 @@ Result<CudaRenderer> CudaRenderer::create(const CudaRendererOptions& options) {
 }
 
 Status CudaRenderer::Impl::create(const DeviceAllocator& allocator) {
-  auto memory = detail::DeviceMemory::create(allocator);
-  if (!memory) return tl::unexpected(memory.error());
-  state.memory = *std::move(memory);
-  state.finished = readbacks.front().finished;
+  auto made = detail::DeviceMemory::create(allocator);
+  if (!made) return tl::unexpected(made.error());
+  memory = *std::move(made);
+  order.finished = readbacks.front().finished;
   Status ok;
   for (detail::Readback& readback : readbacks) {
     if (ok) ok = readback.create();
   }
-  return ok ? turbo.create() : ok;
+  return ok ? add_workspace() : ok;
+}
+
+Status CudaRenderer::Impl::add_workspace() {
+  std::unique_ptr<Workspace> added(new Workspace{{order, memory, order.finished}});
+  Status ok = added->create();
+  if (ok) workspaces.push_back(std::move(added));
+  return ok;
+}
+
+// Whether queued frames overlap. Adds the second workspace where there is room, once a frame follows a queued one.
+bool CudaRenderer::Impl::overlaps() {
+  if (can_overlap && workspaces.size() == 1 && !in_flight.is_empty()) {
+    can_overlap = detail::room_for(workspaces.front()->bytes()) > 0 && add_workspace();
+  }
+  return workspaces.size() > 1;
 }
 
 std::uint64_t CudaRenderer::bytes() const {
@@ -220,15 +269,15 @@ Status CudaRenderer::Impl::settle_oldest() {
   const auto settled = in_flight.settle_oldest(
       [this](const Frame& f) {
         auto drawn = detail::guard_memory([&] { return outcome(f); });
-        if (!drawn) state.wait_for_all();
+        if (!drawn) wait_for_all();
         return drawn;
       },
       [this](const Frame& f) {
         const Status ok = detail::guard_memory([&] { return queue(f); });
-        if (!ok) state.wait_for_all();
+        if (!ok) wait_for_all();
         return ok;
       });
-  if (in_flight.is_empty()) state.ordered_by.reset();
+  if (in_flight.is_empty()) order.ordered_by.reset();
   last = settled ? settled->stats : FrameStats{};
   return settled ? Status() : tl::unexpected(settled.error());
 }
@@ -275,9 +324,11 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
       frame.depth_resolution =
           detail::depth_resolution(settings, frame.view.key.depth_bits, camera, scene.declarations());
     }
+    if (is_queued && !frame.cut && w.overlaps()) frame.turn = 1 - w.turn;
+    w.turn = frame.turn.value_or(0);
     if (ok = w.queue(frame); !ok) {
       w.last = {};
-      w.state.wait_for_all();  // the caller may free the scene
+      w.wait_for_all();  // the caller may free the scene
       return tl::unexpected(ok.error());
     }
     FrameStats queued;
@@ -293,7 +344,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
 Result<FrameStats> CudaRenderer::finish_oldest() {
   return detail::guard_memory([&]() -> Result<FrameStats> {
     Impl& w = *impl_;
-    const Status ok = w.in_flight.is_empty() ? w.state.finished->wait() : w.settle_oldest();
+    const Status ok = w.in_flight.is_empty() ? w.order.finished->wait() : w.settle_oldest();
     if (!ok) return tl::unexpected(ok.error());
     return w.last;
   });

@@ -16,7 +16,7 @@ namespace rgs::detail {
 /// has room for what earlier frames drew, and half as much again once that was not enough.
 class CutStage {
  public:
-  /// FrameState::reserve() on the frame's stream.
+  /// FrameState::reserve() for the frame.
   using Reserve = std::function<Status(DeviceBuffer&, std::uint64_t bytes)>;
 
   /// Makes room for at least `n_chunks`, or for a first guess if that is 0 and there is none; `splats` gets

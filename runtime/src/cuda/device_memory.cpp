@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/device_memory.hpp"
 
+#include <algorithm>
 #include <map>
 #include <mutex>
 #include <new>
@@ -135,6 +136,15 @@ void DeviceMemory::free(void* memory, std::uint64_t bytes) const {
   } else {
     cudaFree(memory);
   }
+}
+
+std::size_t room_for(std::uint64_t bytes) {
+  std::size_t free = 0, all = 0;
+  if (cudaMemGetInfo(&free, &all) != cudaSuccess) {
+    cudaGetLastError();
+    return 0;
+  }
+  return free / 2 / std::max<std::uint64_t>(bytes, 1);
 }
 
 }  // namespace rgs::detail

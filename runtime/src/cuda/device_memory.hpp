@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <utility>
@@ -30,6 +31,9 @@ class DeviceMemory {
   DeviceAllocator allocator_;
   std::shared_ptr<const DevicePool> pool_;  // null and no allocator: cudaMalloc(), if the driver has no pools
 };
+
+/// How many more workspaces of `bytes` fit into half of the current device's free memory; 0 if that is unknown.
+std::size_t room_for(std::uint64_t bytes);
 
 class DeviceBuffer {
  public:

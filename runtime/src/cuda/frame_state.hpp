@@ -1,8 +1,9 @@
-// frame_state.hpp - a frame, and what a renderer's two pipelines share.
+// frame_state.hpp - a frame, the order of frames, and what a workspace's two pipelines share.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <limits>
 #include <memory>
@@ -47,12 +48,14 @@ struct Readback {
     for (Event& event : marks) {
       if (ok) ok = event.create(cudaEventDefault);
     }
+    if (ok) ok = target_free.create();
     return ok ? finished->create() : ok;
   }
 
   PageLocked<Seen> seen;
   Room room{};
   std::array<Event, kMarks> marks;
+  Event target_free;  ///< what precedes an overlapping frame on the caller's stream is done
   /// Its last frame no longer uses the workspace, its scene or its target.
   std::shared_ptr<Event> finished = std::make_shared<Event>();
 };
@@ -64,11 +67,14 @@ struct Frame {
   cuda::PixelArrays target;
   cuda::ViewParameters view;
   FrameSettings settings;
-  CudaStream stream;
+  CudaStream stream;        ///< the caller's
   double depth_resolution;  ///< for FrameStats
   bool is_turbo;
   std::optional<cuda::CutEye> cut;  ///< of a scene with levels of detail
   Readback* readback;
+  /// Overlaps with the frame before: runs in this workspace, or in the only one left, on its stream.
+  /// Absent: in the first one, on `stream`.
+  std::optional<std::size_t> turn = std::nullopt;
   bool is_graph = false;  ///< its launches are collected in a graph
 
   std::uint64_t n() const { return scene ? scene->n : 0; }
@@ -86,26 +92,41 @@ struct Settled {
   bool is_repeated;  ///< it was queued again, behind the frames that follow it
 };
 
-/// A renderer's frames run in order, so one of each serves all of them. All functions may fail with device_failed.
+/// A renderer's frames end in order, also on several streams and in two workspaces.
+struct FrameOrder {
+  std::shared_ptr<Event> finished;  ///< Readback::finished of the last frame; before the first, one never recorded
+  /// The last frame's stream if the caller has promised that it still lives: what is queued there follows the frame.
+  std::optional<CudaStream> ordered_by = std::nullopt;
+};
+
+/// A workspace's frames run in order, so one of each serves all of them. All functions may fail with device_failed.
 struct FrameState {
-  /// Waits for the last frame, which may run on another stream, and for the scene's upload.
+  /// The frame waits for the workspace's last one and for the scene's upload, and before it writes its target for the
+  /// renderer's last frame, which may run on another stream.
   Status begin(const Frame& f) const {
     if (f.scene) f.scene->drawn_by(f.readback->finished);
-    const Status ok = f.stream == ordered_by ? Status() : finished->hold(f.stream);
-    return ok && f.scene && f.scene->copied ? f.scene->copied->hold(f.stream) : ok;
+    Status ok = f.stream == order.ordered_by ? Status() : order.finished->hold(f.stream);
+    if (ok && f.turn) ok = f.readback->target_free.record(f.stream);
+    if (ok && f.turn) ok = finished->hold(own.get());
+    return ok && f.scene && f.scene->copied ? f.scene->copied->hold(stream_of(f)) : ok;
   }
-  /// Call after every begin(), also after errors: marks the end of the frame's use of the workspace.
+  /// Call on each stream of the frame's before the first launch that writes the target.
+  Status hold_for_target(const Frame& f, CudaStream on) const {
+    return f.turn ? f.readback->target_free.hold(on, cudaEventWaitExternal) : Status();
+  }
+  /// Call after every begin(), also after errors: marks the end of the frame's use of the workspace, which all that
+  /// the caller queues on its stream from now on follows.
   Status end(const Frame& f) {
-    finished = f.readback->finished;
-    ordered_by.reset();
+    finished = order.finished = f.readback->finished;
+    order.ordered_by.reset();
     // One handle is a different stream for each of the caller's threads.
-    if (f.settings.cuda.asynchronous && f.stream != cudaStreamPerThread) ordered_by = f.stream;
-    return finished->record(f.stream);
+    if (f.settings.cuda.asynchronous && f.stream != cudaStreamPerThread) order.ordered_by = f.stream;
+    const Status ok = finished->record(stream_of(f));
+    return ok && f.turn ? finished->hold(f.stream) : ok;
   }
-  /// Blocks the host until the device uses nothing of the renderer's; ignores errors.
-  void wait_for_all() const {
-    if (finished && finished->get() != nullptr) cudaEventSynchronize(finished->get());
-  }
+  CudaStream stream_of(const Frame& f) const { return f.turn ? own.get() : f.stream; }
+  /// Blocks the host until the device uses nothing of the workspace; ignores errors.
+  void wait_for_all() const { cudaEventSynchronize(finished->get()); }
 
   Status mark(Mark m, const Frame& f, CudaStream on) const {
     const bool is_stage = m != kStart && m != kBlended;
@@ -129,10 +150,10 @@ struct FrameState {
 
   /// DeviceBuffer::reserve() of a part of the workspace. Launches of this frame must not use it any more; waits for the
   /// frame before if the buffer grows. Errors: also those of DeviceMemory::allocate().
-  Status reserve(DeviceBuffer& buffer, std::uint64_t bytes, CudaStream stream) const {
+  Status reserve(DeviceBuffer& buffer, std::uint64_t bytes, const Frame& f) const {
     if (bytes <= buffer.bytes()) return {};
     const Status ok = finished->wait();
-    return ok ? buffer.reserve(bytes, memory, stream) : ok;
+    return ok ? buffer.reserve(bytes, memory, stream_of(f)) : ok;
   }
 
   /// Makes room for the frame's cut, if any: for at least `n_chunks`, or for what earlier frames drew if that is 0.
@@ -140,7 +161,7 @@ struct FrameState {
   Status reserve_cut(const Frame& f, std::uint64_t n_chunks = 0) {
     if (!f.cut) return {};
     return cut.reserve(*f.scene, n_chunks, splats,
-                       [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
+                       [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f); });
   }
   Status launch_cut(const Frame& f) const {
     return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse, &f.seen().cut}, f.stream);
@@ -149,12 +170,12 @@ struct FrameState {
   /// Gaussians that the front end must have room for.
   std::uint64_t n_drawn(const Frame& f) const { return f.cut ? cut.capacity() * f.scene->pages->chunk_size : f.n(); }
 
+  FrameOrder& order;
   std::shared_ptr<const DeviceMemory> memory;
-  CutStage cut;
-  std::shared_ptr<Event> finished;  ///< Readback::finished of the last frame; before the first, one never recorded
-  /// The last frame's stream if the caller has promised that it still lives: what is queued there follows the frame.
-  std::optional<CudaStream> ordered_by;
-  DeviceBuffer splats;  ///< [n]
+  std::shared_ptr<Event> finished;  ///< as in `order`, of the workspace's last frame
+  OwnedStream own = {};             ///< collects graphs, and runs overlapping frames
+  CutStage cut = {};
+  DeviceBuffer splats = {};  ///< [n]
 };
 
 }  // namespace rgs::detail

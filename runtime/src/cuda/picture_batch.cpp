@@ -44,23 +44,13 @@ Status PictureBatch::add_lane() {
   if (lanes_.empty()) {
     lane->renderer = &first_;
   } else {
-    auto renderer = CudaRenderer::create({.frames_in_flight = kFramesInFlight});
+    auto renderer = CudaRenderer::create({.frames_in_flight = kFramesInFlight, .overlapping = false});
     if (!renderer) return tl::unexpected(renderer.error());
     lane->own = std::make_unique<CudaRenderer>(*std::move(renderer));
     lane->renderer = lane->own.get();
   }
   lanes_.push_back(std::move(lane));
   return {};
-}
-
-// How many more workspaces of the first one's size fit into half of the free memory.
-std::size_t PictureBatch::room_for_lanes() const {
-  std::size_t free = 0, all = 0;
-  if (cudaMemGetInfo(&free, &all) != cudaSuccess) {
-    cudaGetLastError();
-    return 0;
-  }
-  return free / 2 / std::max<std::size_t>(first_.bytes(), 1);
 }
 
 Result<std::vector<FrameStats>> PictureBatch::render_on_device(const DeviceScene& scene,
@@ -104,7 +94,7 @@ Result<std::vector<FrameStats>> PictureBatch::render_on_device(const DeviceScene
     cameras = all;
     if (!ok) return tl::unexpected(ok.error());
     n_drawn = 1;
-    const std::size_t n_lanes = std::min(kLanes, 1 + room_for_lanes());
+    const std::size_t n_lanes = std::min(kLanes, 1 + room_for(first_.bytes()));
     while (ok && lanes_.size() < n_lanes) ok = add_lane();
     if (!ok) lanes_.resize(1);  // one is enough
   }

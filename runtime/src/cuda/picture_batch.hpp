@@ -45,7 +45,6 @@ class PictureBatch {
   Status draw(const DeviceScene& scene, std::span<const Camera> cameras, const PictureArrays& pictures,
               const RenderOptions& options, std::span<Lane* const> lanes, std::vector<FrameStats>& stats);
   Status add_lane();
-  std::size_t room_for_lanes() const;
 
   CudaRenderer& first_;
   std::shared_ptr<const DeviceMemory> memory_;

@@ -47,7 +47,7 @@ Status SortedPipeline::choose(const Frame& f) {
 
 Status SortedPipeline::reserve_scene(const Frame& f) {
   const std::uint64_t n = state_.n_drawn(f);  // with room for a growing cut
-  const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f.stream); };
+  const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f); };
   Status ok = reserve(counters_, sizeof(cuda::Counters));
   if (ok) ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));
   if (ok && f.settings.cuda.deterministic && !is_separate(f)) {
@@ -76,12 +76,12 @@ Status SortedPipeline::reserve_pairs(const Frame& f, std::uint64_t needed, std::
     const auto narrow = cuda::sort_bytes(wanted, true), wide = cuda::sort_bytes(wanted, false);
     if (!narrow) return tl::unexpected(narrow.error());
     if (!wide) return tl::unexpected(wide.error());
-    Status ok = state_.reserve(sort_temporary_, std::max(*narrow, *wide), f.stream);
+    Status ok = state_.reserve(sort_temporary_, std::max(*narrow, *wide), f);
     for (DeviceBuffer* b : {&keys_, &spare_keys_}) {
-      if (ok) ok = state_.reserve(*b, wanted * key_bytes, f.stream);
+      if (ok) ok = state_.reserve(*b, wanted * key_bytes, f);
     }
     for (DeviceBuffer* b : {&gaussians_, &spare_gaussians_}) {
-      if (ok) ok = state_.reserve(*b, wanted * sizeof(std::uint32_t), f.stream);
+      if (ok) ok = state_.reserve(*b, wanted * sizeof(std::uint32_t), f);
     }
     if (ok) return {};
     // All or nothing: the next frame would not notice that some arrays did not grow.

@@ -27,7 +27,6 @@ Status TurboPipeline::create() {
     ok = device_status(cudaDeviceGetStreamPriorityRange(&least, &greatest),
                        "the device's stream priorities could not be read");
   }
-  if (ok) ok = captured_.create();
   // High priority: its work takes longest, and its blocks become ready after the others are queued.
   return ok ? beside_.create(greatest) : ok;
 }
@@ -43,7 +42,7 @@ std::uint64_t TurboPipeline::bytes() const {
 
 // Makes room for so many entries, runs and large Gaussians, and if memory allows for more of those that do not fit.
 Status TurboPipeline::reserve_lists(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large,
-                                    std::uint64_t n_in_cells, CudaStream stream) {
+                                    std::uint64_t n_in_cells, const Frame& f) {
   struct Need {
     DeviceBuffer& buffer;
     std::uint64_t n, size;
@@ -60,10 +59,10 @@ Status TurboPipeline::reserve_lists(std::uint64_t n_entries, std::uint64_t n_run
     Status ok;
     for (const Need& need : needs) {
       const std::uint64_t n = is_generous ? with_room_to_grow(need.n, need.held(), kMaxPairs) : need.n;
-      if (ok) ok = state_.reserve(need.buffer, n * need.size, stream);
+      if (ok) ok = state_.reserve(need.buffer, n * need.size, f);
     }
-    if (ok) ok = state_.reserve(long_lists_, long_sizes().bytes(), stream);
-    if (ok) ok = state_.reserve(long_cells_, cuda::TurboLongCellSizes::of(cell_capacity()).bytes(), stream);
+    if (ok) ok = state_.reserve(long_lists_, long_sizes().bytes(), f);
+    if (ok) ok = state_.reserve(long_cells_, cuda::TurboLongCellSizes::of(cell_capacity()).bytes(), f);
     for (const Need& need : needs) {
       if (!ok) need.buffer = {};  // grown buffers would hold memory that the others need
     }
@@ -76,7 +75,7 @@ Status TurboPipeline::reserve_tiles(const Frame& f) {
   Status ok = state_.reserve_cut(f);
   if (!ok) return ok;
   const std::uint64_t n = state_.n_drawn(f), n_tiles = f.n_tiles();
-  const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f.stream); };
+  const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f); };
   ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));
   if (ok) ok = reserve(turbo_state_, cuda::TurboState::bytes(f.n_tiles()));
   if (ok) ok = reserve(lists_, n_tiles * sizeof(cuda::TurboList));
@@ -85,7 +84,7 @@ Status TurboPipeline::reserve_tiles(const Frame& f) {
   if (!ok || entries_.bytes() > 0) return ok;
   return reserve_growing([&](bool is_generous) {
     const std::uint64_t first = is_generous ? std::max(kFirstPairs, 2 * n) : kFirstPairs;
-    return reserve_lists(first, first / 4, first / 32, 3 * first, f.stream);
+    return reserve_lists(first, first / 4, first / 32, 3 * first, f);
   });
 }
 
@@ -131,6 +130,7 @@ bool TurboPipeline::fills(const cuda::TurboBlendArguments& a) const {
 Status TurboPipeline::fill(const Frame& f, const cuda::TurboBlendArguments& a) {
   Status ok = begun_.record(f.stream);
   if (ok) ok = begun_.hold(beside_.get());
+  if (ok) ok = state_.hold_for_target(f, beside_.get());
   if (ok) ok = cuda::launch_turbo_fill(a, beside_.get());
   const Status recorded = filled_.record(beside_.get());
   return ok ? recorded : ok;
@@ -146,6 +146,7 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   ok = cuda::launch_turbo_long_lists(a.arrays, a.grid, &f.seen().turbo, beside_.get());
   if (ok && is_waited_for) ok = counted_long_.record(beside_.get());
   if (ok) ok = cuda::launch_turbo_units(a.arrays, beside_.get());
+  if (ok && is_tensor) ok = state_.hold_for_target(f, beside_.get());
   if (ok && is_tensor) ok = cuda::launch_turbo_tensor_long(a, beside_.get());
   // Joined after errors too: the next frame waits for `on` alone.
   Status joined = done_long_.record(beside_.get());
@@ -154,6 +155,7 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   for (const Mark m : {kSorted, kRanged}) {
     if (ok) ok = state_.mark(m, f, on);
   }
+  if (ok) ok = state_.hold_for_target(f, on);
   if (ok && is_tensor) ok = cuda::launch_turbo_tensor(a, on);
   if (joined) joined = done_long_.hold(on);
   if (ok) ok = joined;
@@ -197,17 +199,17 @@ Status TurboPipeline::launch(const Frame& f) {
 // The same as one graph, which takes the host less time than a dozen launches.
 Status TurboPipeline::launch_graph(const Frame& f) {
   Frame captured = f;
-  captured.stream = captured_.get();
+  captured.stream = state_.own.get();
   captured.is_graph = true;
-  Status ok = device_status(cudaStreamBeginCapture(captured_.get(), cudaStreamCaptureModeThreadLocal),
+  Status ok = device_status(cudaStreamBeginCapture(captured.stream, cudaStreamCaptureModeThreadLocal),
                             "a frame could not be captured");
   if (!ok) return ok;
   ok = launch(captured);
   Graph graph;
   const Status ended =
-      device_status(cudaStreamEndCapture(captured_.get(), graph.put()), "a frame could not be captured");
+      device_status(cudaStreamEndCapture(captured.stream, graph.put()), "a frame could not be captured");
   if (ok) ok = ended;
-  return ok ? graph_.launch(graph, f.stream) : ok;
+  return ok ? graph_.launch(graph, state_.stream_of(f)) : ok;
 }
 
 Status TurboPipeline::queue(const Frame& f) {
@@ -245,11 +247,12 @@ Result<Settled> TurboPipeline::settle(const Frame& f) {
         return Settled{n, is_repeated};
       }
     }
-    if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());  // it uses the workspace until then
+    if (ok = state_.order.finished->wait(); !ok)
+      return tl::unexpected(ok.error());  // later frames are queued again, too
     // Counts without all large Gaussians are too low to size memory by.
     ok = !cut_fits   ? state_.reserve_cut(f, n_chunks)
-         : all_large ? reserve_lists(n, seen.runs, 0, seen.in_cells, f.stream)
-                     : reserve_lists(0, 0, seen.n_large_gaussians, 0, f.stream);
+         : all_large ? reserve_lists(n, seen.runs, 0, seen.in_cells, f)
+                     : reserve_lists(0, 0, seen.n_large_gaussians, 0, f);
     if (ok) ok = queue(f);
     if (!ok) return tl::unexpected(ok.error());
   }

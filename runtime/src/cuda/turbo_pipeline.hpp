@@ -28,7 +28,7 @@ class TurboPipeline {
  private:
   Status reserve_tiles(const Frame& frame);
   Status reserve_lists(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large, std::uint64_t n_in_cells,
-                       CudaStream stream);
+                       const Frame& frame);
   std::uint64_t entry_capacity() const;
   std::uint64_t run_capacity() const;
   std::uint64_t cell_capacity() const;
@@ -44,7 +44,6 @@ class TurboPipeline {
   Event counted_, counted_long_;  // both: the frame, if not asynchronous, has counted its pairs
   OwnedStream beside_;  // runs what starts at `begun_` and ends at `filled_`, and long lists: `listed_`, `done_long_`
   Event begun_, filled_, listed_, done_long_;
-  OwnedStream captured_;
   RunnableGraph graph_;
   struct LastFrame {
     std::uint64_t runs = 0;

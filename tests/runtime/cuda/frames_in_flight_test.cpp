@@ -7,6 +7,7 @@
 #include <array>
 #include <random>
 #include <set>
+#include <utility>
 #include <vector>
 
 using namespace rgs;
@@ -16,7 +17,7 @@ namespace {
 
 struct Frame {
   int number, need;
-  std::size_t target, place;
+  std::size_t target, place, workspace;
 };
 struct Settled {
   int number;
@@ -24,12 +25,13 @@ struct Settled {
 };
 constexpr int kPart = -1, kMost = 100;  // a picture of a frame that did not fit; more than this is an error
 
-/// A renderer whose frames need some of a workspace that grows.
+/// A renderer whose frames need some of a workspace that grows, one or several in turn.
 struct Device {
-  explicit Device(std::size_t most) : in_flight(most), had_room(most) {}
+  explicit Device(std::size_t most, std::size_t n_workspaces = 1)
+      : in_flight(most), had_room(most), room(n_workspaces) {}
 
   Status queue(const Frame& f) {
-    had_room[f.place] = f.need <= room;
+    had_room[f.place] = f.need <= room[f.workspace];
     pictures[f.target] = had_room[f.place] ? f.number : kPart;
     if (f.number == refused) return make_error(Errc::device_failed, Error::kNone, "refused");
     return {};
@@ -37,7 +39,7 @@ struct Device {
   Result<Settled> settle(const Frame& f) {
     if (f.need > kMost) return make_error(Errc::limit_exceeded, Error::kNone, "too much");
     if (had_room[f.place]) return Settled{f.number, false};
-    room = f.need;
+    room[f.workspace] = f.need;
     if (const Status ok = queue(f); !ok) return tl::unexpected(ok.error());
     return Settled{f.number, true};
   }
@@ -46,7 +48,8 @@ struct Device {
                                    [this](const Frame& f) { return queue(f); });
   }
   void add(int need, std::size_t target) {
-    const Frame f{n_added++, need, target, in_flight.next_number()};
+    const std::size_t workspace = static_cast<std::size_t>(n_added) % room.size();
+    const Frame f{n_added++, need, target, in_flight.next_number(), workspace};
     REQUIRE(queue(f));
     in_flight.add(f);
   }
@@ -54,16 +57,19 @@ struct Device {
   FramesInFlight<Frame> in_flight;
   std::vector<bool> had_room;  // by next_number()
   std::array<int, 4> pictures{};
-  int room = 0, n_added = 0, refused = -1;
+  std::vector<int> room;  // by workspace
+  int n_added = 0, refused = -1;
 };
 
 }  // namespace
 
 TEST_CASE("targets of frames in flight end as if each frame had been drawn alone, and frames are settled in order") {
   std::mt19937 random(1700);
-  for (const std::size_t most : {1u, 3u, 8u}) {
+  for (const auto& how : {std::pair(1u, 1u), {3u, 1u}, {3u, 2u}, {8u, 2u}}) {
+    const std::size_t most = how.first, n_workspaces = how.second;
     CAPTURE(most);
-    Device device(most);
+    CAPTURE(n_workspaces);
+    Device device(most, n_workspaces);
     std::array<int, 4> expected{};
     int n_settled = 0;
     const auto settle = [&] {

@@ -356,7 +356,7 @@ cudaError_t cudaStreamSynchronize(cudaStream_t stream) {
   cuda->n_sent_at_failure = n_sent;
   return cudaErrorUnknown;
 }
-cudaError_t cudaStreamWaitEvent(cudaStream_t stream, cudaEvent_t event) {
+cudaError_t cudaStreamWaitEvent(cudaStream_t stream, cudaEvent_t event, unsigned) {
   stream->add({[event] { cudaEventSynchronize(event); }});
   return cudaSuccess;
 }
