@@ -681,6 +681,7 @@ TEST_CASE("a finished asynchronous frame equals the synchronous one, even if it 
   cudaStream_t stream = nullptr;
   require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
   const DeviceArray<float> first(large_rgb.size()), second(small_rgb.size());
+  synchronize();
   require_ok(other.renderer().render(large, camera, {.rgb = first.data()}, options, stream));
   require_ok(other.renderer().render(small, camera, {.rgb = second.data()}, options));
   require_ok(other.renderer().finish());
@@ -688,9 +689,11 @@ TEST_CASE("a finished asynchronous frame equals the synchronous one, even if it 
   check_same(second.download(), small_rgb);
   // Frame after frame, each into its own target.
   std::vector<DeviceArray<float>> targets;
-  for (int k = 0; k < 20; ++k) {
-    targets.emplace_back(small_rgb.size());
-    require_ok(other.renderer().render(k % 2 == 0 ? small : large, camera, {.rgb = targets.back().data()}, options,
+  targets.reserve(20);
+  for (int k = 0; k < 20; ++k) targets.emplace_back(small_rgb.size());
+  synchronize();
+  for (std::size_t k = 0; k < targets.size(); ++k) {
+    require_ok(other.renderer().render(k % 2 == 0 ? small : large, camera, {.rgb = targets[k].data()}, options,
                                        k % 3 == 0 ? stream : nullptr));
   }
   require_ok(other.renderer().finish());
