@@ -7,7 +7,6 @@
 #include <array>
 #include <random>
 #include <set>
-#include <utility>
 #include <vector>
 
 using namespace rgs;
@@ -17,7 +16,7 @@ namespace {
 
 struct Frame {
   int number, need;
-  std::size_t target, place, workspace;
+  std::size_t target, place;
 };
 struct Settled {
   int number;
@@ -25,13 +24,12 @@ struct Settled {
 };
 constexpr int kPart = -1, kMost = 100;  // a picture of a frame that did not fit; more than this is an error
 
-/// A renderer whose frames need some of a workspace that grows, one or several in turn.
+/// A renderer whose frames need some of a workspace that grows.
 struct Device {
-  explicit Device(std::size_t most, std::size_t n_workspaces = 1)
-      : in_flight(most), had_room(most), room(n_workspaces) {}
+  explicit Device(std::size_t most) : in_flight(most), had_room(most) {}
 
   Status queue(const Frame& f) {
-    had_room[f.place] = f.need <= room[f.workspace];
+    had_room[f.place] = f.need <= room;
     pictures[f.target] = had_room[f.place] ? f.number : kPart;
     if (f.number == refused) return make_error(Errc::device_failed, Error::kNone, "refused");
     return {};
@@ -39,7 +37,7 @@ struct Device {
   Result<Settled> settle(const Frame& f) {
     if (f.need > kMost) return make_error(Errc::limit_exceeded, Error::kNone, "too much");
     if (had_room[f.place]) return Settled{f.number, false};
-    room[f.workspace] = f.need;
+    room = f.need;
     if (const Status ok = queue(f); !ok) return tl::unexpected(ok.error());
     return Settled{f.number, true};
   }
@@ -48,8 +46,7 @@ struct Device {
                                    [this](const Frame& f) { return queue(f); });
   }
   void add(int need, std::size_t target) {
-    const std::size_t workspace = static_cast<std::size_t>(n_added) % room.size();
-    const Frame f{n_added++, need, target, in_flight.next_number(), workspace};
+    const Frame f{n_added++, need, target, in_flight.next_number()};
     REQUIRE(queue(f));
     in_flight.add(f);
   }
@@ -57,19 +54,16 @@ struct Device {
   FramesInFlight<Frame> in_flight;
   std::vector<bool> had_room;  // by next_number()
   std::array<int, 4> pictures{};
-  std::vector<int> room;  // by workspace
-  int n_added = 0, refused = -1;
+  int room = 0, n_added = 0, refused = -1;
 };
 
 }  // namespace
 
 TEST_CASE("targets of frames in flight end as if each frame had been drawn alone, and frames are settled in order") {
   std::mt19937 random(1700);
-  for (const auto& how : {std::pair(1u, 1u), {3u, 1u}, {3u, 2u}, {8u, 2u}}) {
-    const std::size_t most = how.first, n_workspaces = how.second;
+  for (const std::size_t most : {1u, 3u, 8u}) {
     CAPTURE(most);
-    CAPTURE(n_workspaces);
-    Device device(most, n_workspaces);
+    Device device(most);
     std::array<int, 4> expected{};
     int n_settled = 0;
     const auto settle = [&] {
