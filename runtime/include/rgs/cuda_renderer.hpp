@@ -171,13 +171,13 @@ class CudaRenderer {
   /// frames_in_flight are queued, for the oldest of them, which it settles first. The frame runs at the default
   /// priority, whatever the stream's. If it overlaps with the frame before (CudaRendererOptions::overlapping), it may
   /// begin before earlier work on `stream` is done, but writes its target only after that; work that is queued there
-  /// later follows it. Its times then include the wait and what the other frame takes of the device. A frame that is not
-  /// asynchronous settles all.
-  /// To settle a frame is to wait for its end and check whether it fitted; if not, the workspace grows, and this frame
-  /// and those queued after it are drawn again, each on its stream. Frames are settled in their order, and only then is
-  /// a picture confirmed: until the call that settles its frame has returned, stream and target must live. An error of
-  /// a queued frame is told once, by the call that settles it; then no frame is queued or running, those queued after
-  /// it have no picture, and the renderer remains usable. After other errors queued frames remain queued.
+  /// later follows it. Its times then include the wait and what the other frame takes of the device. A frame that is
+  /// not asynchronous settles all. To settle a frame is to wait for its end and check whether it fitted; if not, the
+  /// workspace grows, and this frame and those queued after it are drawn again, each on its stream. Frames are settled
+  /// in their order, and only then is a picture confirmed: until the call that settles its frame has returned, stream
+  /// and target must live. An error of a queued frame is told once, by the call that settles it; then no frame is
+  /// queued or running, those queued after it have no picture, and the renderer remains usable. After other errors
+  /// queued frames remain queued.
   Result<FrameStats> render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                             const RenderOptions& options = {}, CudaStream stream = nullptr);
 
