@@ -45,11 +45,13 @@ class Foreign(unittest.TestCase):
         for folder in self.folders:
             folder.mkdir()
 
+    def run_foreign(self, program, *arguments, data=None):
+        return subprocess.run(foreign(program, *arguments), cwd=self.folders[0], input=data, capture_output=True)
+
     def both(self, program, *arguments, code=0, data=None):
         """Runs both in folders of their own; returns what both printed."""
-        commands = foreign(program, *arguments), [str(NATIVE / program), *arguments]
-        theirs, ours = (subprocess.run(command, cwd=folder, input=data, capture_output=True)
-                        for command, folder in zip(commands, self.folders))
+        theirs = self.run_foreign(program, *arguments, data=data)
+        ours = subprocess.run([str(NATIVE / program), *arguments], cwd=self.folders[1], input=data, capture_output=True)
         self.assertEqual(ours.returncode, code, ours.stderr)
         self.assertEqual((theirs.returncode, theirs.stdout), (code, ours.stdout), theirs.stderr)
         return ours.stdout
@@ -75,7 +77,7 @@ class Foreign(unittest.TestCase):
     def test_golden_files_are_written(self):
         for folder in self.folders:
             shutil.copytree(GOLDEN, folder, dirs_exist_ok=True)
-        subprocess.run(foreign("rgs_write_golden", "."), cwd=self.folders[0], check=True)
+        self.run_foreign("rgs_write_golden", ".").check_returncode()
         self.same_files()
 
     def test_golden_files_are_reported_alike(self):
