@@ -284,6 +284,28 @@ TEST_CASE("turning a panorama shifts its picture around, across its seam and ove
   }
 }
 
+TEST_CASE("each tile of a panorama takes the copy that is nearest to its middle, and no other") {
+  constexpr int kTile = math::kTileSize, kWidth = 200;
+  for (const double focal : {kWidth / (2 * pi), kWidth / 5.0}) {  // the full circle and a part of it
+    Camera camera = panorama(kWidth);
+    camera.fx = focal;
+    const auto view = rgs::view_of(camera, kNoOrigin, 0.01, 0.0);
+    const math::TileGrid grid = math::tile_grid(kWidth, kWidth / 2);
+    const double period = math::period_px(view), middle = 0.5 * (kWidth - 1);
+    for (double u = middle - period / 2; u < middle + period / 2; u += 0.37) {
+      for (const std::uint32_t copy : {0u, 1u}) {
+        math::Projected<double> p{};
+        p.mean.u = u;
+        const math::TileSpan columns = math::place_copy<kTile>(view, copy, grid, p);
+        for (int tile = 0; tile < grid.columns; ++tile) {
+          const bool is_nearest = std::abs(kTile * tile + 0.5 * (kTile - 1) - p.mean.u) <= period / 2;
+          CHECK((columns.first <= tile && tile < columns.last) == is_nearest);
+        }
+      }
+    }
+  }
+}
+
 TEST_CASE("what lies beyond the rise of a distortion, or behind, is not drawn") {
   const auto is_drawn = [](const Camera& camera, double x, double y, double z) {
     const Scene scene = scene_of(cloud_of(std::vector{splat_at(x, y, z, 0.3, 0.9)}));

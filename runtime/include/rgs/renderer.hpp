@@ -125,7 +125,7 @@ struct FrameStats {
   std::uint64_t gaussians = 0;  ///< in the scene, or in the drawn pages
   std::uint64_t pages = 0;      ///< drawn pages of a scene with levels of detail; 0 without
   float detail_px = 0;          ///< at which the pages were chosen; 0 without levels, and of the leaves
-  std::uint64_t visible = 0;    ///< listed in at least one tile
+  std::uint64_t visible = 0;    ///< listed in at least one tile; on both sides of a panorama's seam twice
   std::uint64_t instances = 0;  ///< (tile, Gaussian) pairs
   std::uint64_t evaluated = 0;  ///< (pixel, Gaussian) pairs that pixels visited before they stopped
   std::uint64_t blended = 0;    ///< of these, pairs that contributed

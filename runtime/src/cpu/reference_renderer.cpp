@@ -43,8 +43,7 @@ constexpr std::uint64_t kMaxInstances = std::numeric_limits<std::uint32_t>::max(
 /// Depth key above, splat index below: a stable sort by the upper half orders by depth, then by index.
 using SortItem = std::uint64_t;
 
-// 16 bits hold a tile coordinate: image sides are at most 65536 pixels. A span whose last is above the columns goes on
-// at the row's first tile.
+// 16 bits hold a tile coordinate: image sides are at most 65536 pixels.
 struct Span16 {
   std::uint16_t first, last;
 };
@@ -143,7 +142,7 @@ struct ReferenceRenderer::Workspace {
   }
   std::span<const Span16> rows_of(std::uint32_t splat) const {
     const ScreenSplat& s = splats.get()[splat];
-    return std::span(blocks[splat / kBlock].spans).subspan(s.spans, s.n_rows);
+    return std::span(blocks[splat / block_splats].spans).subspan(s.spans, s.n_rows);
   }
 
   tbb::task_arena arena;
@@ -152,7 +151,8 @@ struct ReferenceRenderer::Workspace {
   bool quantized = false;
   PartIndex part_index;
   std::vector<Block> blocks;
-  Scratch<ScreenSplat> splats;            // [blocks * kBlock], the visible ones of a block at its start
+  std::uint64_t block_splats = kBlock;    // room for the copies of a block's Gaussians
+  Scratch<ScreenSplat> splats;            // [blocks, block_splats], the visible ones of a block at its start
   Scratch<SortItem> order, spare;         // [n_visible]
   std::vector<std::uint64_t> counts;      // histograms of the two sorts
   std::vector<std::uint64_t> tile_begin;  // [n_tiles + 1] into `instances`
@@ -162,58 +162,24 @@ struct ReferenceRenderer::Workspace {
 
 namespace {
 
-// Tiles of a row that list a Gaussian or its copies one period to the left and right; span_of(shift, px) are one's.
-template <class SpanOf>
-math::TileSpan with_copies(float period, TileGrid grid, const SpanOf& span_of) {
-  if (period == 0) return span_of(0.0F);
-  math::TileSpan all{0, 0};
-  for (const float shift : {period, 0.0F, -period}) {  // from the right to the left
-    const math::TileSpan span = span_of(shift);
-    if (span.first >= span.last) continue;
-    all = all.last == 0 ? span : math::TileSpan{all.first, std::max(all.last, grid.columns + span.last)};
-  }
-  return all.last - all.first >= grid.columns ? math::TileSpan{0, grid.columns} : all;
-}
-
-// Tile rows that list a Gaussian, without empty ones at either end; appends their column ranges to `spans`.
-void append_spans(const math::Projected<float>& p, math::Extent extent, TileGrid grid, float period,
+// Tile rows that may list a Gaussian, none if no row does; appends their ranges within `columns` to `spans`.
+void append_spans(const math::Projected<float>& p, math::Extent extent, TileGrid grid, math::TileSpan columns,
                   const math::Ellipse<float>& ellipse, std::vector<Span16>& spans, ScreenSplat& splat,
                   std::uint64_t& n_instances) {
-  const auto push = [&](math::TileSpan span) {
-    spans.push_back({static_cast<std::uint16_t>(span.first), static_cast<std::uint16_t>(span.last)});
-    n_instances += static_cast<std::uint64_t>(span.last - span.first);
-  };
-  const auto square_at = [&](float shift) {
-    return math::square_extent({p.mean.u + shift, p.mean.v}, p.footprint.cov, grid);
-  };
-  math::TileRect rect = extent == math::Extent::square ? square_at(0) : math::bounding_tiles(ellipse, grid);
-  if (period > 0) rect.x0 = 0, rect.x1 = ellipse.level >= 0 ? grid.columns : 0;  // the rows of all copies
+  const bool is_square = extent == math::Extent::square;
+  const math::TileRect rect =
+      is_square ? math::square_extent(p.mean, p.footprint.cov, grid) : math::bounding_tiles(ellipse, grid);
   splat.spans = static_cast<std::uint32_t>(spans.size());
   splat.first_row = static_cast<std::uint16_t>(rect.y0);
-  if (rect.empty()) {
-    splat.n_rows = 0;
-    return;
+  bool any = false;
+  for (int row = rect.y0; row < rect.y1; ++row) {
+    const math::TileSpan span = is_square ? math::TileSpan{rect.x0, rect.x1} : math::tiles_in_row(ellipse, row, grid);
+    const int first = std::max(span.first, columns.first), last = std::max(first, std::min(span.last, columns.last));
+    spans.push_back({static_cast<std::uint16_t>(first), static_cast<std::uint16_t>(last)});
+    n_instances += static_cast<std::uint64_t>(last - first);
+    any = any || first < last;
   }
-  if (extent == math::Extent::square) {
-    const math::TileSpan span = with_copies(period, grid, [&](float shift) {
-      const math::TileRect square = square_at(shift);
-      return math::TileSpan{square.x0, square.x1};
-    });
-    for (int row = rect.y0; row < rect.y1; ++row) push(span);
-  } else {
-    bool any = false;
-    for (int row = rect.y0; row < rect.y1; ++row) {
-      math::TileSpan span = with_copies(period, grid, [&](float shift) {
-        math::Ellipse<float> copy = ellipse;
-        copy.mean.u += shift;
-        return math::tiles_in_row(copy, row, grid);
-      });
-      if (span.first >= span.last) span = {0, 0};
-      any = any || span.first < span.last;
-      push(span);
-    }
-    if (!any) spans.resize(splat.spans);
-  }
+  if (!any) spans.resize(splat.spans);
   splat.n_rows = static_cast<std::uint16_t>(spans.size() - splat.spans);
 }
 
@@ -230,9 +196,10 @@ void ReferenceRenderer::Workspace::project(const SceneParts& scene, const math::
   part_index.build(scene.parts);
   const std::uint64_t n_blocks = part_index.n_blocks();
   blocks.resize(n_blocks);
-  ScreenSplat* const all = splats.at_least(n_blocks * kBlock);
+  const std::uint32_t n_copies = math::n_copies(view);
+  block_splats = n_copies * kBlock;
+  ScreenSplat* const all = splats.at_least(n_blocks * block_splats);
   const int degree = std::min(scene.sh_degree, settings.sh_degree_limit);
-  const float period = math::period_px(view);
   constexpr std::uint64_t kAhead = 4;
   const auto sh_floats = static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree));
   std::atomic<std::uint64_t> n_listed{0};
@@ -241,7 +208,7 @@ void ReferenceRenderer::Workspace::project(const SceneParts& scene, const math::
     block.n = block.n_instances = 0;
     block.spans.clear();
     if (n_listed.load(std::memory_order_relaxed) > kMaxInstances) return;  // the frame fails anyway
-    ScreenSplat* out = all + b * kBlock;
+    ScreenSplat* out = all + b * block_splats;
     const std::uint64_t end = std::min(part_index.n(), (b + 1) * kBlock);
     std::uint64_t first = b * kBlock;
     for (std::uint32_t p = part_index.part_of(first); first < end; ++p) {
@@ -256,24 +223,27 @@ void ReferenceRenderer::Workspace::project(const SceneParts& scene, const math::
         const float* r = &part.rotation[4 * i];
         const float* s = &part.scale[3 * i];
         const math::Vec3<float> mean{m[0], m[1], m[2]};
-        const auto projected =
-            math::project_by_model<float>(view, mean, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]}, part.opacity[i],
-                                          settings.low_pass, settings.anti_aliasing);
-        if (!projected.footprint.valid) continue;
-        const float cutoff = math::power_cutoff(projected.footprint.opacity);
-        const auto ellipse = math::ellipse(projected.mean, projected.footprint, cutoff);
-        append_spans(projected, settings.extent, grid, period, ellipse, block.spans, *out, block.n_instances);
-        if (out->n_rows == 0) continue;
-        out->mean = projected.mean;
-        out->conic = projected.footprint.conic;
-        out->opacity = projected.footprint.opacity;
-        out->cutoff = cutoff;
-        out->log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;
-        out->z = projected.z;
-        out->color = color_of(&part.sh[sh_floats * i], view, mean, degree);
-        out->gaussian = static_cast<std::uint32_t>(begin + i);
-        ++out;
-        ++block.n;
+        const auto gaussian = math::project_by_model<float>(view, mean, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]},
+                                                            part.opacity[i], settings.low_pass, settings.anti_aliasing);
+        if (!gaussian.footprint.valid) continue;
+        const float cutoff = math::power_cutoff(gaussian.footprint.opacity);
+        for (std::uint32_t copy = 0; copy < n_copies; ++copy) {
+          auto projected = gaussian;
+          const math::TileSpan columns = math::place_copy<math::kTileSize>(view, copy, grid, projected);
+          const auto ellipse = math::ellipse(projected.mean, projected.footprint, cutoff);
+          append_spans(projected, settings.extent, grid, columns, ellipse, block.spans, *out, block.n_instances);
+          if (out->n_rows == 0) continue;
+          out->mean = projected.mean;
+          out->conic = projected.footprint.conic;
+          out->opacity = projected.footprint.opacity;
+          out->cutoff = cutoff;
+          out->log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;
+          out->z = projected.z;
+          out->color = color_of(&part.sh[sh_floats * i], view, mean, degree);
+          out->gaussian = static_cast<std::uint32_t>(begin + i);
+          ++out;
+          ++block.n;
+        }
       }
       first = begin + part_end;
     }
@@ -295,7 +265,7 @@ void ReferenceRenderer::Workspace::sort_by_depth() {
   for (std::size_t b = 0; b < blocks.size(); ++b) first[b + 1] = first[b] + blocks[b].n;
   parallel_blocks(blocks.size(), [&](std::uint64_t b) {
     for (std::uint64_t i = 0; i < blocks[b].n; ++i) {
-      const std::uint64_t index = b * kBlock + i;
+      const std::uint64_t index = b * block_splats + i;
       const float z = splats.get()[index].z;
       const std::uint32_t key = quantized ? math::quantize_depth(quantizer, z) : math::depth_bits(z);
       from[first[b] + i] = static_cast<SortItem>(key) << 32 | index;
@@ -347,10 +317,8 @@ void ReferenceRenderer::Workspace::list_by_tile() {
       const auto index = static_cast<std::uint32_t>(order.get()[i]);
       std::uint64_t row = static_cast<std::uint64_t>(splats.get()[index].first_row) * columns;
       for (const Span16 span : rows_of(index)) {
-        const std::uint64_t end_of_row = row + columns, last = row + span.last;
-        for (std::uint64_t tile = row + span.first; tile < std::min(last, end_of_row); ++tile) f(tile, index);
-        for (std::uint64_t tile = end_of_row; tile < last; ++tile) f(tile - columns, index);
-        row = end_of_row;
+        for (std::uint64_t tile = row + span.first; tile < row + span.last; ++tile) f(tile, index);
+        row += columns;
       }
     }
   };
@@ -432,7 +400,6 @@ void ReferenceRenderer::Workspace::blend(const math::View<float>& view, const Re
     job.y = static_cast<int>(tile / static_cast<std::uint64_t>(grid.columns)) * math::kTileSize;
     job.width = std::min(math::kTileSize, view.width - job.x);
     job.height = std::min(math::kTileSize, view.height - job.y);
-    job.period = math::period_px(view);
     job.exponent = settings.exponent;
     job.exp = settings.exp;
     job.details = !target.depth.empty() || !target.blended.empty() || !target.contributions.empty();

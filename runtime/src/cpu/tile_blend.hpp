@@ -6,7 +6,6 @@
 #include <span>
 
 #include "rgs/math/blend.hpp"
-#include "rgs/math/camera_models.hpp"
 #include "rgs/math/coverage.hpp"
 
 namespace rgs::detail {
@@ -39,18 +38,11 @@ struct TileJob {
   const ScreenSplat* splats;
   int x, y;           // first pixel
   int width, height;  // pixels inside the image, 1..16 each
-  float period;       // math::period_px()
   math::Exponent exponent;
   math::Exp exp;
   bool details;         // depth, blended or weights are wanted; otherwise they may stay unset
   TileWeight* weights;  // [list.size()], zero at first, or null: not wanted
 };
-
-/// A mean on the image, px: of an equirectangular view the copy nearest to the tile.
-inline math::PixelPoint<float> mean_near(const TileJob& job, const ScreenSplat& s) {
-  const float middle = static_cast<float>(job.x) + 0.5F * static_cast<float>(math::kTileSize - 1);
-  return {math::nearest_copy(s.mean.u, middle, job.period), s.mean.v};
-}
 
 /// Pixels of a tile, row by row, stride 16; those outside the image are unspecified.
 struct alignas(64) TilePixels {

@@ -19,8 +19,7 @@ std::vector<math::Folded<float>> fold_list(const TileJob& job) {
     folded.reserve(job.list.size());
     for (const std::uint32_t index : job.list) {
       const ScreenSplat& s = job.splats[index];
-      const math::PixelPoint<float> mean = mean_near(job, s);
-      const math::PixelPoint<float> local{mean.u - static_cast<float>(job.x), mean.v - static_cast<float>(job.y)};
+      const math::PixelPoint<float> local{s.mean.u - static_cast<float>(job.x), s.mean.v - static_cast<float>(job.y)};
       folded.push_back(math::fold(s.conic, local, s.log2_opacity));
     }
   }
@@ -40,8 +39,7 @@ std::uint64_t blend_tile(const TileJob& job, TilePixels& out) {
         ++n_evaluated;
         float alpha;
         if constexpr (X == Exponent::direct) {
-          const math::PixelPoint<float> mean = mean_near(job, s);
-          const float dx = mean.u - static_cast<float>(job.x + x), dy = mean.v - static_cast<float>(job.y + y);
+          const float dx = s.mean.u - static_cast<float>(job.x + x), dy = s.mean.v - static_cast<float>(job.y + y);
           alpha = math::alpha_direct<E>(math::power(s.conic, dx, dy), s.opacity, s.cutoff);
         } else {
           alpha = math::alpha_folded<E>(math::folded_exponent(folded[k], static_cast<float>(x), static_cast<float>(y)));

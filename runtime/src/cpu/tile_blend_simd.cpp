@@ -81,8 +81,7 @@ struct Quadratic {
 
 template <Exponent X>
 HWY_INLINE Quadratic quadratic(const ScreenSplat& s, const TileJob& job) {
-  const math::PixelPoint<float> mean = mean_near(job, s);
-  const math::PixelPoint<float> local{mean.u - static_cast<float>(job.x), mean.v - static_cast<float>(job.y)};
+  const math::PixelPoint<float> local{s.mean.u - static_cast<float>(job.x), s.mean.v - static_cast<float>(job.y)};
   if constexpr (X == Exponent::direct) {
     const float half = -0.5F * math::kLog2E;
     const float cutoff = math::kLog2AlphaMin - s.log2_opacity;

@@ -6,11 +6,13 @@
 #pragma once
 
 #include <cmath>
+#include <cstdint>
 #include <limits>
 
 #include "rgs/hd.hpp"
 #include "rgs/math/camera.hpp"
 #include "rgs/math/covariance.hpp"
+#include "rgs/math/coverage.hpp"
 #include "rgs/math/options.hpp"
 #include "rgs/math/projection.hpp"
 #include "rgs/math/vec.hpp"
@@ -184,6 +186,25 @@ RGS_HD inline T period_px(const View<T>& view) {
 template <class T>
 RGS_HD inline T nearest_copy(T u, T place, T period) {
   return period > T(0) ? u - period * std::floor((u - place) / period + T(0.5)) : u;
+}
+
+/// Copies of a Gaussian that one image may show: of an equirectangular one, where it repeats, 2.
+template <class T>
+RGS_HD inline std::uint32_t n_copies(const View<T>& view) {
+  return view.model == CameraModel::equirectangular ? 2 : 1;
+}
+
+/// Makes `p`, a projection nearest to the image's middle, that copy of it: 0 is itself, 1 the one on the other side of
+/// the middle; the others are not the nearest to any tile. Returns the columns of tiles that this one is the nearest to.
+template <int Tile, class T>
+RGS_HD inline TileSpan place_copy(const View<T>& view, std::uint32_t copy, TileGrid grid, Projected<T>& p) {
+  if (n_copies(view) == 1) return {0, grid.columns};
+  const bool other_is_right = p.mean.u < T(0.5) * static_cast<T>(view.width - 1);
+  const T step = other_is_right ? period_px(view) : -period_px(view);
+  const T between = (p.mean.u + T(0.5) * step - T(0.5) * T(Tile - 1)) / T(Tile);
+  const int first_right = detail::ceil_index(clamp(between, T(0), static_cast<T>(grid.columns)));
+  if (copy != 0) p.mean.u += step;
+  return other_is_right == (copy != 0) ? TileSpan{first_right, grid.columns} : TileSpan{0, first_right};
 }
 
 /// Depth of a camera point: of a fisheye and a panorama the distance, which is the same for all directions; else z.
