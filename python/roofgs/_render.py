@@ -42,7 +42,7 @@ class Renderer:
     Parameters
     ----------
     device : "auto", "cpu" or "cuda"
-        "auto" is the GPU if there is one; panoramas are drawn on the CPU.
+        "auto" is the GPU if there is one.
     pipeline : "automatic", "baseline", "paper" or "turbo"
         The method; docs/format/RENDERING.md. "automatic" is the image's definition on the CPU and turbo on a GPU.
     threads : int

@@ -27,18 +27,12 @@ tl::unexpected<Error> too_many(std::uint64_t n) {
   return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer can index", kMaxDrawn - 1, n);
 }
 
-bool drawn_by_cuda(const Camera& camera) {
-  return camera.model != CameraModel::equirectangular;
-}
-
 }  // namespace
 
 struct Renderer::Impl {
   std::optional<detail::ReferenceRenderer> reference;  // null if CUDA draws
   std::optional<detail::CudaBackend> cuda;             // of the first device
   std::vector<detail::CudaBackend> others;             // of the further devices
-  std::optional<RendererOptions> cpu_options;          // with CUDA by Backend::automatic: of the renderer below
-  std::unique_ptr<Renderer> on_cpu;                    // draws what CUDA does not
   std::string name;
   std::vector<float> scratch;  // for a picture whose codes alone are wanted
   detail::FrameBudget budget;  // of RenderOptions::frame_ms
@@ -53,21 +47,6 @@ struct Renderer::Impl {
   // Identifies this renderer's view of streamed scenes.
   std::uint64_t identity = next_identity();
 
-  // f(renderer): on the CPU, of a camera that CUDA does not draw.
-  template <class F>
-  auto leave_to_cpu(const Scene& scene, const F& f) -> decltype(f(*on_cpu)) {
-    if (scene.is_streamed() && scene.streamed()->store->is_on_device())
-      return make_error(Errc::unavailable, Error::kNone,
-                        "CUDA draws no equirectangular cameras: stream the scene by a pool without device_memory");
-    return detail::guard_memory([&]() -> decltype(f(*on_cpu)) {
-      if (!on_cpu) {
-        auto renderer = create(*cpu_options);
-        if (!renderer) return tl::unexpected(renderer.error());
-        on_cpu = std::make_unique<Renderer>(*std::move(renderer));
-      }
-      return f(*on_cpu);
-    });
-  }
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
   Result<FrameStats> draw_on_cpu(const Scene& scene, const Camera& camera, const RenderTarget& target,
@@ -128,8 +107,6 @@ Result<Renderer> Renderer::create(const RendererOptions& options) {
           if (!other) return tl::unexpected(other.error());
           impl->others.push_back(std::move(*other));
         }
-        if (options.backend == Backend::automatic)
-          impl->cpu_options = {.backend = Backend::cpu, .threads = options.threads, .simd = options.simd};
         return Renderer(std::move(impl));
       }
     }
@@ -156,9 +133,6 @@ Status Renderer::prepare(const Scene& scene) {
 
 Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                     const RenderOptions& options) {
-  if (impl_->cpu_options && !drawn_by_cuda(camera)) {
-    return impl_->leave_to_cpu(scene, [&](Renderer& on_cpu) { return on_cpu.render(scene, camera, target, options); });
-  }
   if (!options.frame_ms) return draw(scene, camera, target, options);
   const auto begin = std::chrono::steady_clock::now();
   auto stats = draw(scene, camera, target, impl_->within_time(options));
@@ -202,18 +176,13 @@ Result<std::vector<FrameStats>> Renderer::render_all(const Scene& scene, std::sp
   if (pictures.on_device && scene.is_streamed()) {
     return make_error(Errc::bad_argument, Error::kNone, "streamed scenes are drawn into the host's memory");
   }
-  if (pictures.on_device && !std::ranges::all_of(cameras, drawn_by_cuda)) {
-    return make_error(Errc::unavailable, Error::kNone,
-                      "CUDA draws no equirectangular cameras: draw them into the host's memory");
-  }
   for (const Camera& camera : cameras) {
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
     if (camera.width != cameras.front().width || camera.height != cameras.front().height)
       return make_error(Errc::bad_argument, Error::kNone, "the cameras of one call have different image sizes");
   }
   return detail::guard_memory([&] {
-    const bool some_on_cpu = impl_->cpu_options && !std::ranges::all_of(cameras, drawn_by_cuda);
-    return impl_->cuda && !scene.is_streamed() && (pictures.on_device || (cameras.size() > 1 && !some_on_cpu))
+    return impl_->cuda && !scene.is_streamed() && (pictures.on_device || cameras.size() > 1)
                ? impl_->render_on_device(scene, cameras, pictures, options)
                : render_each(scene, cameras, pictures, options);
   });
@@ -420,9 +389,6 @@ Result<FrameStats> Renderer::render_streamed(const Scene& scene, const Camera& c
 
 Result<bool> Renderer::refine(const Scene& scene, const Camera& camera, double seconds, const RenderOptions& options) {
   if (!scene.is_streamed()) return true;
-  if (impl_->cpu_options && !drawn_by_cuda(camera)) {
-    return impl_->leave_to_cpu(scene, [&](Renderer& on_cpu) { return on_cpu.refine(scene, camera, seconds, options); });
-  }
   const auto rule = impl_->rule_of(scene, camera, impl_->within_time(options));
   if (!rule) return tl::unexpected(rule.error());
   return detail::guard_memory(

@@ -570,14 +570,15 @@ TEST_CASE("a scene of one page, and a prefix of a file, are drawn as on the CPU"
     for (const float detail_px : {0.0F, 1.0F}) {
       CAPTURE(scene.levels()->n_present());
       CAPTURE(detail_px);
-      const Camera camera = camera_at(8);
-      Frame frame = Frame::of(camera);
-      const auto stats = renderer->render(scene, camera, frame.target(), at_detail(turbo_options(), detail_px));
-      require_ok(stats);
-      const Frame host = render(scene, camera, at_detail(turbo_options(), detail_px), {.backend = Backend::cpu});
-      CHECK(psnr(frame.rgb, host.rgb) >= 60);
-      CHECK(stats->pages == host.stats.pages);
-      CHECK(stats->gaussians == host.stats.gaussians);
+      for (const Camera& camera : {camera_at(8), panorama_of(camera_at(-4))}) {
+        Frame frame = Frame::of(camera);
+        const auto stats = renderer->render(scene, camera, frame.target(), at_detail(turbo_options(), detail_px));
+        require_ok(stats);
+        const Frame host = render(scene, camera, at_detail(turbo_options(), detail_px), {.backend = Backend::cpu});
+        CHECK(psnr(frame.rgb, host.rgb) >= 60);
+        CHECK(stats->pages == host.stats.pages);
+        CHECK(stats->gaussians == host.stats.gaussians);
+      }
     }
   }
 }
@@ -593,7 +594,8 @@ TEST_CASE("no frame affects the next: other views, details, pipelines, scenes") 
   Random random(1620);
   for (int k = 0; k < 40; ++k) {
     CAPTURE(k);
-    const Camera camera = camera_at(random.log_uniform(0.01, 300));
+    Camera camera = camera_at(random.log_uniform(0.01, 300));
+    if (k % 9 == 4) camera = panorama_of(camera);
     const float detail_px = k % 7 == 6 ? 0 : static_cast<float>(random.log_uniform(0.05, 5));
     RenderOptions options = at_detail(k % 5 == 4 ? paper_options() : turbo_options(), detail_px);
     options.turbo.asynchronous = k % 3 == 0;

@@ -66,6 +66,7 @@ std::vector<float> colours(Renderer& renderer, const auto& scene, const Camera& 
 std::vector<Camera> cameras(unsigned seed, int n) {
   auto all = town_cameras(seed, n);
   for (Camera& camera : all) camera = resized(camera, sized(320, 160, 64), sized(200, 96, 48));
+  all.back() = panorama_of(all.back());
   return all;
 }
 

@@ -284,24 +284,31 @@ TEST_CASE("turning a panorama shifts its picture around, across its seam and ove
   }
 }
 
-TEST_CASE("each tile of a panorama takes the copy that is nearest to its middle, and no other") {
-  constexpr int kTile = math::kTileSize, kWidth = 200;
+TEST_CASE("each band of a panorama takes the nearer copy, and no other, in tiles of both sizes") {
+  constexpr int kWidth = 200, kBand = math::kCopyBand;
   for (const double focal : {kWidth / (2 * pi), kWidth / 5.0}) {  // the full circle and a part of it
     Camera camera = panorama(kWidth);
     camera.fx = focal;
     const auto view = rgs::view_of(camera, kNoOrigin, 0.01, 0.0);
-    const math::TileGrid grid = math::tile_grid(kWidth, kWidth / 2);
     const double period = math::period_px(view), middle = 0.5 * (kWidth - 1);
-    for (double u = middle - period / 2; u < middle + period / 2; u += 0.37) {
-      for (const std::uint32_t copy : {0u, 1u}) {
-        math::Projected<double> p{};
-        p.mean.u = u;
-        const math::TileSpan columns = math::place_copy<kTile>(view, copy, grid, p);
-        for (int tile = 0; tile < grid.columns; ++tile) {
-          const bool is_nearest = std::abs(kTile * tile + 0.5 * (kTile - 1) - p.mean.u) <= period / 2;
-          CHECK((columns.first <= tile && tile < columns.last) == is_nearest);
-        }
+    const auto check = [&]<int kTile>(double u) {
+      math::Projected<double> p[2]{};
+      p[0].mean.u = p[1].mean.u = u;
+      const math::TileGrid grid = math::tile_grid<kTile>(kWidth, kWidth / 2);
+      const auto own = math::place_copy<kTile>(view, 0, grid, p[0]),
+                 other = math::place_copy<kTile>(view, 1, grid, p[1]);
+      CHECK(p[0].mean.u == u);
+      CHECK(std::abs(p[1].mean.u - (u < middle ? u + period : u - period)) < 1e-9);
+      for (int tile = 0; tile < grid.columns; ++tile) {
+        const double band = kBand * (kTile * tile / kBand) + 0.5 * (kBand - 1);
+        const bool is_own = std::abs(band - p[0].mean.u) <= std::abs(band - p[1].mean.u);
+        CHECK((own.first <= tile && tile < own.last) == is_own);
+        CHECK((other.first <= tile && tile < other.last) != is_own);
       }
+    };
+    for (double u = middle - period / 2; u < middle + period / 2; u += 0.37) {
+      check.operator()<16>(u);
+      check.operator()<32>(u);
     }
   }
 }

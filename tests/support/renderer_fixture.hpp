@@ -8,6 +8,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <numbers>
 #include <span>
 #include <vector>
 
@@ -21,6 +22,13 @@ inline Camera front_camera(int width, int height) {
   camera.width = width, camera.height = height;
   camera.fx = camera.fy = 0.8 * width;
   camera.cx = width / 2.0, camera.cy = height / 2.0;
+  return camera;
+}
+
+/// All that is around a camera, in a picture of its size.
+inline Camera panorama_of(Camera camera) {
+  camera.model = CameraModel::equirectangular;
+  camera.fx = camera.width / (2 * std::numbers::pi), camera.fy = camera.height / std::numbers::pi;
   return camera;
 }
 

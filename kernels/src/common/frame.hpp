@@ -43,7 +43,7 @@ static_assert(sizeof(ScreenSplat) == 48);
 /// Counters of a frame, zeroed before it.
 struct Counters {
   std::uint64_t instances;  ///< (tile, Gaussian) pairs, also those that did not fit
-  std::uint64_t visible;    ///< Gaussians in at least one tile
+  std::uint64_t visible;    ///< splats in at least one tile
   std::uint64_t evaluated;  ///< (pixel, Gaussian) pairs; counted on request
   std::uint64_t blended;    ///< the same
 };

@@ -37,6 +37,18 @@ __device__ inline math::Projected<float> project_splat(const Attributes& attribu
   return project<kAnyModel>(v, mean, load_geometry(attributes, i));
 }
 
+/// Splat i is copy i % n_copies of this Gaussian.
+template <bool kAnyModel>
+__device__ inline std::uint32_t gaussian_of(const ViewParameters& v, std::uint32_t i) {
+  return kAnyModel ? i / math::n_copies(v.view) : i;
+}
+/// Makes `p`, of splat i's Gaussian, the projection of that splat. Returns the columns of tiles that may show it.
+template <bool kAnyModel, int kTile>
+__device__ inline math::TileSpan place_copy(const ViewParameters& v, std::uint32_t i, math::Projected<float>& p) {
+  if constexpr (kAnyModel) return math::place_copy<kTile>(v.view, i % math::n_copies(v.view), v.grid, p);
+  return {0, v.grid.columns};
+}
+
 __device__ inline ScreenSplat screen_splat(const math::Projected<float>& p, float cutoff,
                                            const math::Vec3<float>& color) {
   const float log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;

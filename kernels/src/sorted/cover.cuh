@@ -18,8 +18,10 @@ template <>
 struct Cover<math::Extent::square> {
   math::TileRect rect;
 
-  __device__ static Cover of(const math::Projected<float>& p, float, math::TileGrid grid) {
-    return {math::square_extent(p.mean, p.footprint.cov, grid)};
+  __device__ static Cover of(const math::Projected<float>& p, float, math::TileGrid grid, math::TileSpan columns) {
+    auto rect = math::square_extent(p.mean, p.footprint.cov, grid);
+    rect.x0 = math::max(rect.x0, columns.first), rect.x1 = math::min(rect.x1, columns.last);
+    return {rect};
   }
   __device__ int first_row() const { return rect.y0; }
   __device__ std::uint32_t n_rows() const { return rect.empty() ? 0 : static_cast<std::uint32_t>(rect.y1 - rect.y0); }
@@ -29,18 +31,22 @@ struct Cover<math::Extent::square> {
 template <>
 struct Cover<math::Extent::ellipse> {
   math::Ellipse<float> ellipse;
-  int y0, y1;
+  std::uint16_t x0, x1;  // the columns that the splat may show in
+  std::uint16_t y0, y1;
 
-  __device__ static Cover of(const math::Projected<float>& p, float cutoff, math::TileGrid grid) {
+  __device__ static Cover of(const math::Projected<float>& p, float cutoff, math::TileGrid grid,
+                             math::TileSpan columns) {
     const auto e = math::ellipse(p.mean, p.footprint, cutoff);
     const auto rect = math::bounding_tiles(e, grid);
-    return {e, rect.y0, rect.empty() ? rect.y0 : rect.y1};
+    const auto tile = [](int at) { return static_cast<std::uint16_t>(at); };
+    return {e, tile(columns.first), tile(columns.last), tile(rect.y0), tile(rect.empty() ? rect.y0 : rect.y1)};
   }
   __device__ int first_row() const { return y0; }
   __device__ std::uint32_t n_rows() const { return static_cast<std::uint32_t>(y1 - y0); }
   __device__ math::TileSpan tiles(int row, math::TileGrid grid) const {
     const auto span = math::tiles_in_row(ellipse, row, grid);
-    return {span.first, span.last > span.first ? span.last : span.first};
+    const int first = math::max(span.first, int{x0});
+    return {first, math::max(first, math::min(span.last, int{x1}))};
   }
 };
 

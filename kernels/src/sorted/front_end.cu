@@ -3,7 +3,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; the paper, III-A3; tiles after Hanson et al. 2025
-// In/Out  attributes [n] -> splats [n] (visible ones), keys and Gaussians [instances]
+// In/Out  attributes -> splats [n] (visible ones), keys and Gaussians [instances]
 // Cost    76 B (compact) or 236 B (FP32) read a Gaussian, harmonics only if visible; 48 B written a visible one; 8 or 12 B
 //         written a pair, coalesced. About 500 flops a Gaussian, 60 a tile row, 40 integer operations a pair
 // Launch  256 threads, ceil(n / 256) blocks
@@ -175,12 +175,13 @@ __global__ void __launch_bounds__(kThreads)
   float cutoff = 0;
   std::uint32_t rows = 0;
   if (i < n) {
-    scene_row = row_of(attributes, drawn, i);
+    scene_row = row_of(attributes, drawn, gaussian_of<kAnyModel>(v, i));
     mean = load_mean(attributes.mean, scene_row);
     p = project_splat<kAnyModel>(attributes, scene_row, v, mean);
     if (p.footprint.valid) {
       cutoff = math::power_cutoff(p.footprint.opacity);
-      const auto cover = Cover<E>::of(p, cutoff, v.grid);
+      const auto columns = place_copy<kAnyModel, math::kTileSize>(v, i, p);
+      const auto cover = Cover<E>::of(p, cutoff, v.grid, columns);
       rows = cover.n_rows();
       s.cover[threadIdx.x] = cover;
       s.depth[threadIdx.x] = depth_key(v, p.z);

@@ -20,11 +20,11 @@ struct PairArrays {
   bool narrow_keys;
 };
 
-/// One fused kernel (the paper, III-A3): projects n Gaussians, writes splats [n] and pairs of the visible ones, and adds
-/// to counters.instances and .visible. Pairs beyond the capacity are counted, not written. If `block_state` is null,
-/// blocks get offsets by an atomic addition, in the order in which they run; if it is [fused_blocks(n) + 1], zeroed
-/// before, pairs lie in the order of the Gaussians on every run (chained scan, Merrill and Garland 2016). Of
-/// PagedAttributes, projects the n rows of `drawn`. Errors: device_failed.
+/// One fused kernel (the paper, III-A3): projects Gaussians to n splats, n_copies(v.view) of each, writes splats [n] and
+/// pairs of the visible ones, and adds to counters.instances and .visible. Pairs beyond the capacity are counted, not
+/// written. If `block_state` is null, blocks get offsets by an atomic addition, in the order in which they run; if it is
+/// [fused_blocks(n) + 1], zeroed before, pairs lie in the order of the splats on every run (chained scan, Merrill and
+/// Garland 2016). Of PagedAttributes, projects the rows of `drawn`. Errors: device_failed.
 struct FusedArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -39,8 +39,8 @@ struct FusedArguments {
 Status launch_fused(const FusedArguments& arguments, Stream stream);
 std::uint32_t fused_blocks(std::uint32_t n);
 
-/// The original's kernels. The first projects n Gaussians, or rows of `drawn`, and writes splats [n], covers [n] and
-/// tiles touched [n], 0 if not drawn. Errors: device_failed.
+/// The original's kernels. The first projects Gaussians, or rows of `drawn`, to n splats as above, and writes splats
+/// [n], covers [n] and tiles touched [n], 0 if not drawn. Errors: device_failed.
 struct ProjectArguments {
   Attributes attributes;
   std::uint32_t n;

@@ -3,7 +3,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; docs/format/RENDERING.md "A Gaussian on the image"
-// In/Out  attributes [n] -> splats [n], covers [n], tiles [n]; then covers, sums of tiles -> pairs
+// In/Out  attributes -> splats [n], covers [n], tiles [n]; then covers, sums of tiles -> pairs
 // Cost    project: 236 B (FP32) or 76 B (compact) read, 48 + 16 or 44 + 4 B written; about 500 flops: memory-bound
 //         duplicate: 12 or 8 B written a pair, uncoalesced: each thread writes its own run
 // Launch  256 threads, ceil(n / 256) blocks
@@ -31,12 +31,13 @@ __global__ void __launch_bounds__(kThreads)
   const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
   std::uint32_t n_tiles = 0;
   if (i < n) {
-    const std::uint32_t row = row_of(attributes, drawn, i);
+    const std::uint32_t row = row_of(attributes, drawn, gaussian_of<kAnyModel>(v, i));
     const math::Vec3<float> mean = load_mean(attributes.mean, row);
-    const auto p = project_splat<kAnyModel>(attributes, row, v, mean);
+    auto p = project_splat<kAnyModel>(attributes, row, v, mean);
     if (p.footprint.valid) {
       const float cutoff = math::power_cutoff(p.footprint.opacity);
-      const auto cover = Cover<E>::of(p, cutoff, v.grid);
+      const auto columns = place_copy<kAnyModel, math::kTileSize>(v, i, p);
+      const auto cover = Cover<E>::of(p, cutoff, v.grid, columns);
       for (std::uint32_t r = 0; r < cover.n_rows(); ++r) {
         const auto span = cover.tiles(cover.first_row() + static_cast<int>(r), v.grid);
         n_tiles += static_cast<std::uint32_t>(span.last - span.first);

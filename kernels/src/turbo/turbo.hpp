@@ -261,8 +261,8 @@ struct TurboLongListSizes {
   }
 };
 
-/// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs,
-/// and adds to the state's counters.instances, .visible and .runs. Skips chunks of compact attributes outside the view
+/// Projects Gaussians to n splats, n_copies(v.view) of each, writes splats [n] at the indices of the visible ones, entries and
+/// runs, and adds to the state's counters.instances, .visible and .runs. Skips chunks of compact attributes outside the view
 /// before reading attributes. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are
 /// not visible and have no entries. v.grid has tiles of kTurboTile. Of PagedAttributes, projects the rows of `drawn`,
 /// which have the indices of drawn rows and are in view already; n is their capacity. Errors: device_failed.

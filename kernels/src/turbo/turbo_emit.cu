@@ -142,15 +142,16 @@ __global__ void __launch_bounds__(kThreads, resident_on_90(kAnyModel ? 0 : 5))
   const ViewParameters& v = a.view;
   const std::uint32_t first = blockIdx.x * kThreads;
   const std::uint32_t i = first + threadIdx.x;
-  // With levels, i counts drawn rows.
-  std::uint32_t n = a.n, row = i;
+  const std::uint32_t copies = kAnyModel ? math::n_copies(v.view) : 1;
+  // With levels, i counts copies of drawn rows.
+  std::uint32_t n = a.n;
   if constexpr (std::is_same_v<A, PagedAttributes>) {
-    n = n_drawn_rows(a.drawn, attributes.chunk_size);
+    n = n_drawn_rows(a.drawn, attributes.chunk_size) * copies;
     if (first >= n) return;
-    row = drawn_row(a.drawn, attributes.chunk_size, math::min(i, n - 1));
   }
+  const std::uint32_t in_frame = math::min(i, n - 1) / copies, row = row_of(attributes, a.drawn, in_frame);
   if (i == 0) a.arrays.state->dropped = turbo_dropped_bits(n);
-  const bool is_chunk_in_view = chunk_in_view(attributes, math::min(i, n - 1), v.view, planes);
+  const bool is_chunk_in_view = chunk_in_view(attributes, in_frame, v.view, planes);
   if constexpr (std::is_same_v<A, CompactAttributes>) {
     if (!is_chunk_in_view && attributes.chunk_size % kThreads == 0) return;  // the whole block
   }
@@ -170,11 +171,15 @@ __global__ void __launch_bounds__(kThreads, resident_on_90(kAnyModel ? 0 : 5))
     // overlap.
     const Geometry g = load_geometry(attributes, row);
     prefetch_color(attributes, row);
-    const auto p = project<kAnyModel>(v, mean, g);
+    auto p = project<kAnyModel>(v, mean, g);
     if (p.footprint.valid) {
+      const auto columns = place_copy<kAnyModel, kTurboTile>(v, i, p);
       const float cutoff = math::power_cutoff(p.footprint.opacity);
       const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);
       rect = math::bounding_tiles<kTurboTile>(ellipse, v.grid);
+      if constexpr (kAnyModel) {
+        rect.x0 = math::max(rect.x0, columns.first), rect.x1 = math::min(rect.x1, columns.last);
+      }
       if (!rect.empty()) {
         n_columns = static_cast<std::uint32_t>(rect.x1 - rect.x0);
         n_rows = static_cast<std::uint32_t>(rect.y1 - rect.y0);

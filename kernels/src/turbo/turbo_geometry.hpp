@@ -51,7 +51,7 @@ static_assert(kTurboDepthBits + kTurboIndexBits + kTurboCellBits == 64,
               "an entry is one word, loaded and ordered as one");
 static_assert(kTurboCells <= kTurboCellBits, "an entry has a bit for each cell: larger cells or smaller tiles");
 
-/// Of 0 < n <= 2^31 Gaussians; at most 4.
+/// Of 0 < n <= 2^31 splats; at most 4.
 RGS_HD constexpr int turbo_dropped_bits(std::uint32_t n) {
   int bits = 0;
   while ((n - 1) >> (kTurboIndexBits + bits) != 0) ++bits;

@@ -19,7 +19,7 @@
 
 namespace RGS_API rgs {
 
-/// automatic: CUDA if a device answers, except for equirectangular cameras; else the CPU.
+/// automatic: CUDA if a device answers, else the CPU.
 enum class Backend { automatic, cpu, cuda };
 
 struct RendererOptions {
@@ -167,8 +167,8 @@ class Renderer {
   /// input, and FrameStats::stream says what is missing. Errors: bad_camera (see validate()), bad_argument (an option,
   /// the size of a target span, or contributions on CUDA or of a streamed scene), limit_exceeded (2^32 (tile, Gaussian)
   /// pairs or more, on CUDA 2^31), device_out_of_memory, device_failed; before the scene is prepared, also those of
-  /// prepare(); unavailable (Backend::cuda and an equirectangular camera; of a streamed scene on CUDA if the pool lacks
-  /// StreamPoolOptions::device_memory, on the CPU if it has it).
+  /// prepare(); unavailable (of a streamed scene: on CUDA if the pool lacks StreamPoolOptions::device_memory, on the CPU if
+  /// it has it).
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
 

@@ -287,10 +287,6 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   return detail::guard_memory([&]() -> Result<FrameStats> {
     Impl& w = *impl_;
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
-    if (camera.model == CameraModel::equirectangular) {
-      return make_error(Errc::unavailable, Error::kNone,
-                        "CUDA draws no equirectangular cameras: use Backend::cpu (--backend cpu)");
-    }
     const auto detail_px = detail::drawn_detail(options, scene.has_levels());
     if (!detail_px) return tl::unexpected(detail_px.error());
     const auto resolved =
@@ -320,6 +316,8 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
       frame.cut = cut_eye(detail::eye_of(camera, scene.origin(), scene.declarations()->z_near), *detail_px,
                           options.max_gaussians.value_or(cuda::kNoLimit));
     }
+    if (!frame.cut) ok = detail::check_splats(frame.n() * frame.n_copies());
+    if (!ok) return tl::unexpected(ok.error());
     if (frame.view.key.quantized) {
       frame.depth_resolution =
           detail::depth_resolution(settings, frame.view.key.depth_bits, camera, scene.declarations());

@@ -15,9 +15,8 @@ constexpr std::uint64_t kFirstRows = std::uint64_t{1} << 16;  // before a frame 
 }  // namespace
 
 // Chunks that the buffers have room for.
-std::uint64_t CutStage::held(const SceneStorage& scene, const DeviceBuffer& splats) const {
-  return std::min(chunks_.bytes() / sizeof(std::uint32_t),
-                  splats.bytes() / sizeof(cuda::ScreenSplat) / scene.pages->chunk_size);
+std::uint64_t CutStage::held(const DeviceBuffer& splats, std::uint64_t splat_bytes) const {
+  return std::min(chunks_.bytes() / sizeof(std::uint32_t), splats.bytes() / splat_bytes);
 }
 
 std::uint64_t CutStage::bytes() const {
@@ -26,28 +25,29 @@ std::uint64_t CutStage::bytes() const {
   return sum;
 }
 
-Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats,
+Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats, std::uint64_t copies,
                          const Reserve& reserve) {
   const ScenePages& pages = *scene.pages;
+  const std::uint64_t splat_bytes = copies * pages.chunk_size * sizeof(cuda::ScreenSplat);  // of a chunk
   const std::uint64_t word = sizeof(std::uint32_t), limit = pages.n_chunks;
   const std::uint32_t n_blocks = pages.chosen ? 0 : cuda::cut_blocks(pages.n_pages);
   Status ok = reserve(counts_, (std::uint64_t{2} + n_blocks) * sizeof(cuda::CutCounts));
   if (ok && !pages.chosen) ok = reserve(limit_, sizeof(cuda::CutLimit));
   if (ok) ok = reserve(chosen_, pages.n_chunks * word);
   if (ok) ok = reserve(in_view_, cuda::cull_blocks(static_cast<std::uint32_t>(pages.n_chunks)) * word);
-  const std::uint64_t before = held(scene, splats);
+  const std::uint64_t before = held(splats, splat_bytes);
   const std::uint64_t guess = std::max<std::uint64_t>(kFirstRows / pages.chunk_size, 1);
   const std::uint64_t least = std::min(n_chunks != 0 ? n_chunks : before != 0 ? before : guess, limit);
   if (ok && before < least) {
     ok = reserve_growing([&](bool is_generous) {
       const std::uint64_t n = is_generous ? with_room_to_grow(least, before, limit) : least;
       Status grown = reserve(chunks_, n * word);
-      if (grown) grown = reserve(splats, n * pages.chunk_size * sizeof(cuda::ScreenSplat));
+      if (grown) grown = reserve(splats, n * splat_bytes);
       if (!grown) chunks_ = {}, splats = {};  // grown buffers would hold memory that the others need
       return grown;
     });
   }
-  capacity_ = ok ? std::min(held(scene, splats), limit) : 0;
+  capacity_ = ok ? std::min(held(splats, splat_bytes), limit) : 0;
   return ok;
 }
 

@@ -20,8 +20,9 @@ class CutStage {
   using Reserve = std::function<Status(DeviceBuffer&, std::uint64_t bytes)>;
 
   /// Makes room for at least `n_chunks`, or for a first guess if that is 0 and there is none; `splats` gets
-  /// room for as many. Call before every launch. Errors: those of `reserve`.
-  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats, const Reserve& reserve);
+  /// room for as many, and so many copies of each Gaussian. Call before every launch. Errors: those of `reserve`.
+  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats, std::uint64_t copies,
+                 const Reserve& reserve);
   struct Choice {
     cuda::CutEye eye;
     cuda::ViewParameters view;
@@ -37,7 +38,7 @@ class CutStage {
 
  private:
   Status launch_choice(const SceneStorage& scene, const Choice& choice, CudaStream stream) const;
-  std::uint64_t held(const SceneStorage& scene, const DeviceBuffer& splats) const;
+  std::uint64_t held(const DeviceBuffer& splats, std::uint64_t splat_bytes) const;
 
   std::uint64_t capacity_ = 0;
   DeviceBuffer counts_;   ///< [2 + blocks] chosen, listed, and sums of blocks

@@ -15,6 +15,7 @@
 #include "cuda/device_memory.hpp"
 #include "cuda/device_scene.hpp"
 #include "render_options.hpp"
+#include "rgs/math/camera_models.hpp"
 #include "sorted/front_end.hpp"
 #include "turbo/turbo.hpp"
 
@@ -78,6 +79,7 @@ struct Frame {
   bool is_graph = false;  ///< its launches are collected in a graph
 
   std::uint64_t n() const { return scene ? scene->n : 0; }
+  std::uint64_t n_copies() const { return math::n_copies(view.view); }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
   std::uint32_t n_tiles() const { return static_cast<std::uint32_t>(view.grid.columns * view.grid.rows); }
   math::Vec3<float> background() const {
@@ -85,6 +87,14 @@ struct Frame {
   }
   Readback::Seen& seen() const { return *readback->seen.get(); }
 };
+
+/// Errors: limit_exceeded.
+inline Status check_splats(std::uint64_t n) {
+  constexpr std::uint64_t kMost = std::numeric_limits<std::int32_t>::max();
+  if (n <= kMost) return {};
+  return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than a frame can draw, panoramas twice each",
+                    kMost, n);
+}
 
 /// What a settled frame drew.
 struct Settled {
@@ -160,22 +170,25 @@ struct FrameState {
   /// Errors: those of the other reserve().
   Status reserve_cut(const Frame& f, std::uint64_t n_chunks = 0) {
     if (!f.cut) return {};
-    return cut.reserve(*f.scene, n_chunks, splats,
+    if (const auto ok = check_splats(n_chunks * f.scene->pages->chunk_size * f.n_copies()); !ok) return ok;
+    return cut.reserve(*f.scene, n_chunks, splats, f.n_copies(),
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f); });
   }
   Status launch_cut(const Frame& f) const {
     return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse, &f.seen().cut}, f.stream);
   }
   cuda::DrawnChunks drawn(const Frame& f) const { return f.cut ? cut.drawn() : cuda::DrawnChunks{}; }
-  /// Gaussians that the front end must have room for.
-  std::uint64_t n_drawn(const Frame& f) const { return f.cut ? cut.capacity() * f.scene->pages->chunk_size : f.n(); }
+  /// Splats that the front end must have room for.
+  std::uint64_t n_splats(const Frame& f) const {
+    return (f.cut ? cut.capacity() * f.scene->pages->chunk_size : f.n()) * f.n_copies();
+  }
 
   FrameOrder& order;
   std::shared_ptr<const DeviceMemory> memory;
   std::shared_ptr<Event> finished;  ///< as in `order`, of the workspace's last frame
   OwnedStream own = {};             ///< collects graphs, and runs overlapping frames
   CutStage cut = {};
-  DeviceBuffer splats = {};  ///< [n]
+  DeviceBuffer splats = {};  ///< [n_splats()]
 };
 
 }  // namespace rgs::detail

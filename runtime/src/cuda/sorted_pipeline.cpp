@@ -29,9 +29,9 @@ std::uint64_t SortedPipeline::bytes() const {
   return sum;
 }
 
-// How many Gaussians are drawn and, with a cut, which.
+// How many splats are drawn and, with a cut, of which Gaussians.
 Status SortedPipeline::choose(const Frame& f) {
-  n_ = f.n();
+  n_ = f.n() * f.n_copies();
   if (!f.cut) return {};
   Status ok = state_.reserve_cut(f);
   for (;;) {
@@ -39,14 +39,14 @@ Status SortedPipeline::choose(const Frame& f) {
     if (ok) ok = state_.wait(f.stream);
     if (!ok) return ok;
     const std::uint64_t n_chunks = f.seen().cut.chunks;
-    n_ = n_chunks * f.scene->pages->chunk_size;
+    n_ = n_chunks * f.scene->pages->chunk_size * f.n_copies();
     if (n_chunks <= state_.cut.capacity()) return {};
     ok = state_.reserve_cut(f, n_chunks);
   }
 }
 
 Status SortedPipeline::reserve_scene(const Frame& f) {
-  const std::uint64_t n = state_.n_drawn(f);  // with room for a growing cut
+  const std::uint64_t n = state_.n_splats(f);  // with room for a growing cut
   const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f); };
   Status ok = reserve(counters_, sizeof(cuda::Counters));
   if (ok) ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));

@@ -74,7 +74,7 @@ Status TurboPipeline::reserve_lists(std::uint64_t n_entries, std::uint64_t n_run
 Status TurboPipeline::reserve_tiles(const Frame& f) {
   Status ok = state_.reserve_cut(f);
   if (!ok) return ok;
-  const std::uint64_t n = state_.n_drawn(f), n_tiles = f.n_tiles();
+  const std::uint64_t n = state_.n_splats(f), n_tiles = f.n_tiles();
   const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f); };
   ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));
   if (ok) ok = reserve(turbo_state_, cuda::TurboState::bytes(f.n_tiles()));
@@ -182,7 +182,7 @@ Status TurboPipeline::launch(const Frame& f) {
   }
   if (ok && f.cut) ok = state_.launch_cut(f);
   if (ok) {
-    ok = cuda::launch_turbo_emit({f.attributes(), static_cast<std::uint32_t>(state_.n_drawn(f)), f.view,
+    ok = cuda::launch_turbo_emit({f.attributes(), static_cast<std::uint32_t>(state_.n_splats(f)), f.view,
                                   state_.splats.as<cuda::ScreenSplat>(), arrays, state_.drawn(f)},
                                  on);
   }

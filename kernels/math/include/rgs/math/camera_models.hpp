@@ -194,15 +194,20 @@ RGS_HD inline std::uint32_t n_copies(const View<T>& view) {
   return view.model == CameraModel::equirectangular ? 2 : 1;
 }
 
+/// Pixels across of a band of an equirectangular image, which shows one copy of each Gaussian.
+inline constexpr int kCopyBand = 32;
+
 /// Makes `p`, a projection nearest to the image's middle, that copy of it: 0 is itself, 1 the one on the other side of
-/// the middle; the others are not the nearest to any tile. Returns the columns of tiles that this one is the nearest to.
+/// the middle. Returns the columns of tiles in the bands to whose middles this one is nearer; wider tiles are bands.
 template <int Tile, class T>
 RGS_HD inline TileSpan place_copy(const View<T>& view, std::uint32_t copy, TileGrid grid, Projected<T>& p) {
   if (n_copies(view) == 1) return {0, grid.columns};
+  constexpr int kBand = max(kCopyBand, Tile);
   const bool other_is_right = p.mean.u < T(0.5) * static_cast<T>(view.width - 1);
   const T step = other_is_right ? period_px(view) : -period_px(view);
-  const T between = (p.mean.u + T(0.5) * step - T(0.5) * T(Tile - 1)) / T(Tile);
-  const int first_right = detail::ceil_index(clamp(between, T(0), static_cast<T>(grid.columns)));
+  const T between = (p.mean.u + T(0.5) * step - T(0.5) * T(kBand - 1)) / T(kBand);
+  const int band = detail::ceil_index(clamp(between, T(0), static_cast<T>(grid.columns)));
+  const int first_right = min(band * (kBand / Tile), grid.columns);
   if (copy != 0) p.mean.u += step;
   return other_is_right == (copy != 0) ? TileSpan{first_right, grid.columns} : TileSpan{0, first_right};
 }
