@@ -2,10 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
-// Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each touched cell
+// Cost    an entry: 8 B read, two atomic additions in shared memory and some comparisons; 4 B written for each touched cell
 // Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds at a
-//         time. A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
-// Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
+//         time. After ordering a warp deals out 32 entries at a time
+// Shared  Shared: entries, their places twice, bins, places of runs; 37 KiB, and 1 KiB of bins for the units
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
 // Units of a list (turbo_long_lists.cu) are ordered side by side. A unit learns the offsets of its Gaussians in the
@@ -26,13 +26,17 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
-static_assert(kTurboRound == 8 * kThreads && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
+constexpr std::uint32_t kPerThread = kTurboRound / kThreads;
+static_assert(kPerThread == 8 && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
 
 struct Shared {
   TurboEntry entries[kTurboRound];
-  alignas(16) std::uint32_t exchange[2][kTurboRound];  // keys: depth above, position among the entries below
-  std::uint32_t* order;                                // the ordered one of the two
-  std::uint32_t positions;                             // mask of a key's position
+  std::uint16_t order[kTurboRound];  // positions of the entries, ordered
+  // To order them: a histogram of their depths, each bin's first place below and number above; a finer one, whose bins
+  // become their first places; the positions by fine bin.
+  std::uint32_t bins[kThreads];
+  alignas(16) std::uint32_t fine[kTurboRound + 1];
+  std::uint16_t placed[kTurboRound];
   TurboRuns::Places<kThreads> places;
   std::uint32_t warp_sums[kWarps];
   std::uint32_t lows[kWarps], highs[kWarps];
@@ -44,89 +48,6 @@ struct Shared {
   std::uint32_t unit;
   bool fits;
 };
-
-template <std::uint32_t kKeys>
-__device__ inline void store_keys(const std::uint32_t (&keys)[kKeys], std::uint32_t* to) {
-#pragma unroll
-  for (std::uint32_t k = 0; k < kKeys; k += 4) {
-    *reinterpret_cast<uint4*>(to + k) = {keys[k], keys[k + 1], keys[k + 2], keys[k + 3]};
-  }
-}
-
-// Orders the keys of a warp's lanes; element k of lane l becomes number kKeys l + k. A bitonic network (Batcher 1968):
-// short strides are between elements of a lane, long ones between lanes. Keys of descending stretches are inverted
-// meanwhile, so that every comparison ascends.
-template <std::uint32_t kKeys>
-__device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
-  const std::uint32_t lane = threadIdx.x % 32;
-  std::uint32_t inverted = 0;  // all ones while the keys are
-#pragma unroll
-  for (std::uint32_t length = 2; length <= 32 * kKeys; length *= 2) {
-    if (length >= kKeys) {
-      const std::uint32_t invert = (lane & (length / kKeys)) != 0 && length < 32 * kKeys ? ~0u : 0;
-#pragma unroll
-      for (std::uint32_t& k : key) k ^= inverted ^ invert;
-      inverted = invert;
-    }
-#pragma unroll
-    for (std::uint32_t stride = length / 2; stride > 0; stride /= 2) {
-      if (stride >= kKeys) {
-        const bool smaller = (lane & (stride / kKeys)) == 0;
-#pragma unroll
-        for (std::uint32_t& k : key) {
-          const std::uint32_t other = __shfl_xor_sync(kFullWarp, k, stride / kKeys);
-          k = smaller ? math::min(k, other) : math::max(k, other);
-        }
-      } else {
-#pragma unroll
-        for (std::uint32_t k = 0; k < kKeys; ++k) {
-          if ((k & stride) != 0) continue;
-          const std::uint32_t low = math::min(key[k], key[k + stride]), high = math::max(key[k], key[k + stride]);
-          const bool ascending = length >= kKeys || (k & length) == 0;
-          key[k] = ascending ? low : high;
-          key[k + stride] = ascending ? high : low;
-        }
-      }
-    }
-  }
-}
-
-// Merges neighbouring stretches of `length` ordered keys, of n in all; a thread makes kKeys keys of the result and
-// searches for their start in both stretches (Odeh, Green, Mwassi, Shmueli, Birk 2012).
-template <std::uint32_t kKeys>
-__device__ inline void merge(const std::uint32_t* from, std::uint32_t* to, std::uint32_t length, std::uint32_t n) {
-  const std::uint32_t first = kKeys * threadIdx.x;
-  if (first >= n) return;
-  const std::uint32_t base = first & ~(2 * length - 1), place = first - base;
-  const std::uint32_t n_a = math::min(length, n - base), n_b = math::min(length, n - base - n_a);
-  const std::uint32_t* const a = from + base;
-  const std::uint32_t* const b = a + length;
-  std::uint32_t low = place > n_b ? place - n_b : 0, high = math::min(place, n_a);
-  while (low < high) {
-    const std::uint32_t middle = (low + high) / 2;
-    if (a[middle] < b[place - 1 - middle]) {
-      low = middle + 1;
-    } else {
-      high = middle;
-    }
-  }
-  std::uint32_t i = low, j = place - low;
-  std::uint32_t next_a = i < n_a ? a[i] : ~0u, next_b = j < n_b ? b[j] : ~0u;
-  std::uint32_t merged[kKeys];
-#pragma unroll
-  for (std::uint32_t& k : merged) {
-    const bool is_a = next_a <= next_b;
-    k = is_a ? next_a : next_b;
-    if (is_a) {
-      ++i;
-      next_a = i < n_a ? a[i] : ~0u;
-    } else {
-      ++j;
-      next_b = j < n_b ? b[j] : ~0u;
-    }
-  }
-  store_keys(merged, to + first);
-}
 
 // Smallest and largest depth that the block's threads have seen.
 struct DepthRange {
@@ -143,38 +64,12 @@ struct DepthRange {
   }
 };
 
-// Orders keys of the s.n entries (depth and index without their last `shift` bits above, position below): kKeys a lane
-// by warps, then merged. Returns where they are.
-template <std::uint32_t kKeys>
-__device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shift, int position_bits) {
-  constexpr std::uint32_t kWarpKeys = 32 * kKeys;
-  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, n = s.n;
-  if (kWarpKeys * warp < n) {
-    std::uint32_t key[kKeys];
-#pragma unroll
-    for (std::uint32_t k = 0; k < kKeys; ++k) {
-      const std::uint32_t position = kWarpKeys * warp + 32 * k + lane;
-      const auto value = static_cast<std::uint32_t>(((s.entries[position] >> kTurboCellBits) - low) >> shift);
-      key[k] = position < n ? value << position_bits | position : ~0u;
-    }
-    sort_warp(key);
-    store_keys(key, s.exchange[0] + kWarpKeys * warp + kKeys * lane);
-  }
-  __syncthreads();
-  int at = 0;
-  for (std::uint32_t length = kWarpKeys; length < n; length *= 2, at ^= 1) {
-    merge<kKeys>(s.exchange[at], s.exchange[at ^ 1], length, n);
-    __syncthreads();
-  }
-  return s.exchange[at];
-}
-
-// Orders the s.n entries themselves if 32-bit keys leave too much open: a bitonic network in shared memory. Rarely
-// called: must not cost the other code registers.
+// Orders the s.n entries by a bitonic network (Batcher 1968) in shared memory. Rarely called: must not cost the other
+// code registers.
 __device__ __noinline__ void sort_whole(Shared& s) {
   const std::uint32_t total = 1u << (32 - __clz(static_cast<int>(s.n - 1)));
   for (std::uint32_t k = s.n + threadIdx.x; k < total; k += kThreads) s.entries[k] = ~TurboEntry{0};
-  for (std::uint32_t k = threadIdx.x; k < total; k += kThreads) s.exchange[0][k] = k;
+  for (std::uint32_t k = threadIdx.x; k < total; k += kThreads) s.order[k] = static_cast<std::uint16_t>(k);
   for (std::uint32_t length = 2; length <= total; length *= 2) {
     for (std::uint32_t stride = length / 2; stride > 0; stride /= 2) {
       __syncthreads();
@@ -185,60 +80,91 @@ __device__ __noinline__ void sort_whole(Shared& s) {
       }
     }
   }
-  if (threadIdx.x == 0) s.order = s.exchange[0], s.positions = kTurboRound - 1;
   __syncthreads();
 }
 
-// Writes the position of each of the s.n entries in their order to s.order. First orders 32-bit keys, whose depth is
-// relative to the list's range; the remaining bits hold the first bits of the index, since far away many depths are
-// equal. Runs of equal keys are then ordered by their entries; if one is too long, all entries are. `range` holds the
-// depths that the thread has seen.
+// Writes the position of each of the s.n entries in their order to s.order. A histogram of the range of depths, taken
+// as linear within each of its bins, estimates each entry's place: about as many fine bins as entries. Those that
+// share a fine bin are compared; if they are too many, all entries are sorted. `range` holds the depths that the thread
+// has seen.
 __device__ inline void order_entries(Shared& s, DepthRange range, int dropped) {
-  constexpr std::uint32_t kMostEqual = 24;
+  constexpr std::uint32_t kMostCompared = 256;
+  constexpr int kKeyBits = kBinBits + 16;
+  const std::uint32_t n = s.n;
+  s.bins[threadIdx.x] = 0;
+  static_assert(kPerThread == 8);
+  auto* const own_fine = reinterpret_cast<uint4*>(s.fine) + 2 * threadIdx.x;
+  own_fine[0] = own_fine[1] = {};
   range.combine(s);
-  // Padding, all ones, comes last: no entry of its depth has a position as high.
-  const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
-  const std::uint32_t positions = (1u << position_bits) - 1;
-  s.positions = positions;  // all threads write the same
   const int index_bits = kTurboIndexBits + dropped;
   const std::uint64_t low = std::uint64_t{range.low} << index_bits;
   const int bits = 32 - __clz(static_cast<int>(range.high - range.low + 1)) + index_bits;
-  const int shift = math::max(0, bits - (32 - position_bits));
-  // Short lists use more warps, since all wait for the last.
-  std::uint32_t* const order =
-      s.n <= 4 * kThreads ? sort_keys<4>(s, low, shift, position_bits) : sort_keys<8>(s, low, shift, position_bits);
-  s.order = order;
-  const std::uint32_t n = s.n;
-  const auto equals_next = [&](std::uint32_t k) { return (order[k] ^ order[k + 1]) >> position_bits == 0; };
-  // Lengths of the runs of equal keys that begin at the thread's keys, a byte each.
-  std::uint64_t runs = 0;
-  static_assert(kTurboRound / kThreads <= sizeof(runs) && kMostEqual < 255);
-  bool is_too_long = false;
-  for (std::uint32_t k = threadIdx.x, at = 0; k + 1 < n; k += kThreads, at += 8) {
-    if (!equals_next(k) || (k > 0 && equals_next(k - 1))) continue;
-    std::uint32_t end = k + 2;
-    while (end < n && end - k <= kMostEqual && equals_next(end - 1)) ++end;
-    runs |= std::uint64_t{end - k} << at;
-    is_too_long = is_too_long || end - k > kMostEqual;
+  static_assert(kTurboIndexBits >= kKeyBits);
+  const int shift = bits - kKeyBits + kTurboCellBits;
+  const std::uint64_t low_entry = low << kTurboCellBits;
+  // Of the thread's entries: the key, of its bin and its place in the bin; then the fine bin and the place in that.
+  std::uint32_t key[kPerThread];
+#pragma unroll
+  for (std::uint32_t j = 0; j < kPerThread; ++j) {
+    const std::uint32_t k = j * kThreads + threadIdx.x;
+    if (k >= n) break;
+    key[j] = static_cast<std::uint32_t>((s.entries[k] - low_entry) >> shift);
+    atomicAdd(s.bins + (key[j] >> 16), 1u);
   }
-  if (!__syncthreads_or(runs != 0)) return;
-  for (std::uint32_t first = threadIdx.x; runs != 0; first += kThreads, runs >>= 8) {
-    for (std::uint32_t k = 1; k < (runs & 0xFF); ++k) {
-      const std::uint32_t key = order[first + k];
-      std::uint32_t at = first + k;
-      for (; at > first && s.entries[order[at - 1] & positions] > s.entries[key & positions]; --at) {
-        order[at] = order[at - 1];
-      }
-      order[at] = key;
+  __syncthreads();
+  const std::uint32_t in_bin = s.bins[threadIdx.x];
+  const std::uint32_t bin_end = inclusive_block_sum<kThreads>(in_bin, s.warp_sums);
+  s.bins[threadIdx.x] = in_bin << 16 | (bin_end - in_bin);
+  __syncthreads();
+#pragma unroll
+  for (std::uint32_t j = 0; j < kPerThread; ++j) {
+    if (j * kThreads + threadIdx.x >= n) break;
+    const std::uint32_t bin = s.bins[key[j] >> 16];
+    const std::uint32_t fine = (bin & 0xFFFF) + ((key[j] & 0xFFFF) * (bin >> 16) >> 16);
+    key[j] = fine << 16 | atomicAdd(s.fine + fine, 1u);
+  }
+  __syncthreads();
+  const uint4 first = own_fine[0], last = own_fine[1];
+  std::uint32_t count[kPerThread] = {first.x, first.y, first.z, first.w, last.x, last.y, last.z, last.w};
+  std::uint32_t sum = 0, most = 0;
+#pragma unroll
+  for (std::uint32_t& c : count) {
+    most = math::max(most, c);
+    sum += c;
+    c = sum - c;
+  }
+  const std::uint32_t before = inclusive_block_sum<kThreads>(sum, s.warp_sums) - sum;
+#pragma unroll
+  for (std::uint32_t& c : count) c += before;
+  own_fine[0] = {count[0], count[1], count[2], count[3]}, own_fine[1] = {count[4], count[5], count[6], count[7]};
+  if (threadIdx.x == kThreads - 1) s.fine[kTurboRound] = n;
+  if (__syncthreads_or(most > kMostCompared)) return sort_whole(s);
+#pragma unroll
+  for (std::uint32_t j = 0; j < kPerThread; ++j) {
+    const std::uint32_t k = j * kThreads + threadIdx.x;
+    if (k >= n) break;
+    s.placed[s.fine[key[j] >> 16] + (key[j] & 0xFFFF)] = static_cast<std::uint16_t>(k);
+  }
+  __syncthreads();
+#pragma unroll
+  for (std::uint32_t j = 0; j < kPerThread; ++j) {
+    const std::uint32_t k = j * kThreads + threadIdx.x;
+    if (k >= n) break;
+    const std::uint32_t begin = s.fine[key[j] >> 16], end = s.fine[(key[j] >> 16) + 1];
+    std::uint32_t place = begin;
+    if (end - begin > 1) {
+      const TurboEntry own = s.entries[k];
+      for (std::uint32_t other = begin; other < end; ++other) place += s.entries[s.placed[other]] < own ? 1 : 0;
     }
+    s.order[place] = static_cast<std::uint16_t>(k);
   }
-  if (__syncthreads_or(is_too_long)) sort_whole(s);
+  __syncthreads();
 }
 
 // The lane's entry of a group of 32 ordered entries from position `begin` on; 0 past the last.
 __device__ inline TurboEntry ordered_entry(const Shared& s, std::uint32_t begin) {
   const std::uint32_t k = begin + threadIdx.x % 32;
-  return k < s.n ? s.entries[s.order[k] & s.positions] : 0;
+  return k < s.n ? s.entries[s.order[k]] : 0;
 }
 
 // Counts how many of each group touch each cell: a warp counts a group, then sums a cell. s.cell_n becomes the sums
@@ -328,7 +254,7 @@ __device__ inline Part share_of(Shared& s, Part part, int dropped, std::uint32_t
   if (threadIdx.x == 0) s.n = kTurboRound;
   __syncthreads();
   order_entries(s, range, dropped);
-  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares] & s.positions]; };
+  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares]]; };
   if (share > 0) part.from = cut(share);
   if (share + 1 < n_shares) part.to = cut(share + 1);
   __syncthreads();
@@ -427,8 +353,8 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   if (n_shares > 1) part = share_of(s, part, dropped, own.share, n_shares);
   DepthRange range = load(s, part, dropped);
   tell(s, a, unit);
-  place_in_cells(s, a, unit, list);
   std::uint32_t left = s.n;
+  bool is_first = true;
   const bool at_once = left <= kTurboRound;
   while (left > 0) {
     __syncthreads();
@@ -440,6 +366,8 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
     }
     left -= s.n;
     order_entries(s, range, dropped);
+    if (is_first) place_in_cells(s, a, unit, list);  // so late that hardly a unit waits
+    is_first = false;
     count_groups(s);
     deal_out(s, a, dropped);
     __syncthreads();
