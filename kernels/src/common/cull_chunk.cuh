@@ -12,12 +12,8 @@
 namespace rgs::cuda {
 
 /// Planes that bound what the view can show. A box of means with centre c, relative to the camera in the world's axes,
-/// and half extents h is beyond a plane if normal . c + offset > extent . h + reach s + rounding (
-/// c
-/// +
-/// h
-/// ), where s is three standard deviations of its largest Gaussian. The last term allows for rounding far from the
-/// camera.
+/// and half extents h is beyond a plane if normal . c + offset > extent . h + reach s + rounding (|c| + |h|), where s is
+/// three standard deviations of its largest Gaussian. The last term allows for rounding far from the camera.
 struct CullPlanes {
   struct Plane {
     math::Vec3<float> normal, extent;
@@ -104,16 +100,6 @@ __device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i
                                      const CullPlanes& planes) {
   const ChunkBox box = load_chunk_box(a.chunks, i / a.chunk_size, view);
   return !__any_sync(0xFFFFFFFFu, is_beyond(planes.plane[math::min(threadIdx.x % 32, 5u)], box));
-}
-
-/// FP32 attributes have no chunks; of pages, only chunks in view are listed.
-__device__ inline bool chunk_in_view(const Fp32Attributes&, std::uint32_t, const math::View<float>&,
-                                     const CullPlanes&) {
-  return true;
-}
-__device__ inline bool chunk_in_view(const PagedAttributes&, std::uint32_t, const math::View<float>&,
-                                     const CullPlanes&) {
-  return true;
 }
 
 }  // namespace rgs::cuda

@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 
 #include "common/cut.hpp"
 #include "common/frame.hpp"
@@ -21,7 +22,7 @@
 
 namespace rgs::cuda {
 
-/// Entries begin .. begin + n - 1 of one tile, written by one block.
+/// Entries begin .. begin + n - 1 of one tile, written by one block; n > 0.
 struct TurboRun {
   std::uint32_t begin, n;
 };
@@ -261,11 +262,11 @@ struct TurboLongListSizes {
   }
 };
 
-/// Projects Gaussians to n splats, n_copies(v.view) of each, writes splats [n] at the indices of the visible ones, entries and
-/// runs, and adds to the state's counters.instances, .visible and .runs. Skips chunks of compact attributes outside the view
-/// before reading attributes. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are
-/// not visible and have no entries. v.grid has tiles of kTurboTile. Of PagedAttributes, projects the rows of `drawn`,
-/// which have the indices of drawn rows and are in view already; n is their capacity. Errors: device_failed.
+/// Projects Gaussians to n splats, n_copies(v.view) of each, writes splats [n] at the indices of the visible ones, entries
+/// and runs, and adds to the state's counters.instances, .visible and .runs. Of pinholes, skips chunks of compact
+/// attributes outside the view before reading attributes. What exceeds a capacity is counted, not written; large Gaussians
+/// that exceed theirs are not visible and have no entries. v.grid has tiles of kTurboTile. Of PagedAttributes, projects the
+/// rows of `drawn`, which are in view already; n is the capacity of their splats. Errors: device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -273,6 +274,7 @@ struct TurboEmitArguments {
   ScreenSplat* splats;
   TurboArrays arrays;
   DrawnChunks drawn = {};
+  std::optional<bool> in_pairs = {};  ///< of pinholes without levels: two Gaussians a thread; if absent, of very many
 };
 Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 

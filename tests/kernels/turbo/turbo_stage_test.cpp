@@ -47,6 +47,7 @@ struct Room {
   std::uint64_t entries = 0, runs = 0, large = 0;
   std::uint64_t in_cells = 0;  // 0: for all
   bool is_sparse = false;      // ordered as if few tiles had lists
+  bool in_pairs = false;       // two Gaussians a thread
 };
 
 template <class T>
@@ -168,7 +169,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   const DeviceArray<cuda::TurboCell> cells(std::size_t{n_tiles} * cuda::kTurboCells);
   arrays.cells = cells.data();
   Seen seen;
-  require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays}, nullptr));
+  require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays, {}, room.in_pairs}, nullptr));
   require_ok(cuda::launch_turbo_lists(arrays, v.grid, seen.state(), nullptr));
   require_ok(cuda::launch_turbo_long_lists(arrays, v.grid, seen.state(), nullptr));
   require_ok(cuda::launch_turbo_units(arrays, nullptr));
@@ -288,28 +289,31 @@ Camera one_tile() {
   return front_camera(cuda::kTurboTile, cuda::kTurboTile);
 }
 
-Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera) {
+Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera, bool in_pairs) {
   auto v = view_parameters(camera, {}, scene.sh_degree);
   v.grid = math::tile_grid<cuda::kTurboTile>(camera.width, camera.height);
   const auto n = static_cast<std::uint32_t>(scene.n);
   CAPTURE(n);
   CAPTURE(camera.width);
   CAPTURE(std::holds_alternative<cuda::CompactAttributes>(attributes));
+  CAPTURE(in_pairs);
   // The renderer's way to size its room: first it counts the large Gaussians, then all entries.
-  Room room;
+  Room room{.in_pairs = in_pairs};
   room.large = run(attributes, n, v, room).state.n_large_gaussians;
   const TurboState counted = run(attributes, n, v, room).state;
   room.entries = counted.counters.instances, room.runs = counted.runs;
-  if (room.entries > 0) (void)run(attributes, n, v, {room.entries - 1, room.runs, room.large});
-  if (room.runs > 0) (void)run(attributes, n, v, {room.entries, room.runs - 1, room.large});
+  const auto run_in = [&](Room other, auto Room::*changed, auto value) {
+    other.*changed = value;
+    (void)run(attributes, n, v, other);
+  };
+  if (room.entries > 0) run_in(room, &Room::entries, room.entries - 1);
+  if (room.runs > 0) run_in(room, &Room::runs, room.runs - 1);
   // Atomic additions order the large Gaussians, and so decide how they share runs.
   room.runs *= 2;
   Lists lists = run(attributes, n, v, room);
   CHECK(lists.state.counters.instances == room.entries);
-  (void)run(attributes, n, v, {.entries = room.entries, .runs = room.runs, .large = room.large, .is_sparse = true});
-  if (lists.state.in_cells > 1) {
-    (void)run(attributes, n, v, {room.entries, room.runs, room.large, lists.state.in_cells - 1});
-  }
+  run_in(room, &Room::is_sparse, true);
+  if (lists.state.in_cells > 1) run_in(room, &Room::in_cells, lists.state.in_cells - 1);
 
   Deviations deviations;
   std::vector<std::vector<TurboEntry>> expected(lists.tiles.size());
@@ -354,6 +358,10 @@ Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Ca
   CHECK_MESSAGE(n_wrong == 0, n_wrong, " of ", expected.size(), " lists differ; that of tile ", wrong, " has ",
                 lists.tiles[wrong].size(), " entries on the device, ", expected[wrong].size(), " on the host");
   return lists;
+}
+Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera) {
+  (void)check(attributes, scene, camera, true);
+  return check(attributes, scene, camera, false);
 }
 
 /// The front end's entries by tile, against the host's. Nothing is ordered, so that images of many tiles stay cheap.
@@ -588,7 +596,7 @@ std::vector<Splat> crowd(int n, bool far) {
 
 TEST_CASE("long lists are moved to scratch memory and ordered in units of ascending depth") {
   if (!device_answers()) return;
-  std::vector<int> sizes{2047, 2048, 2049, 5000, small_sizes() ? 12000 : 200000};
+  std::vector<int> sizes{300, 1023, 1024, 1025, 2047, 2048, 2049, 5000, small_sizes() ? 12000 : 200000};
   if (race_sizes()) sizes = {2048, 5000};
   for (const int n : sizes) {
     for (const bool far : {false, true}) {
