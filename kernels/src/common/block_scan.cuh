@@ -18,24 +18,40 @@ __device__ inline std::uint32_t inclusive_warp_sum(std::uint32_t value) {
   return value;
 }
 
-/// Sum, minimum or maximum over the warp, in every lane.
+/// `value` of all lanes of the warp combined, in every lane.
 template <class T, class Combine>
 __device__ inline T reduce_warp(T value, const Combine& combine) {
 #pragma unroll
   for (int step = 16; step > 0; step /= 2) value = combine(value, __shfl_xor_sync(kFullWarp, value, step));
   return value;
 }
+#if __CUDA_ARCH__ >= 800
+__device__ inline std::uint32_t warp_sum(std::uint32_t value) {
+  return __reduce_add_sync(kFullWarp, value);
+}
+__device__ inline std::uint32_t warp_min(std::uint32_t value) {
+  return __reduce_min_sync(kFullWarp, value);
+}
+__device__ inline std::uint32_t warp_max(std::uint32_t value) {
+  return __reduce_max_sync(kFullWarp, value);
+}
+__device__ inline std::uint32_t warp_or(std::uint32_t value) {
+  return __reduce_or_sync(kFullWarp, value);
+}
+#else
 __device__ inline std::uint32_t warp_sum(std::uint32_t value) {
   return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a + b; });
 }
-
-__device__ inline std::uint32_t warp_max(std::uint32_t value) {
-#if __CUDA_ARCH__ >= 800
-  return __reduce_max_sync(kFullWarp, value);
-#else
-  return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a > b ? a : b; });
-#endif
+__device__ inline std::uint32_t warp_min(std::uint32_t value) {
+  return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a < b ? a : b; });
 }
+__device__ inline std::uint32_t warp_max(std::uint32_t value) {
+  return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a > b ? a : b; });
+}
+__device__ inline std::uint32_t warp_or(std::uint32_t value) {
+  return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a | b; });
+}
+#endif
 
 /// Inclusive sum over the block's threads; `warp_sums` holds one word a warp. Two calls that share `warp_sums` need a
 /// barrier in between.

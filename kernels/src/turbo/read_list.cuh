@@ -17,7 +17,8 @@ struct TurboRuns {
   /// Shared memory of for_each().
   template <int Threads>
   struct Places {
-    std::uint32_t run_begin[Threads], run_end[Threads];  // first entry of each run, inclusive sums of their sizes
+    std::uint32_t run_begin[Threads];  // first entry of each run less its place among the runs' entries
+    std::uint32_t run_end[Threads];    // inclusive sums of their sizes
     // Aligned, or ptxas reads them together with the word before, which other threads write.
     alignas(16) std::uint32_t warp_sums[Threads / 32];
   };
@@ -26,27 +27,36 @@ struct TurboRuns {
   template <int Threads, class F>
   __device__ void for_each(Places<Threads>& s, const F& f) const {
     constexpr int kAhead = 4;
+    const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
     std::uint32_t done = 0;
     for (std::uint32_t begin = 0; begin < n_runs; begin += Threads) {
       const TurboRun run = begin + threadIdx.x < n_runs ? runs[begin + threadIdx.x] : TurboRun{0, 0};
-      s.run_end[threadIdx.x] = inclusive_block_sum<Threads>(run.n, s.warp_sums);
-      s.run_begin[threadIdx.x] = run.begin;
+      const std::uint32_t run_end = inclusive_block_sum<Threads>(run.n, s.warp_sums);
+      s.run_end[threadIdx.x] = run_end;
+      s.run_begin[threadIdx.x] = run.begin - (run_end - run.n);
       __syncthreads();
       const std::uint32_t n = s.run_end[Threads - 1];
-      for (std::uint32_t first = threadIdx.x; first < n; first += kAhead * Threads) {
+      // A warp reads neighbouring groups of 32.
+      const std::uint32_t each = 32 * ((n + Threads - 1) / Threads), from = threadIdx.x / 32 * each;
+      const std::uint32_t to = math::min(from + each, n);
+      std::uint32_t owner = from < to ? owner_of<Threads>(s.run_end, from) : 0;  // run of the group's first entry
+      for (std::uint32_t first = from; first < to; first += 32 * kAhead) {
         TurboEntry loaded[kAhead];
 #pragma unroll
-        for (int j = 0; j < kAhead; ++j) {
-          const std::uint32_t k = first + static_cast<std::uint32_t>(j * Threads);
-          if (k >= n) break;
-          const std::uint32_t owner = owner_of<Threads>(s.run_end, k);
-          const std::uint32_t before = owner == 0 ? 0 : s.run_end[owner - 1];
-          loaded[j] = entries[s.run_begin[owner] + (k - before)];
+        for (std::uint32_t j = 0; j < kAhead; ++j) {
+          const std::uint32_t group = first + 32 * j, k = group + lane;
+          if (group >= to) break;
+          // Bit b: a run ends with the group's entry b.
+          const std::uint32_t last = s.run_end[math::min(owner + lane, std::uint32_t{Threads - 1})] - 1 - group;
+          const std::uint32_t ends = warp_or(last < 32 ? 1u << last : 0);
+          const std::uint32_t own = owner + static_cast<std::uint32_t>(__popc(static_cast<int>(ends & below)));
+          if (k < to) loaded[j] = entries[s.run_begin[own] + k];
+          owner += static_cast<std::uint32_t>(__popc(static_cast<int>(ends)));
         }
 #pragma unroll
-        for (int j = 0; j < kAhead; ++j) {
-          const std::uint32_t k = first + static_cast<std::uint32_t>(j * Threads);
-          if (k < n) f(loaded[j], done + k);
+        for (std::uint32_t j = 0; j < kAhead; ++j) {
+          const std::uint32_t k = first + 32 * j + lane;
+          if (k < to) f(loaded[j], done + k);
         }
       }
       done += n;

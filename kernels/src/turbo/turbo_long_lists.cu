@@ -231,7 +231,9 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   make_units(s, a, own);
 }
 
-__global__ void __launch_bounds__(kThreads) turbo_count_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
+// ptxas would take 48 registers: five blocks.
+__global__ void __launch_bounds__(kThreads, resident_blocks(6, kThreads))
+    turbo_count_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Counting s;
   for (std::uint32_t slice = blockIdx.x; slice < a.state->n_slices; slice += gridDim.x) {
     count_slice(s, a, grid, slice, seen);
@@ -268,12 +270,13 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
 }  // namespace
 
 Status launch_turbo_long_lists(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
-  // More blocks of the other kernel would fit, but both walk the same slices.
-  const auto blocks = resident_grid<turbo_count_kernel>(kThreads);
-  if (!blocks) return tl::unexpected(blocks.error());
-  turbo_count_kernel<<<*blocks, kThreads, 0, stream>>>(a, grid, seen);
+  const auto counting = resident_grid<turbo_count_kernel>(kThreads);
+  if (!counting) return tl::unexpected(counting.error());
+  const auto moving = resident_grid<turbo_scatter_kernel>(kThreads);
+  if (!moving) return tl::unexpected(moving.error());
+  turbo_count_kernel<<<*counting, kThreads, 0, stream>>>(a, grid, seen);
   if (const auto ok = launched("the kernel that counts the long lists could not be launched"); !ok) return ok;
-  turbo_scatter_kernel<<<*blocks, kThreads, 0, stream>>>(a);
+  turbo_scatter_kernel<<<*moving, kThreads, 0, stream>>>(a);
   return launched("the kernel that moves the long lists could not be launched");
 }
 

@@ -55,8 +55,7 @@ struct DepthRange {
 
   __device__ void add(std::uint32_t depth) { low = math::min(low, depth), high = math::max(high, depth); }
   __device__ void combine(Shared& s) {
-    low = reduce_warp(low, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
-    high = reduce_warp(high, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
+    low = warp_min(low), high = warp_max(high);
     if (threadIdx.x % 32 == 0) s.lows[threadIdx.x / 32] = low, s.highs[threadIdx.x / 32] = high;
     __syncthreads();
 #pragma unroll
@@ -154,6 +153,7 @@ __device__ inline void order_entries(Shared& s, DepthRange range, int dropped) {
     std::uint32_t place = begin;
     if (end - begin > 1) {
       const TurboEntry own = s.entries[k];
+#pragma unroll 1  // few
       for (std::uint32_t other = begin; other < end; ++other) place += s.entries[s.placed[other]] < own ? 1 : 0;
     }
     s.order[place] = static_cast<std::uint16_t>(k);
@@ -329,12 +329,14 @@ __device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint
     std::uint32_t k[kAhead], seen[kAhead];
 #pragma unroll
     for (std::uint32_t j = 0; j < kAhead; ++j) {
-      k[j] = begin + j < n_groups ? 32 * group + lane : n;
+      if (begin + j >= n_groups) break;
+      k[j] = 32 * group + lane;
       seen[j] = k[j] < n ? told(k[j]) : 1;
       group = group + 1 < n_groups ? group + 1 : 0;
     }
 #pragma unroll
     for (std::uint32_t j = 0; j < kAhead; ++j) {
+      if (begin + j >= n_groups) break;
       while (seen[j] == 0) seen[j] = told(k[j]);
       before += seen[j] - 1;
     }
