@@ -231,8 +231,8 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   make_units(s, a, own);
 }
 
-// ptxas would take 48 registers: five blocks.
-__global__ void __launch_bounds__(kThreads, resident_blocks(6, kThreads))
+// ptxas would take 48 registers, for five blocks.
+__global__ void __launch_bounds__(kThreads, resident_on_90(6))
     turbo_count_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Counting s;
   for (std::uint32_t slice = blockIdx.x; slice < a.state->n_slices; slice += gridDim.x) {

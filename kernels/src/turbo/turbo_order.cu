@@ -3,14 +3,16 @@
 //
 // In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
 // Cost    an entry: 8 B read, two atomic additions in shared memory and some comparisons; 4 B written for each touched cell
-// Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds at a
-//         time. After ordering a warp deals out 32 entries at a time
-// Shared  Shared: entries, their places twice, bins, places of runs; 37 KiB, and 1 KiB of bins for the units
+// Launch  a block a tile, longest lists first: 256 threads for lists from 1,024 entries on, then 128 for the others; 256
+//         for the units of long lists, as many blocks as the device holds at a time. After ordering a warp deals out 32
+//         entries at a time
+// Shared  Shared: entries, their places twice, bins, places of runs; 37 KiB, of 128 threads 19; 1 KiB of bins for units
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
 // Units of a list (turbo_long_lists.cu) are ordered side by side. A unit learns the offsets of its Gaussians in the
 // cells from earlier units: they publish their counts before they order, and they have started, because blocks take
 // units in turn.
+#include <bit>
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
@@ -23,20 +25,23 @@
 namespace rgs::cuda {
 namespace {
 
-constexpr int kThreads = 256;
-constexpr int kWarps = kThreads / 32;
-constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
-constexpr std::uint32_t kPerThread = kTurboRound / kThreads;
-static_assert(kPerThread == 8 && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
+constexpr std::uint32_t kPerThread = 8;
 
+// Of blocks of kThreads.
+template <int kThreads>
 struct Shared {
-  TurboEntry entries[kTurboRound];
-  std::uint16_t order[kTurboRound];  // positions of the entries, ordered
-  // To order them: a histogram of their depths, each bin's first place below and number above; a finer one, whose bins
+  static constexpr int kWarps = kThreads / 32;
+  static constexpr std::uint32_t kRound = kPerThread * kThreads;  // capacity
+  static constexpr int kBinBits =
+      std::bit_width(unsigned{kThreads}) - 1;  // of the histogram that cuts a range, a bin a thread
+
+  TurboEntry entries[kRound];
+  std::uint16_t order[kRound];  // positions of the entries, ordered
+  // To order them: a histogram of depth, then index, each bin's first place below and number above; a finer one, whose bins
   // become their first places; the positions by fine bin.
   std::uint32_t bins[kThreads];
-  alignas(16) std::uint32_t fine[kTurboRound + 1];
-  std::uint16_t placed[kTurboRound];
+  alignas(16) std::uint32_t fine[kRound + 1];
+  std::uint16_t placed[kRound];
   TurboRuns::Places<kThreads> places;
   std::uint32_t warp_sums[kWarps];
   std::uint32_t lows[kWarps], highs[kWarps];
@@ -44,28 +49,34 @@ struct Shared {
   std::uint32_t cell_n[kTurboCells];      // of these entries, or of the unit
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
   // For each group of 32 ordered entries, how many touch a cell; then the sums before it.
-  std::uint32_t groups[kTurboCells][kTurboRound / 32];
+  std::uint32_t groups[kTurboCells][kRound / 32];
   std::uint32_t unit;
   bool fits;
 };
+constexpr int kThreads = 256;  // of a unit, or of a list that needs them
+constexpr int kShortThreads = 128;
+using Unit = Shared<kThreads>;
+static_assert(Unit::kRound == kTurboRound && kTurboCells <= Unit::kWarps);
 
 // Smallest and largest depth that the block's threads have seen.
 struct DepthRange {
   std::uint32_t low = ~0u, high = 0;
 
   __device__ void add(std::uint32_t depth) { low = math::min(low, depth), high = math::max(high, depth); }
-  __device__ void combine(Shared& s) {
+  template <int kThreads>
+  __device__ void combine(Shared<kThreads>& s) {
     low = warp_min(low), high = warp_max(high);
     if (threadIdx.x % 32 == 0) s.lows[threadIdx.x / 32] = low, s.highs[threadIdx.x / 32] = high;
     __syncthreads();
 #pragma unroll
-    for (int w = 0; w < kWarps; ++w) low = math::min(low, s.lows[w]), high = math::max(high, s.highs[w]);
+    for (int w = 0; w < kThreads / 32; ++w) low = math::min(low, s.lows[w]), high = math::max(high, s.highs[w]);
   }
 };
 
 // Orders the s.n entries by a bitonic network (Batcher 1968) in shared memory. Rarely called: must not cost the other
 // code registers.
-__device__ __noinline__ void sort_whole(Shared& s) {
+template <int kThreads>
+__device__ __noinline__ void sort_whole(Shared<kThreads>& s) {
   const std::uint32_t total = 1u << (32 - __clz(static_cast<int>(s.n - 1)));
   for (std::uint32_t k = s.n + threadIdx.x; k < total; k += kThreads) s.entries[k] = ~TurboEntry{0};
   for (std::uint32_t k = threadIdx.x; k < total; k += kThreads) s.order[k] = static_cast<std::uint16_t>(k);
@@ -82,32 +93,30 @@ __device__ __noinline__ void sort_whole(Shared& s) {
   __syncthreads();
 }
 
-// Writes the position of each of the s.n entries in their order to s.order. A histogram of the range of depths, taken
-// as linear within each of its bins, estimates each entry's place: about as many fine bins as entries. Those that
-// share a fine bin are compared; if they are too many, all entries are sorted. `range` holds the depths that the thread
-// has seen.
-__device__ inline void order_entries(Shared& s, DepthRange range, int dropped) {
-  constexpr std::uint32_t kMostCompared = 256;
-  constexpr int kKeyBits = kBinBits + 16;
+// Writes the position of each of the s.n entries in their order to s.order. A histogram of depths, then indices, taken as
+// linear within each of its bins, estimates each entry's place: about as many fine bins as entries. Those that share a
+// fine bin are compared; if they are too many, all entries are sorted. `range` holds the depths that the thread has seen.
+template <int kThreads>
+__device__ inline void order_entries(Shared<kThreads>& s, DepthRange range, int dropped) {
+  constexpr std::uint32_t kMostCompared = 256;  // by one thread, one after the other
+  constexpr int kKeyBits = Shared<kThreads>::kBinBits + 16;
   const std::uint32_t n = s.n;
   s.bins[threadIdx.x] = 0;
   static_assert(kPerThread == 8);
   auto* const own_fine = reinterpret_cast<uint4*>(s.fine) + 2 * threadIdx.x;
   own_fine[0] = own_fine[1] = {};
   range.combine(s);
-  const int index_bits = kTurboIndexBits + dropped;
-  const std::uint64_t low = std::uint64_t{range.low} << index_bits;
-  const int bits = 32 - __clz(static_cast<int>(range.high - range.low + 1)) + index_bits;
+  const int depth_at = kTurboIndexBits + dropped + kTurboCellBits;
+  const TurboEntry low = TurboEntry{range.low} << depth_at;
   static_assert(kTurboIndexBits >= kKeyBits);
-  const int shift = bits - kKeyBits + kTurboCellBits;
-  const std::uint64_t low_entry = low << kTurboCellBits;
+  const int shift = depth_at + 32 - __clz(static_cast<int>(range.high - range.low)) - kKeyBits;
   // Of the thread's entries: the key, of its bin and its place in the bin; then the fine bin and the place in that.
   std::uint32_t key[kPerThread];
 #pragma unroll
   for (std::uint32_t j = 0; j < kPerThread; ++j) {
     const std::uint32_t k = j * kThreads + threadIdx.x;
     if (k >= n) break;
-    key[j] = static_cast<std::uint32_t>((s.entries[k] - low_entry) >> shift);
+    key[j] = static_cast<std::uint32_t>((s.entries[k] - low) >> shift);
     atomicAdd(s.bins + (key[j] >> 16), 1u);
   }
   __syncthreads();
@@ -136,7 +145,7 @@ __device__ inline void order_entries(Shared& s, DepthRange range, int dropped) {
 #pragma unroll
   for (std::uint32_t& c : count) c += before;
   own_fine[0] = {count[0], count[1], count[2], count[3]}, own_fine[1] = {count[4], count[5], count[6], count[7]};
-  if (threadIdx.x == kThreads - 1) s.fine[kTurboRound] = n;
+  if (threadIdx.x == kThreads - 1) s.fine[s.kRound] = n;
   if (__syncthreads_or(most > kMostCompared)) return sort_whole(s);
 #pragma unroll
   for (std::uint32_t j = 0; j < kPerThread; ++j) {
@@ -162,16 +171,18 @@ __device__ inline void order_entries(Shared& s, DepthRange range, int dropped) {
 }
 
 // The lane's entry of a group of 32 ordered entries from position `begin` on; 0 past the last.
-__device__ inline TurboEntry ordered_entry(const Shared& s, std::uint32_t begin) {
+template <int kThreads>
+__device__ inline TurboEntry ordered_entry(const Shared<kThreads>& s, std::uint32_t begin) {
   const std::uint32_t k = begin + threadIdx.x % 32;
   return k < s.n ? s.entries[s.order[k]] : 0;
 }
 
 // Counts how many of each group touch each cell: a warp counts a group, then sums a cell. s.cell_n becomes the sums
 // over the round.
-__device__ inline void count_groups(Shared& s) {
+template <int kThreads>
+__device__ inline void count_groups(Shared<kThreads>& s) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  for (std::uint32_t group = warp; 32 * group < s.n; group += kWarps) {
+  for (std::uint32_t group = warp; 32 * group < s.n; group += s.kWarps) {
     const TurboEntry entry = ordered_entry(s, 32 * group);
     std::uint32_t own = 0;
 #pragma unroll
@@ -183,7 +194,7 @@ __device__ inline void count_groups(Shared& s) {
   }
   __syncthreads();
   const std::uint32_t n_groups = (s.n + 31) / 32;
-  for (std::uint32_t c = warp; c < kTurboCells; c += kWarps) {
+  for (std::uint32_t c = warp; c < kTurboCells; c += s.kWarps) {
     std::uint32_t sum = 0;
     for (std::uint32_t begin = 0; begin < n_groups; begin += 32) {
       const std::uint32_t n = begin + lane < n_groups ? s.groups[c][begin + lane] : 0;
@@ -197,9 +208,10 @@ __device__ inline void count_groups(Shared& s) {
 }
 
 // Writes the round's ordered entries to the cells from s.cell_begin on.
-__device__ inline void deal_out(const Shared& s, const TurboArrays& a, int dropped) {
+template <int kThreads>
+__device__ inline void deal_out(const Shared<kThreads>& s, const TurboArrays& a, int dropped) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
-  for (std::uint32_t group = threadIdx.x / 32; 32 * group < s.n; group += kWarps) {
+  for (std::uint32_t group = threadIdx.x / 32; 32 * group < s.n; group += s.kWarps) {
     const TurboEntry entry = ordered_entry(s, 32 * group);
     const std::uint32_t index = index_of(entry, dropped), own = lane % kTurboCells;
     const std::uint32_t begin = s.cell_begin[own] + s.groups[own][group];  // of cell `own`
@@ -215,8 +227,9 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a, int dropp
 }
 
 // Orders a non-empty list that fits shared memory.
-__device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
-                                      const TurboRankedList& list) {
+template <int kThreads>
+__device__ inline void deal_out_short(Shared<kThreads>& s, const TurboArrays& a, math::TileGrid grid,
+                                      std::uint32_t rank, const TurboRankedList& list) {
   const int dropped = a.state->dropped;
   if (threadIdx.x == 0) s.n = list.n_entries;
   const TurboRuns runs{a.tile_runs + list.begin, a.entries, list.n_runs};
@@ -245,7 +258,7 @@ struct Part {
 
 // Cuts a part into equal shares by a sample; all blocks compute the same. Entries are unique, so equal depths are cut
 // too.
-__device__ inline Part share_of(Shared& s, Part part, int dropped, std::uint32_t share, std::uint32_t n_shares) {
+__device__ inline Part share_of(Unit& s, Part part, int dropped, std::uint32_t share, std::uint32_t n_shares) {
   DepthRange range;
   for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kThreads) {
     s.entries[k] = part.entries[std::uint64_t{k} * part.n / kTurboRound];
@@ -263,7 +276,7 @@ __device__ inline Part share_of(Shared& s, Part part, int dropped, std::uint32_t
 
 // Loads the unit's entries into s.entries as far as they fit, their number into s.n, and counts by cell into s.cell_n;
 // returns the range of their depths.
-__device__ inline DepthRange load(Shared& s, const Part& part, int dropped) {
+__device__ inline DepthRange load(Unit& s, const Part& part, int dropped) {
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
   if (threadIdx.x == 0) s.n = part.n <= kTurboRound ? part.n : 0;
   __syncthreads();
@@ -285,11 +298,11 @@ __device__ inline DepthRange load(Shared& s, const Part& part, int dropped) {
 // End of the round that starts at part.from, if the part has more than kTurboRound entries: at most kTurboRound, and at
 // least one, lie in part.from <= entry < end. Searches kBins bins of equal width, then the one that holds too many, and
 // so on; entries are unique, so bins of width 1 hold one each.
-__device__ inline TurboEntry round_end(Shared& s, const Part& part) {
-  constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
+__device__ inline TurboEntry round_end(Unit& s, const Part& part) {
+  constexpr TurboEntry kBins = kThreads;
   __shared__ std::uint32_t bins[kBins];
   TurboEntry begin = part.from;
-  int shift = math::max(0, 64 - __clzll(static_cast<long long>(part.to - begin)) - kBinBits);
+  int shift = math::max(0, 64 - __clzll(static_cast<long long>(part.to - begin)) - Unit::kBinBits);
   for (;;) {
     bins[threadIdx.x] = 0;
     __syncthreads();
@@ -304,20 +317,20 @@ __device__ inline TurboEntry round_end(Shared& s, const Part& part) {
     const bool any = __syncthreads_or(end > 0 && end <= kTurboRound) != 0;
     begin += fitting << shift;
     if (any) return begin;
-    shift = shift > kBinBits ? shift - kBinBits : 0;
+    shift = shift > Unit::kBinBits ? shift - Unit::kBinBits : 0;
   }
 }
 
 // Publishes how many of the unit's entries touch each cell, and sums the counts of the units before it: s.cell_begin.
 // Count plus 1 is a single word, 0 until written, so it needs no other synchronisation.
-__device__ inline void tell(const Shared& s, const TurboArrays& a, std::uint32_t unit) {
+__device__ inline void tell(const Unit& s, const TurboArrays& a, std::uint32_t unit) {
   if (threadIdx.x < kTurboCells) {
     static_cast<volatile std::uint32_t*>(a.unit_cells)[kTurboCells * unit + threadIdx.x] = s.cell_n[threadIdx.x] + 1;
   }
 }
-__device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint32_t unit, const TurboLongList& list) {
+__device__ inline void place_in_cells(Unit& s, const TurboArrays& a, std::uint32_t unit, const TurboLongList& list) {
   const std::uint32_t cell = threadIdx.x / 32, lane = threadIdx.x % 32;
-  if (kTurboCells < kWarps && cell >= kTurboCells) return;
+  if (kTurboCells < Unit::kWarps && cell >= kTurboCells) return;
   const auto told = [&](std::uint32_t k) {
     return *static_cast<const volatile std::uint32_t*>(a.unit_cells + kTurboCells * (list.first_unit + k) + cell);
   };
@@ -346,7 +359,7 @@ __device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint
 }
 
 // Orders a unit: at once, or, if a share is larger than the sample said, as much as fits at a time.
-__device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint32_t unit) {
+__device__ inline void deal_out_unit(Unit& s, const TurboArrays& a, std::uint32_t unit) {
   const TurboUnit own = a.units[unit];
   Part part{a.scratch + own.begin, own.end - own.begin};
   const TurboLongList& list = a.long_lists[own.long_list];
@@ -377,7 +390,7 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   }
 }
 
-__device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
+__device__ inline void deal_out_units(Unit& s, const TurboArrays& a) {
   for (const std::uint32_t n = a.state->n_units;;) {
     if (threadIdx.x == 0) s.unit = n > 0 ? atomicAdd(&a.state->n_taken, 1u) : 0;
     __syncthreads();
@@ -387,27 +400,32 @@ __device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
   }
 }
 
-__global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads)) turbo_unit_kernel(TurboArrays a) {
-  __shared__ Shared s;
+__global__ void __launch_bounds__(kThreads, resident_on_90(5)) turbo_unit_kernel(TurboArrays a) {
+  __shared__ Unit s;
   deal_out_units(s, a);
 }
 
-__device__ inline void order_tile(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
+// Lists shorter than a round are ordered by short blocks if these have room for them.
+template <int kThreads>
+__device__ inline void order_tile(Shared<kThreads>& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                   TurboState* seen) {
+  constexpr std::uint32_t kRound = Shared<kThreads>::kRound, kLeast = kThreads == kShortThreads ? 1 : kRound / 2;
   const TurboRankedList list = a.ranked[rank];
-  if (list.n_entries == 0 || list.n_entries >= kTurboRound) return;  // empty, or a long list
+  if (list.n_entries < kLeast || list.n_entries >= kRound) return;
   deal_out_short(s, a, grid, rank, list);
   if (threadIdx.x == 0) end_tile(a, seen);
 }
 
-__global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
+template <int kThreads>
+__global__ void __launch_bounds__(kThreads, resident_on_90(1280 / kThreads))
     turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
-  __shared__ Shared s;
+  __shared__ Shared<kThreads> s;
   order_tile(s, a, grid, blockIdx.x, seen);
 }
-__global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
+template <int kThreads>
+__global__ void __launch_bounds__(kThreads, resident_on_90(1280 / kThreads))
     turbo_order_sparse_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
-  __shared__ Shared s;
+  __shared__ Shared<kThreads> s;
   const std::uint32_t end = listed_tiles(a);
   for (std::uint32_t rank = blockIdx.x; rank < end; rank += gridDim.x) {
     order_tile(s, a, grid, rank, seen);
@@ -415,15 +433,22 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
   }
 }
 
+template <int kThreads>
+Status launch_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, bool is_sparse, Stream stream) {
+  if (is_sparse) {
+    turbo_order_sparse_kernel<kThreads><<<sparse_tiles(a.n_tiles), kThreads, 0, stream>>>(a, grid, seen);
+  } else {
+    turbo_order_kernel<kThreads><<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
+  }
+  return launched("the kernel that orders the lists could not be launched");
+}
+
 }  // namespace
 
 Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, bool is_sparse, Stream stream) {
-  if (is_sparse) {
-    turbo_order_sparse_kernel<<<sparse_tiles(a.n_tiles), kThreads, 0, stream>>>(a, grid, seen);
-  } else {
-    turbo_order_kernel<<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
-  }
-  return launched("the kernel that orders the lists could not be launched");
+  static_assert(2 * kShortThreads == kThreads);
+  const Status ok = launch_order<kThreads>(a, grid, seen, is_sparse, stream);
+  return ok ? launch_order<kShortThreads>(a, grid, seen, is_sparse, stream) : ok;
 }
 
 Status launch_turbo_units(const TurboArrays& a, Stream stream) {
