@@ -166,9 +166,9 @@ class Renderer {
   /// Fills `target` and returns what it cost. Of a streamed scene draws the resident pages: the frame waits for no
   /// input, and FrameStats::stream says what is missing. Errors: bad_camera (see validate()), bad_argument (an option,
   /// the size of a target span, or contributions on CUDA or of a streamed scene), limit_exceeded (2^32 (tile, Gaussian)
-  /// pairs or more, on CUDA 2^31), device_out_of_memory, device_failed; before the scene is prepared, also those of
-  /// prepare(); unavailable (of a streamed scene: on CUDA if the pool lacks StreamPoolOptions::device_memory, on the CPU if
-  /// it has it).
+  /// pairs or more, on CUDA 2^31, or 2^30 Gaussians in a panorama), device_out_of_memory, device_failed; before the
+  /// scene is prepared, also those of prepare(); unavailable (of a streamed scene: on CUDA if the pool lacks
+  /// StreamPoolOptions::device_memory, on the CPU if it has it).
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
 

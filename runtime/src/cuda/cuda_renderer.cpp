@@ -316,7 +316,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
       frame.cut = cut_eye(detail::eye_of(camera, scene.origin(), scene.declarations()->z_near), *detail_px,
                           options.max_gaussians.value_or(cuda::kNoLimit));
     }
-    if (!frame.cut) ok = detail::check_splats(frame.n() * frame.n_copies());
+    if (!frame.cut) ok = detail::check_splats(frame.n_splats());
     if (!ok) return tl::unexpected(ok.error());
     if (frame.view.key.quantized) {
       frame.depth_resolution =

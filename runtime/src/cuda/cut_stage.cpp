@@ -25,11 +25,13 @@ std::uint64_t CutStage::bytes() const {
   return sum;
 }
 
-Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats, std::uint64_t copies,
-                         const Reserve& reserve) {
+Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats,
+                         std::uint64_t chunk_splats, const Reserve& reserve) {
+  if (const auto ok = check_splats(n_chunks * chunk_splats); !ok) return ok;
   const ScenePages& pages = *scene.pages;
-  const std::uint64_t splat_bytes = copies * pages.chunk_size * sizeof(cuda::ScreenSplat);  // of a chunk
-  const std::uint64_t word = sizeof(std::uint32_t), limit = pages.n_chunks;
+  const std::uint64_t splat_bytes = chunk_splats * sizeof(cuda::ScreenSplat);  // of a chunk
+  const std::uint64_t word = sizeof(std::uint32_t);
+  const std::uint64_t limit = std::min(pages.n_chunks, kMaxSplats / chunk_splats);
   const std::uint32_t n_blocks = pages.chosen ? 0 : cuda::cut_blocks(pages.n_pages);
   Status ok = reserve(counts_, (std::uint64_t{2} + n_blocks) * sizeof(cuda::CutCounts));
   if (ok && !pages.chosen) ok = reserve(limit_, sizeof(cuda::CutLimit));

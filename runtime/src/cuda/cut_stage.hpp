@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <limits>
 
 #include "common/cut.hpp"
 #include "cuda/cuda_objects.hpp"
@@ -12,6 +13,15 @@
 
 namespace rgs::detail {
 
+/// The kernels index splats, and CUB counts them, with 31 bits.
+inline constexpr std::uint64_t kMaxSplats = std::numeric_limits<std::int32_t>::max();
+/// Errors: limit_exceeded.
+inline Status check_splats(std::uint64_t n) {
+  if (n <= kMaxSplats) return {};
+  return make_error(Errc::limit_exceeded, Error::kNone,
+                    "more Gaussians than a frame can draw, counted twice in a panorama", kMaxSplats, n);
+}
+
 /// Owns its part of the workspace. The host learns how much a frame draws only with the frame's counts, so the stage
 /// has room for what earlier frames drew, and half as much again once that was not enough.
 class CutStage {
@@ -19,9 +29,9 @@ class CutStage {
   /// FrameState::reserve() for the frame.
   using Reserve = std::function<Status(DeviceBuffer&, std::uint64_t bytes)>;
 
-  /// Makes room for at least `n_chunks`, or for a first guess if that is 0 and there is none; `splats` gets
-  /// room for as many, and so many copies of each Gaussian. Call before every launch. Errors: those of `reserve`.
-  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats, std::uint64_t copies,
+  /// Makes room for at least `n_chunks`, or for a first guess if that is 0 and there is none; `splats` gets room for as
+  /// many, each with `chunk_splats`. Call before every launch. Errors: those of check_splats() and `reserve`.
+  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, DeviceBuffer& splats, std::uint64_t chunk_splats,
                  const Reserve& reserve);
   struct Choice {
     cuda::CutEye eye;

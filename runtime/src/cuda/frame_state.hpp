@@ -79,7 +79,10 @@ struct Frame {
   bool is_graph = false;  ///< its launches are collected in a graph
 
   std::uint64_t n() const { return scene ? scene->n : 0; }
-  std::uint64_t n_copies() const { return math::n_copies(view.view); }
+  std::uint64_t n_splats() const { return n() * math::n_copies(view.view); }
+  std::uint64_t n_splats(std::uint64_t n_chunks) const {  ///< of chunks of the cut
+    return n_chunks * scene->pages->chunk_size * math::n_copies(view.view);
+  }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
   std::uint32_t n_tiles() const { return static_cast<std::uint32_t>(view.grid.columns * view.grid.rows); }
   math::Vec3<float> background() const {
@@ -87,14 +90,6 @@ struct Frame {
   }
   Readback::Seen& seen() const { return *readback->seen.get(); }
 };
-
-/// Errors: limit_exceeded.
-inline Status check_splats(std::uint64_t n) {
-  constexpr std::uint64_t kMost = std::numeric_limits<std::int32_t>::max();
-  if (n <= kMost) return {};
-  return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than a frame can draw, panoramas twice each",
-                    kMost, n);
-}
 
 /// What a settled frame drew.
 struct Settled {
@@ -170,8 +165,7 @@ struct FrameState {
   /// Errors: those of the other reserve().
   Status reserve_cut(const Frame& f, std::uint64_t n_chunks = 0) {
     if (!f.cut) return {};
-    if (const auto ok = check_splats(n_chunks * f.scene->pages->chunk_size * f.n_copies()); !ok) return ok;
-    return cut.reserve(*f.scene, n_chunks, splats, f.n_copies(),
+    return cut.reserve(*f.scene, n_chunks, splats, f.n_splats(1),
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f); });
   }
   Status launch_cut(const Frame& f) const {
@@ -179,9 +173,7 @@ struct FrameState {
   }
   cuda::DrawnChunks drawn(const Frame& f) const { return f.cut ? cut.drawn() : cuda::DrawnChunks{}; }
   /// Splats that the front end must have room for.
-  std::uint64_t n_splats(const Frame& f) const {
-    return (f.cut ? cut.capacity() * f.scene->pages->chunk_size : f.n()) * f.n_copies();
-  }
+  std::uint64_t n_splats(const Frame& f) const { return f.cut ? f.n_splats(cut.capacity()) : f.n_splats(); }
 
   FrameOrder& order;
   std::shared_ptr<const DeviceMemory> memory;

@@ -31,7 +31,7 @@ std::uint64_t SortedPipeline::bytes() const {
 
 // How many splats are drawn and, with a cut, of which Gaussians.
 Status SortedPipeline::choose(const Frame& f) {
-  n_ = f.n() * f.n_copies();
+  n_ = f.n_splats();
   if (!f.cut) return {};
   Status ok = state_.reserve_cut(f);
   for (;;) {
@@ -39,7 +39,7 @@ Status SortedPipeline::choose(const Frame& f) {
     if (ok) ok = state_.wait(f.stream);
     if (!ok) return ok;
     const std::uint64_t n_chunks = f.seen().cut.chunks;
-    n_ = n_chunks * f.scene->pages->chunk_size * f.n_copies();
+    n_ = f.n_splats(n_chunks);
     if (n_chunks <= state_.cut.capacity()) return {};
     ok = state_.reserve_cut(f, n_chunks);
   }
