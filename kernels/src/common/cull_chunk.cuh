@@ -12,8 +12,8 @@
 namespace rgs::cuda {
 
 /// Planes that bound what the view can show. A box of means with centre c, relative to the camera in the world's axes,
-/// and half extents h is beyond a plane if normal . c + offset > extent . h + reach s + rounding (|c| + |h|), where s is
-/// three standard deviations of its largest Gaussian. The last term allows for rounding far from the camera.
+/// and half extents h is beyond a plane if normal . c + offset > extent . h + reach s + rounding (|c| + |h|), where s
+/// is three standard deviations of its largest Gaussian. The last term allows for rounding far from the camera.
 struct CullPlanes {
   struct Plane {
     math::Vec3<float> normal, extent;

@@ -20,11 +20,11 @@ struct PairArrays {
   bool narrow_keys;
 };
 
-/// One fused kernel (the paper, III-A3): projects Gaussians to n splats, n_copies(v.view) of each, writes splats [n] and
-/// pairs of the visible ones, and adds to counters.instances and .visible. Pairs beyond the capacity are counted, not
-/// written. If `block_state` is null, blocks get offsets by an atomic addition, in the order in which they run; if it is
-/// [fused_blocks(n) + 1], zeroed before, pairs lie in the order of the splats on every run (chained scan, Merrill and
-/// Garland 2016). Of PagedAttributes, projects the rows of `drawn`. Errors: device_failed.
+/// One fused kernel (the paper, III-A3): projects Gaussians to n splats, n_copies(v.view) of each, writes splats [n]
+/// and pairs of the visible ones, and adds to counters.instances and .visible. Pairs beyond the capacity are counted,
+/// not written. If `block_state` is null, blocks get offsets by an atomic addition, in the order in which they run; if
+/// it is [fused_blocks(n) + 1], zeroed before, pairs lie in the order of the splats on every run (chained scan, Merrill
+/// and Garland 2016). Of PagedAttributes, projects the rows of `drawn`. Errors: device_failed.
 struct FusedArguments {
   Attributes attributes;
   std::uint32_t n;

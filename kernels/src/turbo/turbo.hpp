@@ -262,11 +262,12 @@ struct TurboLongListSizes {
   }
 };
 
-/// Projects Gaussians to n splats, n_copies(v.view) of each, writes splats [n] at the indices of the visible ones, entries
-/// and runs, and adds to the state's counters.instances, .visible and .runs. Of pinholes, skips chunks of compact
-/// attributes outside the view before reading attributes. What exceeds a capacity is counted, not written; large Gaussians
-/// that exceed theirs are not visible and have no entries. v.grid has tiles of kTurboTile. Of PagedAttributes, projects the
-/// rows of `drawn`, which are in view already; n is the capacity of their splats. Errors: device_failed.
+/// Projects Gaussians to n splats, n_copies(v.view) of each, writes splats [n] at the indices of the visible ones,
+/// entries and runs, and adds to the state's counters.instances, .visible and .runs. Of pinholes, skips chunks of
+/// compact attributes outside the view before reading attributes. What exceeds a capacity is counted, not written;
+/// large Gaussians that exceed theirs are not visible and have no entries. v.grid has tiles of kTurboTile. Of
+/// PagedAttributes, projects the rows of `drawn`, which are in view already; n is the capacity of their splats. Errors:
+/// device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -274,7 +275,7 @@ struct TurboEmitArguments {
   ScreenSplat* splats;
   TurboArrays arrays;
   DrawnChunks drawn = {};
-  std::optional<bool> in_pairs = {};  ///< of pinholes without levels: two Gaussians a thread; if absent, of very many
+  std::optional<bool> in_pairs = {};  ///< of pinholes without levels: two Gaussians a thread; if absent, of millions
 };
 Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 

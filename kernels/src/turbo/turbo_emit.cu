@@ -5,16 +5,16 @@
 // In/Out  attributes -> splats [n], entries, runs, large
 // Cost    as front_end.cu, with 8 B written an entry, and 16 B and an atomic addition a run
 // Launch  256 threads, ceil(n / 256) blocks, of very many Gaussians half as many; with levels n is a capacity. Blocks
-//         beyond the drawn rows end at once; of pinholes, where chunks are multiples of 256 Gaussians, those outside the
+//         beyond the drawn rows end at once; of pinholes, where chunks are multiples of 256 Gaussians, those out of the
 //         view too
 // Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
-//         candidates between counting and placing; 33 or 45 KiB
+//         candidates between counting and placing; 33 or 44 KiB
 // Order   entries and runs: any. Lists are ordered later, by depth and index, so the image is the same on every run.
 //         Compiled without contraction to FMA, see project.cu.
 //
-// Neighbours in a file are neighbours in space: a block's 256 or 512 Gaussians touch few tiles, many of them together. So
-// the block sorts its entries by tile, by counting, before it writes them. Meanwhile it keeps what their rows show as
-// candidates, one for each tile of a Gaussian's bounding box. The tiles of the block's own bounding box are counted
+// Neighbours in a file are neighbours in space: a block's 256 or 512 Gaussians touch few tiles, many of them together.
+// So the block sorts its entries by tile, by counting, before it writes them. Meanwhile it keeps what their rows show
+// as candidates, one for each tile of a Gaussian's bounding box. The tiles of the block's own bounding box are counted
 // 1,024 at a time; most blocks have fewer. A Gaussian of many tiles, which would delay its block, is left to
 // turbo_large_gaussians.cu, as is one whose candidates do not fit.
 #include <bit>
@@ -37,7 +37,8 @@ namespace {
 constexpr int kThreads = 256;
 constexpr std::uint32_t kWindow = 4 * kThreads;  // tiles counted at a time
 constexpr std::uint32_t kLargeTiles = 64;        // most tiles of a bounding box in a block
-// Blocks of two Gaussians a thread do less for each, but the last of them run alone: from so many a multiprocessor on.
+// Blocks of two Gaussians a thread do less for each, but the last ones run alone: only where a multiprocessor gets so
+// many.
 constexpr std::uint32_t kBlocksOfPairs = 64;
 
 struct Box {
@@ -88,6 +89,8 @@ struct Shared {
     return owner % kPerThread * kThreads + owner / kPerThread;
   }
 };
+// Given by 128 bytes, 1 KiB more a block, of 228 KiB.
+static_assert(5 * ((sizeof(Shared<2>) + 1024 + 127) / 128 * 128) <= 228 * 1024, "five blocks a multiprocessor of 9.0");
 constexpr std::uint32_t kOrigin = 1u << 15;
 
 // Fills in the candidates and calls f(tile) for every entry among them: first the first rows of all Gaussians, a

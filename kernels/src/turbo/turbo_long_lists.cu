@@ -231,7 +231,7 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   make_units(s, a, own);
 }
 
-// ptxas would take 48 registers, for five blocks.
+// ptxas would take 48 registers on 9.0, for five blocks.
 __global__ void __launch_bounds__(kThreads, resident_on_90(6))
     turbo_count_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Counting s;
@@ -270,13 +270,12 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
 }  // namespace
 
 Status launch_turbo_long_lists(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
-  const auto counting = resident_grid<turbo_count_kernel>(kThreads);
-  if (!counting) return tl::unexpected(counting.error());
-  const auto moving = resident_grid<turbo_scatter_kernel>(kThreads);
-  if (!moving) return tl::unexpected(moving.error());
-  turbo_count_kernel<<<*counting, kThreads, 0, stream>>>(a, grid, seen);
+  // More blocks of the other kernel may fit, but both walk the same slices.
+  const auto blocks = resident_grid<turbo_count_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  turbo_count_kernel<<<*blocks, kThreads, 0, stream>>>(a, grid, seen);
   if (const auto ok = launched("the kernel that counts the long lists could not be launched"); !ok) return ok;
-  turbo_scatter_kernel<<<*moving, kThreads, 0, stream>>>(a);
+  turbo_scatter_kernel<<<*blocks, kThreads, 0, stream>>>(a);
   return launched("the kernel that moves the long lists could not be launched");
 }
 

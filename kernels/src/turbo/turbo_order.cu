@@ -3,9 +3,9 @@
 //
 // In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
 // Cost    an entry: 8 B read, two atomic additions in shared memory and some comparisons; 4 B written for each touched cell
-// Launch  a block a tile, longest lists first: 256 threads for lists from 1,024 entries on, then 128 for the others; 256
-//         for the units of long lists, as many blocks as the device holds at a time. After ordering a warp deals out 32
-//         entries at a time
+// Launch  a block a tile, longest lists first, twice: of 256 threads for lists from 1,024 entries on, of 128 for the
+//         others; 256 for the units of long lists, as many blocks as the device holds at a time. After ordering a warp
+//         deals out 32 entries at a time
 // Shared  Shared: entries, their places twice, bins, places of runs; 37 KiB, of 128 threads 19; 1 KiB of bins for units
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
@@ -37,8 +37,8 @@ struct Shared {
 
   TurboEntry entries[kRound];
   std::uint16_t order[kRound];  // positions of the entries, ordered
-  // To order them: a histogram of depth, then index, each bin's first place below and number above; a finer one, whose bins
-  // become their first places; the positions by fine bin.
+  // To order them: a histogram of (depth, index), of each bin the first place in the low half of the word, the count in
+  // the high one; a finer one, whose bins become their first places; the positions by fine bin.
   std::uint32_t bins[kThreads];
   alignas(16) std::uint32_t fine[kRound + 1];
   std::uint16_t placed[kRound];
@@ -53,9 +53,9 @@ struct Shared {
   std::uint32_t unit;
   bool fits;
 };
-constexpr int kThreads = 256;  // of a unit, or of a list that needs them
+constexpr int kUnitThreads = 256;  // of a unit, or of a list of 1,024 entries and more
 constexpr int kShortThreads = 128;
-using Unit = Shared<kThreads>;
+using Unit = Shared<kUnitThreads>;
 static_assert(Unit::kRound == kTurboRound && kTurboCells <= Unit::kWarps);
 
 // Smallest and largest depth that the block's threads have seen.
@@ -93,9 +93,10 @@ __device__ __noinline__ void sort_whole(Shared<kThreads>& s) {
   __syncthreads();
 }
 
-// Writes the position of each of the s.n entries in their order to s.order. A histogram of depths, then indices, taken as
-// linear within each of its bins, estimates each entry's place: about as many fine bins as entries. Those that share a
-// fine bin are compared; if they are too many, all entries are sorted. `range` holds the depths that the thread has seen.
+// Writes the position of each of the s.n entries in their order to s.order. A histogram over their range of (depth,
+// index) counts them, a bin a thread; if they lay evenly within a bin, each would have a certain place. Entries with
+// the same estimate, a fine bin, are compared; if they are too many, all entries are sorted. `range` holds the depths
+// that the thread has seen.
 template <int kThreads>
 __device__ inline void order_entries(Shared<kThreads>& s, DepthRange range, int dropped) {
   constexpr std::uint32_t kMostCompared = 256;  // by one thread, one after the other
@@ -260,7 +261,7 @@ struct Part {
 // too.
 __device__ inline Part share_of(Unit& s, Part part, int dropped, std::uint32_t share, std::uint32_t n_shares) {
   DepthRange range;
-  for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kThreads) {
+  for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kUnitThreads) {
     s.entries[k] = part.entries[std::uint64_t{k} * part.n / kTurboRound];
     range.add(depth_of(s.entries[k], dropped));
   }
@@ -282,7 +283,7 @@ __device__ inline DepthRange load(Unit& s, const Part& part, int dropped) {
   __syncthreads();
   DepthRange range;
   CellCounter cells(s.cell_n);
-  for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
+  for (std::uint32_t k = threadIdx.x; k < part.n; k += kUnitThreads) {
     const TurboEntry entry = part.entries[k];
     if (entry < part.from || entry >= part.to) continue;
     const std::uint32_t at = part.n <= kTurboRound ? k : atomicAdd(&s.n, 1u);
@@ -299,20 +300,20 @@ __device__ inline DepthRange load(Unit& s, const Part& part, int dropped) {
 // least one, lie in part.from <= entry < end. Searches kBins bins of equal width, then the one that holds too many, and
 // so on; entries are unique, so bins of width 1 hold one each.
 __device__ inline TurboEntry round_end(Unit& s, const Part& part) {
-  constexpr TurboEntry kBins = kThreads;
+  constexpr TurboEntry kBins = kUnitThreads;
   __shared__ std::uint32_t bins[kBins];
   TurboEntry begin = part.from;
   int shift = math::max(0, 64 - __clzll(static_cast<long long>(part.to - begin)) - Unit::kBinBits);
   for (;;) {
     bins[threadIdx.x] = 0;
     __syncthreads();
-    for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
+    for (std::uint32_t k = threadIdx.x; k < part.n; k += kUnitThreads) {
       const TurboEntry entry = part.entries[k];
       const TurboEntry bin = (entry - begin) >> shift;
       if (entry >= begin && entry < part.to && bin < kBins) atomicAdd(bins + bin, 1u);
     }
     __syncthreads();
-    const std::uint32_t end = inclusive_block_sum<kThreads>(bins[threadIdx.x], s.warp_sums);
+    const std::uint32_t end = inclusive_block_sum<kUnitThreads>(bins[threadIdx.x], s.warp_sums);
     const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kTurboRound));
     const bool any = __syncthreads_or(end > 0 && end <= kTurboRound) != 0;
     begin += fitting << shift;
@@ -400,12 +401,12 @@ __device__ inline void deal_out_units(Unit& s, const TurboArrays& a) {
   }
 }
 
-__global__ void __launch_bounds__(kThreads, resident_on_90(5)) turbo_unit_kernel(TurboArrays a) {
+__global__ void __launch_bounds__(kUnitThreads, resident_on_90(5)) turbo_unit_kernel(TurboArrays a) {
   __shared__ Unit s;
   deal_out_units(s, a);
 }
 
-// Lists shorter than a round are ordered by short blocks if these have room for them.
+// Lists of fewer than 1,024 entries are ordered by short blocks, others below kTurboRound by the rest.
 template <int kThreads>
 __device__ inline void order_tile(Shared<kThreads>& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                   TurboState* seen) {
@@ -446,15 +447,15 @@ Status launch_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen,
 }  // namespace
 
 Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, bool is_sparse, Stream stream) {
-  static_assert(2 * kShortThreads == kThreads);
-  const Status ok = launch_order<kThreads>(a, grid, seen, is_sparse, stream);
+  static_assert(2 * kShortThreads == kUnitThreads);
+  const Status ok = launch_order<kUnitThreads>(a, grid, seen, is_sparse, stream);
   return ok ? launch_order<kShortThreads>(a, grid, seen, is_sparse, stream) : ok;
 }
 
 Status launch_turbo_units(const TurboArrays& a, Stream stream) {
-  const auto blocks = resident_grid<turbo_unit_kernel>(kThreads);
+  const auto blocks = resident_grid<turbo_unit_kernel>(kUnitThreads);
   if (!blocks) return tl::unexpected(blocks.error());
-  turbo_unit_kernel<<<*blocks, kThreads, 0, stream>>>(a);
+  turbo_unit_kernel<<<*blocks, kUnitThreads, 0, stream>>>(a);
   return launched("the kernel that orders the long lists could not be launched");
 }
 

@@ -198,11 +198,13 @@ RGS_HD inline std::uint32_t n_copies(const View<T>& view) {
 inline constexpr int kCopyBand = 32;
 
 /// Makes `p`, a projection nearest to the image's middle, that copy of it: 0 is itself, 1 the one on the other side of
-/// the middle. Returns the columns of tiles in the bands to whose middles this one is nearer; wider tiles are bands.
+/// the middle. Returns the columns of tiles in the bands to whose middles this one is nearer. With tiles wider than
+/// kCopyBand a tile is a band.
 template <int Tile, class T>
 RGS_HD inline TileSpan place_copy(const View<T>& view, std::uint32_t copy, TileGrid grid, Projected<T>& p) {
   if (n_copies(view) == 1) return {0, grid.columns};
   constexpr int kBand = max(kCopyBand, Tile);
+  static_assert(kBand % Tile == 0);
   const bool other_is_right = p.mean.u < T(0.5) * static_cast<T>(view.width - 1);
   const T step = other_is_right ? period_px(view) : -period_px(view);
   const T between = (p.mean.u + T(0.5) * step - T(0.5) * T(kBand - 1)) / T(kBand);
