@@ -163,9 +163,9 @@ class CudaRenderer {
   /// row for turbo's different counts, and once before these for a larger cut. With options.measure.timings or
   /// .count_pairs it also waits for the end of the frame. All counts but evaluated and blended (0 unless counted) are
   /// exact on return. Errors: bad_camera, bad_argument (see Renderer::render(); an unaligned target, a pitch smaller
-  /// than a row, a surface smaller than the image), limit_exceeded (2^31 pairs or Gaussians or
-  /// more, 2^30 Gaussians in a panorama), device_out_of_memory (Error::expected: bytes wanted; the renderer remains
-  /// usable), device_failed; also those of a queued frame that it settles; this frame is then not drawn.
+  /// than a row, a surface smaller than the image), limit_exceeded (2^31 pairs or Gaussians or more, 2^30
+  /// Gaussians in a panorama), device_out_of_memory (Error::expected: bytes wanted; the renderer remains usable),
+  /// device_failed; also those of a queued frame that it settles; this frame is then not drawn.
   ///
   /// With options.turbo.asynchronous it queues the frame and waits for nothing but a larger workspace and, if
   /// frames_in_flight are queued, for the oldest of them, which it settles first. The frame runs at the default
