@@ -25,7 +25,7 @@
 // 1, q = lane % 4, of four products. Column c of product j is Gaussian 4 c + j, so each half of a lane's registers has
 // four consecutive Gaussians, a chain, and a pixel's 32 Gaussians are eight chains. Transmittance is multiplied down
 // each chain and then over the chains (it is associative). The lanes' values are then the left operand of the product
-// with colours.
+// with colours. A batch's last Gaussians take as few products n as hold them; column c of product j is Gaussian n c + j.
 //
 // Gaussians of long lists are small, and most touch the pixels of one or two warps: of what the block stages, a warp
 // lists what touches its own, and ldmatrix gathers it. The same for segments. Elsewhere it costs more than it saves.
@@ -77,21 +77,26 @@ __device__ inline void multiply(__half2 (&d)[2], uint2 a, uint2 b) {
   d[0] = reinterpret_cast<const __half2&>(low), d[1] = reinterpret_cast<const __half2&>(high);
 }
 
-// D += A B, FP16 to FP32, [16, 16] x [16, 8].
-__device__ inline void multiply_add(float (&d)[4], const __half2 (&a)[4], std::uint32_t b0, std::uint32_t b1) {
-  const auto bits = [](const __half2& h) { return reinterpret_cast<const std::uint32_t&>(h); };
+__device__ inline std::uint32_t bits_of(const __half2& h) {
+  return reinterpret_cast<const std::uint32_t&>(h);
+}
+// D += A B, FP16 to FP32, [16, 8] x [8, 8].
+__device__ inline void multiply_add(float (&d)[4], const __half2 (&a)[2], std::uint32_t b) {
+  asm("mma.sync.aligned.m16n8k8.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5}, {%6}, {%0, %1, %2, %3};"
+      : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
+      : "r"(bits_of(a[0])), "r"(bits_of(a[1])), "r"(b));
+}
+// Twice as deep.
+__device__ inline void multiply_add(float (&d)[4], const __half2 (&a0)[2], const __half2 (&a1)[2], std::uint32_t b0,
+                                    std::uint32_t b1) {
 #if __CUDA_ARCH__ >= 800
   asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%0, %1, %2, "
       "%3};"
       : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
-      : "r"(bits(a[0])), "r"(bits(a[1])), "r"(bits(a[2])), "r"(bits(a[3])), "r"(b0), "r"(b1));
+      : "r"(bits_of(a0[0])), "r"(bits_of(a0[1])), "r"(bits_of(a1[0])), "r"(bits_of(a1[1])), "r"(b0), "r"(b1));
 #else
-  asm("mma.sync.aligned.m16n8k8.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5}, {%6}, {%0, %1, %2, %3};"
-      : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
-      : "r"(bits(a[0])), "r"(bits(a[1])), "r"(b0));
-  asm("mma.sync.aligned.m16n8k8.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5}, {%6}, {%0, %1, %2, %3};"
-      : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
-      : "r"(bits(a[2])), "r"(bits(a[3])), "r"(b1));
+  multiply_add(d, a0, b0);
+  multiply_add(d, a1, b1);
 #endif
 }
 
@@ -161,9 +166,17 @@ __device__ inline std::uint32_t touched_warps(const ScreenSplat& splat, float u,
 __device__ inline std::uint32_t slot_of(std::uint32_t k) {
   return k / 32 * 32 + k % 4 * 8 + k % 32 / 4;
 }
-// The Gaussian in the thread's slot.
+// The Gaussian in the thread's slot, if all are listed for the warps.
 __device__ inline std::uint32_t own_gaussian() {
   return threadIdx.x / 32 * 32 + threadIdx.x % 8 * 4 + threadIdx.x % 32 / 8;
+}
+// Products of depth 8 that the first 32 of n Gaussians need.
+__device__ inline std::uint32_t products_of(std::uint32_t n) {
+  return math::min((n + 7) / 8, 4u);
+}
+__device__ inline void stage_none(Staging& staging, std::uint32_t slot) {
+  staging.high[slot] = {0xE3D0, 0, 0, 0};  // an exponent of -1000
+  staging.low[slot] = staging.color[slot] = {};
 }
 
 // Stages the thread's Gaussian.
@@ -277,7 +290,7 @@ struct Row {
   __device__ void blend(const uint2 (&coefficients)[4], const uint4& colors);
 };
 
-// Blends the Gaussians of the first Products products, 2 or 4.
+// Blends the Gaussians of the first Products products.
 template <int Products>
 __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& colors) {
   const __half2 one = __float2half2_rn(1.0F), scale = __float2half2_rn(-kAlphaScale);
@@ -308,10 +321,10 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
   for (auto& values : weight) {
     for (int p = 0; p < 2; ++p) values[p] = __hmul2(values[p], begin[p]);
   }
-  multiply_add(color, {weight[0][0], weight[0][1], weight[1][0], weight[1][1]}, colors.x, colors.y);
-  if constexpr (Products == 4) {
-    multiply_add(color, {weight[2][0], weight[2][1], weight[3][0], weight[3][1]}, colors.z, colors.w);
-  }
+  if constexpr (Products == 1) multiply_add(color, weight[0], colors.x);
+  if constexpr (Products >= 2) multiply_add(color, weight[0], weight[1], colors.x, colors.y);
+  if constexpr (Products == 3) multiply_add(color, weight[2], colors.z);
+  if constexpr (Products == 4) multiply_add(color, weight[2], weight[3], colors.z, colors.w);
 }
 
 // A warp's pixels of a cell whose first pixel is (x, y).
@@ -346,38 +359,48 @@ struct Rows {
 template <bool Culls>
 __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x,
                                    float y, Staging& staging) {
-  const std::uint32_t lane = threadIdx.x % 32, own = own_gaussian();
-  if (threadIdx.x == 0) {
-    staging.high[Staging::kNone] = {0xE3D0, 0, 0, 0};  // an exponent of -1000
-    staging.low[Staging::kNone] = staging.color[Staging::kNone] = {};
-  }
-  std::uint32_t next = own < n ? gaussians[own] : 0;
+  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, column = lane % 8;
+  if (Culls && threadIdx.x == 0) stage_none(staging, Staging::kNone);
+  // What the thread stages of the batch that starts at `begin`.
+  constexpr std::uint32_t kNothing = ~0u;
+  const auto next_of = [&](std::uint32_t begin) {
+    const std::uint32_t first = begin + 32 * warp, n_products = Culls ? 4 : products_of(n - math::min(first, n));
+    const std::uint32_t k = first + n_products * column + lane / 8;
+    return lane / 8 < n_products && k < n ? gaussians[k] : kNothing;
+  };
+  std::uint32_t next = next_of(0);
   bool opaque = is_opaque();
   for (std::uint32_t begin = 0; begin < n; begin += kThreads) {
-    const std::uint32_t left = math::min(n - begin, static_cast<std::uint32_t>(kThreads));
-    if (own < left) stage<Culls>(splats[next], x, y, staging);
-    if (begin + kThreads + own < n) next = gaussians[begin + kThreads + own];
+    if (next != kNothing) {
+      stage<Culls>(splats[next], x, y, staging);
+    } else if (!Culls) {
+      stage_none(staging, threadIdx.x);
+    }
+    if (begin + kThreads < n) next = next_of(begin + kThreads);
     __syncthreads();
+    const std::uint32_t left = math::min(n - begin, static_cast<std::uint32_t>(kThreads));
     const std::uint32_t n_blended = !Culls ? left : opaque ? 0 : list_touching(staging, left);
-    for (std::uint32_t first = 0; first < n_blended && !opaque; first += 32) {
-      // Up to 16 Gaussians need only the first two products: Gaussian 2 c + j.
-      const bool is_short = n_blended - first <= 16;
-      const std::uint32_t k =
-          first + (is_short ? 2 * (lane % 8) + (lane < 16 ? lane / 8 : 32) : 4 * (lane % 8) + lane / 8);
-      const std::uint32_t slot = k >= n_blended ? Staging::kNone
-                                 : Culls        ? staging.touching[threadIdx.x / 32][k]
-                                                : slot_of(k);
+    std::uint32_t first = 0;
+    const auto blend_next = [&]<int Products>() {
+      const std::uint32_t k = Products * column + lane / 8;
+      const std::uint32_t slot = !Culls                                         ? first + lane
+                                 : lane / 8 < Products && first + k < n_blended ? staging.touching[warp][first + k]
+                                                                                : Staging::kNone;
       const uint4 high = load_matrices(staging.high + slot), low = load_matrices(staging.low + slot);
       const uint2 coefficients[4] = {{high.x, low.x}, {high.y, low.y}, {high.z, low.z}, {high.w, low.w}};
       const uint4 colors = load_transposed(staging.color + slot);
-      if (!is_short) {
 #pragma unroll
-        for (Row& row : rows) row.blend<4>(coefficients, colors);
-      } else {
-#pragma unroll
-        for (Row& row : rows) row.blend<2>(coefficients, colors);
-      }
+      for (Row& row : rows) row.blend<Products>(coefficients, colors);
       opaque = is_opaque();
+      first += 32;
+    };
+    while (first + 24 < n_blended && !opaque) blend_next.template operator()<4>();
+    if (first < n_blended && !opaque) {
+      switch (products_of(n_blended - first)) {
+        case 3: blend_next.template operator()<3>(); break;
+        case 2: blend_next.template operator()<2>(); break;
+        default: blend_next.template operator()<1>();
+      }
     }
     if (__syncthreads_and(opaque)) return true;
   }
@@ -470,7 +493,7 @@ __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_kernel(Turbo
   if (blockIdx.x >= kTurboCells * a.arrays.state->n_long_lists) blend_cell<false>(a, blockIdx.x, staging);
 }
 // For a filled picture, whose tiles without Gaussians are done.
-__global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_sparse_kernel(TurboBlendArguments a) {
+__global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_sparse_kernel(TurboBlendArguments a) {
   __shared__ Staging staging;
   const std::uint32_t first = kTurboCells * a.arrays.state->n_long_lists, end = kTurboCells * listed_tiles(a.arrays);
   for (std::uint32_t number = first + blockIdx.x; number < end; number += gridDim.x) {
