@@ -5,8 +5,8 @@
 // Cost    an entry: 8 B read, two atomic additions in shared memory and some comparisons; 4 B written for each touched cell
 // Launch  a block a tile, longest lists first, twice: of 256 threads for lists from 1,024 entries on, of 128 for the
 //         others; 256 for the units of long lists, as many blocks as the device holds at a time. After ordering a warp
-//         deals out 32 entries at a time
-// Shared  Shared: entries, their places twice, bins, places of runs; 37 KiB, of 128 threads 19; 1 KiB of bins for units
+//         deals out to one cell, or to two
+// Shared  Shared: entries, their places by bin, bins, places of runs; 31 KiB, of 128 threads 16; 1 KiB of bins for units
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
 // Units of a list (turbo_long_lists.cu) are ordered side by side. A unit learns the offsets of its Gaussians in the
@@ -27,6 +27,13 @@ namespace {
 
 constexpr std::uint32_t kPerThread = 8;
 
+// A part of scratch memory, of which a unit orders the entries from <= entry < to.
+struct Part {
+  const TurboEntry* entries;
+  std::uint32_t n;
+  TurboEntry from, to;
+};
+
 // Of blocks of kThreads.
 template <int kThreads>
 struct Shared {
@@ -35,8 +42,7 @@ struct Shared {
   static constexpr int kBinBits =
       std::bit_width(unsigned{kThreads}) - 1;  // of the histogram that cuts a range, a bin a thread
 
-  TurboEntry entries[kRound];
-  std::uint16_t order[kRound];  // positions of the entries, ordered
+  TurboEntry entries[kRound];  // in the end ordered
   // To order them: a histogram of (depth, index), of each bin the first place in the low half of the word, the count in
   // the high one; a finer one, whose bins become their first places; the positions by fine bin.
   std::uint32_t bins[kThreads];
@@ -48,9 +54,8 @@ struct Shared {
   std::uint32_t n;                        // entries to order
   std::uint32_t cell_n[kTurboCells];      // of these entries, or of the unit
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
-  // For each group of 32 ordered entries, how many touch a cell; then the sums before it.
-  std::uint32_t groups[kTurboCells][kRound / 32];
   std::uint32_t unit;
+  Part part;  // of the unit; in registers it would be spilled
   bool fits;
 };
 constexpr int kUnitThreads = 256;  // of a unit, or of a list of 1,024 entries and more
@@ -79,7 +84,6 @@ template <int kThreads>
 __device__ __noinline__ void sort_whole(Shared<kThreads>& s) {
   const std::uint32_t total = 1u << (32 - __clz(static_cast<int>(s.n - 1)));
   for (std::uint32_t k = s.n + threadIdx.x; k < total; k += kThreads) s.entries[k] = ~TurboEntry{0};
-  for (std::uint32_t k = threadIdx.x; k < total; k += kThreads) s.order[k] = static_cast<std::uint16_t>(k);
   for (std::uint32_t length = 2; length <= total; length *= 2) {
     for (std::uint32_t stride = length / 2; stride > 0; stride /= 2) {
       __syncthreads();
@@ -93,10 +97,9 @@ __device__ __noinline__ void sort_whole(Shared<kThreads>& s) {
   __syncthreads();
 }
 
-// Writes the position of each of the s.n entries in their order to s.order. A histogram over their range of (depth,
-// index) counts them, a bin a thread; if they lay evenly within a bin, each would have a certain place. Entries with
-// the same estimate, a fine bin, are compared; if they are too many, all entries are sorted. `range` holds the depths
-// that the thread has seen.
+// Orders the s.n entries. A histogram over their range of (depth, index) counts them, a bin a thread; if they lay evenly
+// within a bin, each would have a certain place. Entries with the same estimate, a fine bin, are compared; if they are
+// too many, all entries are sorted. `range` holds the depths that the thread has seen.
 template <int kThreads>
 __device__ inline void order_entries(Shared<kThreads>& s, DepthRange range, int dropped) {
   constexpr std::uint32_t kMostCompared = 256;  // by one thread, one after the other
@@ -134,18 +137,14 @@ __device__ inline void order_entries(Shared<kThreads>& s, DepthRange range, int 
   }
   __syncthreads();
   const uint4 first = own_fine[0], last = own_fine[1];
-  std::uint32_t count[kPerThread] = {first.x, first.y, first.z, first.w, last.x, last.y, last.z, last.w};
-  std::uint32_t sum = 0, most = 0;
-#pragma unroll
-  for (std::uint32_t& c : count) {
-    most = math::max(most, c);
-    sum += c;
-    c = sum - c;
-  }
+  const std::uint32_t sum = first.x + first.y + first.z + first.w + last.x + last.y + last.z + last.w;
+  const auto most_of = [](const uint4& c) { return math::max(math::max(c.x, c.y), math::max(c.z, c.w)); };
+  const std::uint32_t most = math::max(most_of(first), most_of(last));
   const std::uint32_t before = inclusive_block_sum<kThreads>(sum, s.warp_sums) - sum;
-#pragma unroll
-  for (std::uint32_t& c : count) c += before;
-  own_fine[0] = {count[0], count[1], count[2], count[3]}, own_fine[1] = {count[4], count[5], count[6], count[7]};
+  const auto begins = [](std::uint32_t x, const uint4& c) -> uint4 {
+    return {x, x + c.x, x + c.x + c.y, x + c.x + c.y + c.z};
+  };
+  own_fine[0] = begins(before, first), own_fine[1] = begins(before + first.x + first.y + first.z + first.w, last);
   if (threadIdx.x == kThreads - 1) s.fine[s.kRound] = n;
   if (__syncthreads_or(most > kMostCompared)) return sort_whole(s);
 #pragma unroll
@@ -155,74 +154,49 @@ __device__ inline void order_entries(Shared<kThreads>& s, DepthRange range, int 
     s.placed[s.fine[key[j] >> 16] + (key[j] & 0xFFFF)] = static_cast<std::uint16_t>(k);
   }
   __syncthreads();
+  TurboEntry own[kPerThread];
 #pragma unroll
   for (std::uint32_t j = 0; j < kPerThread; ++j) {
     const std::uint32_t k = j * kThreads + threadIdx.x;
     if (k >= n) break;
+    own[j] = s.entries[k];
     const std::uint32_t begin = s.fine[key[j] >> 16], end = s.fine[(key[j] >> 16) + 1];
-    std::uint32_t place = begin;
+    key[j] = begin;  // now the place
     if (end - begin > 1) {
-      const TurboEntry own = s.entries[k];
 #pragma unroll 1  // few
-      for (std::uint32_t other = begin; other < end; ++other) place += s.entries[s.placed[other]] < own ? 1 : 0;
+      for (std::uint32_t other = begin; other < end; ++other) key[j] += s.entries[s.placed[other]] < own[j] ? 1 : 0;
     }
-    s.order[place] = static_cast<std::uint16_t>(k);
   }
   __syncthreads();
-}
-
-// The lane's entry of a group of 32 ordered entries from position `begin` on; 0 past the last.
-template <int kThreads>
-__device__ inline TurboEntry ordered_entry(const Shared<kThreads>& s, std::uint32_t begin) {
-  const std::uint32_t k = begin + threadIdx.x % 32;
-  return k < s.n ? s.entries[s.order[k]] : 0;
-}
-
-// Counts how many of each group touch each cell: a warp counts a group, then sums a cell. s.cell_n becomes the sums
-// over the round.
-template <int kThreads>
-__device__ inline void count_groups(Shared<kThreads>& s) {
-  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  for (std::uint32_t group = warp; 32 * group < s.n; group += s.kWarps) {
-    const TurboEntry entry = ordered_entry(s, 32 * group);
-    std::uint32_t own = 0;
 #pragma unroll
-    for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      const std::uint32_t lanes = __ballot_sync(kFullWarp, touches(entry, c));
-      if (lane == c) own = lanes;
-    }
-    if (lane < kTurboCells) s.groups[lane][group] = static_cast<std::uint32_t>(__popc(static_cast<int>(own)));
-  }
-  __syncthreads();
-  const std::uint32_t n_groups = (s.n + 31) / 32;
-  for (std::uint32_t c = warp; c < kTurboCells; c += s.kWarps) {
-    std::uint32_t sum = 0;
-    for (std::uint32_t begin = 0; begin < n_groups; begin += 32) {
-      const std::uint32_t n = begin + lane < n_groups ? s.groups[c][begin + lane] : 0;
-      const std::uint32_t end = inclusive_warp_sum(n);
-      s.groups[c][begin + lane] = sum + end - n;
-      sum += __shfl_sync(kFullWarp, end, 31);
-    }
-    if (lane == 0) s.cell_n[c] = sum;
+  for (std::uint32_t j = 0; j < kPerThread; ++j) {
+    if (j * kThreads + threadIdx.x >= n) break;
+    s.entries[key[j]] = own[j];
   }
   __syncthreads();
 }
 
-// Writes the round's ordered entries to the cells from s.cell_begin on.
+// Writes the ordered entries to the cells from s.cell_begin on, a warp to its own cells.
 template <int kThreads>
 __device__ inline void deal_out(const Shared<kThreads>& s, const TurboArrays& a, int dropped) {
-  const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
-  for (std::uint32_t group = threadIdx.x / 32; 32 * group < s.n; group += s.kWarps) {
-    const TurboEntry entry = ordered_entry(s, 32 * group);
-    const std::uint32_t index = index_of(entry, dropped), own = lane % kTurboCells;
-    const std::uint32_t begin = s.cell_begin[own] + s.groups[own][group];  // of cell `own`
+  constexpr std::uint32_t kWarps = Shared<kThreads>::kWarps, kOwn = (kTurboCells + kWarps - 1) / kWarps;
+  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, below = (1u << lane) - 1;
+  if (kTurboCells % kWarps != 0 && warp + (kOwn - 1) * kWarps >= kTurboCells) return;
+  std::uint32_t at[kOwn];
 #pragma unroll
-    for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      const bool own_entry = touches(entry, c);
-      const std::uint32_t lanes = __ballot_sync(kFullWarp, own_entry);
-      const std::uint32_t at = __shfl_sync(kFullWarp, begin, static_cast<int>(c));
-      if (!own_entry) continue;
-      a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = index;
+  for (std::uint32_t i = 0; i < kOwn; ++i) at[i] = s.cell_begin[warp + i * kWarps];
+#pragma unroll 4
+  for (std::uint32_t k = lane; k - lane < s.n; k += 32) {
+    const TurboEntry entry = k < s.n ? s.entries[k] : 0;
+#pragma unroll
+    for (std::uint32_t i = 0; i < kOwn; ++i) {
+      const bool is_own = touches(entry, warp + i * kWarps);
+      const std::uint32_t lanes = __ballot_sync(kFullWarp, is_own);
+      if (is_own) {
+        a.cell_gaussians[at[i] + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] =
+            index_of(entry, dropped);
+      }
+      at[i] += static_cast<std::uint32_t>(__popc(static_cast<int>(lanes)));
     }
   }
 }
@@ -233,14 +207,17 @@ __device__ inline void deal_out_short(Shared<kThreads>& s, const TurboArrays& a,
                                       std::uint32_t rank, const TurboRankedList& list) {
   const int dropped = a.state->dropped;
   if (threadIdx.x == 0) s.n = list.n_entries;
+  if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
   const TurboRuns runs{a.tile_runs + list.begin, a.entries, list.n_runs};
   DepthRange range;
+  CellCounter cells(s.cell_n);
   runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
     s.entries[k] = entry;
     range.add(depth_of(entry, dropped));
+    cells.add(entry);
   });
+  cells.flush();
   order_entries(s, range, dropped);
-  count_groups(s);
   if (threadIdx.x < kTurboCells) {
     const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
     s.cell_begin[threadIdx.x] = place.begin;
@@ -250,34 +227,29 @@ __device__ inline void deal_out_short(Shared<kThreads>& s, const TurboArrays& a,
   if (s.fits) deal_out(s, a, dropped);
 }
 
-// A part of scratch memory, of which a unit orders the entries from <= entry < to.
-struct Part {
-  const TurboEntry* entries;
-  std::uint32_t n;
-  TurboEntry from = 0, to = ~TurboEntry{0};
-};
-
-// Cuts a part into equal shares by a sample; all blocks compute the same. Entries are unique, so equal depths are cut
-// too.
-__device__ inline Part share_of(Unit& s, Part part, int dropped, std::uint32_t share, std::uint32_t n_shares) {
+// Cuts s.part into equal shares by a sample, and leaves the unit's own; all blocks compute the same. Entries are unique,
+// so equal depths are cut too.
+__device__ inline void cut_share(Unit& s, const TurboArrays& a, int dropped) {
   DepthRange range;
   for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kUnitThreads) {
-    s.entries[k] = part.entries[std::uint64_t{k} * part.n / kTurboRound];
+    s.entries[k] = s.part.entries[std::uint64_t{k} * s.part.n / kTurboRound];
     range.add(depth_of(s.entries[k], dropped));
   }
   if (threadIdx.x == 0) s.n = kTurboRound;
   __syncthreads();
   order_entries(s, range, dropped);
-  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares]]; };
-  if (share > 0) part.from = cut(share);
-  if (share + 1 < n_shares) part.to = cut(share + 1);
+  if (threadIdx.x == 0) {
+    const std::uint32_t share = a.units[s.unit].share, n_shares = turbo_shares(s.part.n);
+    const auto cut = [&](std::uint32_t k) { return s.entries[k * kTurboRound / n_shares]; };
+    if (share > 0) s.part.from = cut(share);
+    if (share + 1 < n_shares) s.part.to = cut(share + 1);
+  }
   __syncthreads();
-  return part;
 }
 
 // Loads the unit's entries into s.entries as far as they fit, their number into s.n, and counts by cell into s.cell_n;
 // returns the range of their depths.
-__device__ inline DepthRange load(Unit& s, const Part& part, int dropped) {
+__device__ inline DepthRange load(Unit& s, Part part, int dropped) {
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
   if (threadIdx.x == 0) s.n = part.n <= kTurboRound ? part.n : 0;
   __syncthreads();
@@ -324,19 +296,21 @@ __device__ inline TurboEntry round_end(Unit& s, const Part& part) {
 
 // Publishes how many of the unit's entries touch each cell, and sums the counts of the units before it: s.cell_begin.
 // Count plus 1 is a single word, 0 until written, so it needs no other synchronisation.
-__device__ inline void tell(const Unit& s, const TurboArrays& a, std::uint32_t unit) {
+__device__ inline void tell(const Unit& s, const TurboArrays& a) {
   if (threadIdx.x < kTurboCells) {
-    static_cast<volatile std::uint32_t*>(a.unit_cells)[kTurboCells * unit + threadIdx.x] = s.cell_n[threadIdx.x] + 1;
+    static_cast<volatile std::uint32_t*>(a.unit_cells)[kTurboCells * s.unit + threadIdx.x] = s.cell_n[threadIdx.x] + 1;
   }
 }
-__device__ inline void place_in_cells(Unit& s, const TurboArrays& a, std::uint32_t unit, const TurboLongList& list) {
+__device__ inline void place_in_cells(Unit& s, const TurboArrays& a) {
+  const std::uint32_t unit = s.unit;
+  const TurboLongList& list = a.long_lists[a.units[unit].long_list];
   const std::uint32_t cell = threadIdx.x / 32, lane = threadIdx.x % 32;
   if (kTurboCells < Unit::kWarps && cell >= kTurboCells) return;
   const auto told = [&](std::uint32_t k) {
     return *static_cast<const volatile std::uint32_t*>(a.unit_cells + kTurboCells * (list.first_unit + k) + cell);
   };
-  // Groups of 32 units, four at a time, starting elsewhere in every unit, so that not all wait for the same words.
-  constexpr std::uint32_t kAhead = 4;
+  // Groups of 32 units, two at a time, starting elsewhere in every unit, so that not all wait for the same words.
+  constexpr std::uint32_t kAhead = 2;
   const std::uint32_t n = unit - list.first_unit, n_groups = (n + 31) / 32;
   std::uint32_t before = 0, group = n_groups > 0 ? unit % n_groups : 0;
   for (std::uint32_t begin = 0; begin < n_groups; begin += kAhead) {
@@ -359,32 +333,33 @@ __device__ inline void place_in_cells(Unit& s, const TurboArrays& a, std::uint32
   if (lane == 0) s.cell_begin[cell] = list.cell_begin[cell] + before;
 }
 
-// Orders a unit: at once, or, if a share is larger than the sample said, as much as fits at a time.
-__device__ inline void deal_out_unit(Unit& s, const TurboArrays& a, std::uint32_t unit) {
-  const TurboUnit own = a.units[unit];
-  Part part{a.scratch + own.begin, own.end - own.begin};
-  const TurboLongList& list = a.long_lists[own.long_list];
-  const std::uint32_t n_shares = turbo_shares(part.n);
+// Orders unit s.unit: at once, or, if a share is larger than the sample said, as much as fits at a time.
+__device__ inline void deal_out_unit(Unit& s, const TurboArrays& a) {
   const int dropped = a.state->dropped;
-  if (n_shares > 1) part = share_of(s, part, dropped, own.share, n_shares);
-  DepthRange range = load(s, part, dropped);
-  tell(s, a, unit);
+  if (threadIdx.x == 0) {
+    const TurboUnit own = a.units[s.unit];
+    s.part = {a.scratch + own.begin, own.end - own.begin, 0, ~TurboEntry{0}};
+  }
+  __syncthreads();
+  if (turbo_shares(s.part.n) > 1) cut_share(s, a, dropped);
+  DepthRange range = load(s, s.part, dropped);
+  tell(s, a);
   std::uint32_t left = s.n;
   bool is_first = true;
   const bool at_once = left <= kTurboRound;
   while (left > 0) {
     __syncthreads();
     if (!at_once) {
-      Part round = part;
-      if (left > kTurboRound) round.to = round_end(s, part);
+      Part round = s.part;
+      if (left > kTurboRound) round.to = round_end(s, round);
       range = load(s, round, dropped);
-      part.from = round.to;
+      if (threadIdx.x == 0) s.part.from = round.to;
     }
     left -= s.n;
     order_entries(s, range, dropped);
-    if (is_first) place_in_cells(s, a, unit, list);  // so late that hardly a unit waits
+    if (is_first) place_in_cells(s, a);  // so late that hardly a unit waits
     is_first = false;
-    count_groups(s);
+    __syncthreads();
     deal_out(s, a, dropped);
     __syncthreads();
     if (threadIdx.x < kTurboCells) s.cell_begin[threadIdx.x] += s.cell_n[threadIdx.x];
@@ -396,12 +371,12 @@ __device__ inline void deal_out_units(Unit& s, const TurboArrays& a) {
     if (threadIdx.x == 0) s.unit = n > 0 ? atomicAdd(&a.state->n_taken, 1u) : 0;
     __syncthreads();
     if (s.unit >= n) return;
-    deal_out_unit(s, a, s.unit);
+    deal_out_unit(s, a);
     __syncthreads();
   }
 }
 
-__global__ void __launch_bounds__(kUnitThreads, resident_on_90(5)) turbo_unit_kernel(TurboArrays a) {
+__global__ void __launch_bounds__(kUnitThreads, resident_on_90(4)) turbo_unit_kernel(TurboArrays a) {
   __shared__ Unit s;
   deal_out_units(s, a);
 }
@@ -424,7 +399,7 @@ __global__ void __launch_bounds__(kThreads, resident_on_90(1280 / kThreads))
   order_tile(s, a, grid, blockIdx.x, seen);
 }
 template <int kThreads>
-__global__ void __launch_bounds__(kThreads, resident_on_90(1280 / kThreads))
+__global__ void __launch_bounds__(kThreads)
     turbo_order_sparse_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared<kThreads> s;
   const std::uint32_t end = listed_tiles(a);
