@@ -225,16 +225,17 @@ __global__ void __launch_bounds__(kThreads, resident_on_90(kAnyModel ? 0 : 5))
     const auto n_columns = static_cast<std::uint32_t>(rect.x1 - rect.x0),
                n_rows = static_cast<std::uint32_t>(rect.y1 - rect.y0);
     const std::uint32_t depth = turbo_depth(p.z, v.view.near_plane);
-    a.splats[i] = screen_splat(p, cutoff, color_of<kAnyModel>(attributes, row, v.view, mean, v.sh_degree));
     if (n_columns * n_rows > kLargeTiles) {
       set_aside(a.arrays, ellipse, rect, depth, i);
-      continue;
+    } else {
+      s.ellipse[owner] = ellipse;
+      s.depth[owner] = depth;
+      s.box[owner] = {static_cast<std::uint16_t>(rect.x0), static_cast<std::uint16_t>(rect.y0), 0,
+                      static_cast<std::uint8_t>(n_columns), static_cast<std::uint8_t>(n_rows)};
+      own_sums += (n_rows - 1) | (n_columns * n_rows) << 16;
     }
-    s.ellipse[owner] = ellipse;
-    s.depth[owner] = depth;
-    s.box[owner] = {static_cast<std::uint16_t>(rect.x0), static_cast<std::uint16_t>(rect.y0), 0,
-                    static_cast<std::uint8_t>(n_columns), static_cast<std::uint8_t>(n_rows)};
-    own_sums += (n_rows - 1) | (n_columns * n_rows) << 16;
+    // Last, since it takes many registers.
+    a.splats[i] = screen_splat(p, cutoff, color_of<kAnyModel>(attributes, row, v.view, mean, v.sh_degree));
   }
   const std::uint32_t sums = inclusive_block_sum<kThreads>(own_sums, s.places.warp_sums) - own_sums;
   std::uint32_t begin = sums >> 16, rows = sums & 0xFFFFu;
