@@ -4,9 +4,9 @@
 // In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
 // Cost    an entry: 8 B read, two atomic additions in shared memory and some comparisons; 4 B written for each touched cell
 // Launch  a block a tile, longest lists first, twice: of 256 threads for lists from 1,024 entries on, of 128 for the
-//         others; 256 for the units of long lists, as many blocks as the device holds at a time. After ordering a warp
-//         deals out to one cell, or to two
-// Shared  Shared: entries, their places by bin, bins, places of runs; 31 KiB, of 128 threads 16; 1 KiB of bins for units
+//         others; 256 for the units of long lists, as many blocks as the device holds at a time. After ordering each
+//         warp deals out to its own cells: one, of 128 threads two (8 cells a tile)
+// Shared  Shared: entries, places by bin, bins, places of runs; 31 KiB, of 128 threads 16; 1 KiB of bins for units
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
 // Units of a list (turbo_long_lists.cu) are ordered side by side. A unit learns the offsets of its Gaussians in the
@@ -97,9 +97,9 @@ __device__ __noinline__ void sort_whole(Shared<kThreads>& s) {
   __syncthreads();
 }
 
-// Orders the s.n entries. A histogram over their range of (depth, index) counts them, a bin a thread; if they lay evenly
-// within a bin, each would have a certain place. Entries with the same estimate, a fine bin, are compared; if they are
-// too many, all entries are sorted. `range` holds the depths that the thread has seen.
+// Orders the s.n entries. A histogram over their range of (depth, index) counts them, a bin a thread; if they lay
+// evenly within a bin, each would have a certain place. Entries with the same estimate, a fine bin, are compared; if
+// they are too many, all entries are sorted. `range` holds the depths that the thread has seen.
 template <int kThreads>
 __device__ inline void order_entries(Shared<kThreads>& s, DepthRange range, int dropped) {
   constexpr std::uint32_t kMostCompared = 256;  // by one thread, one after the other
@@ -114,7 +114,8 @@ __device__ inline void order_entries(Shared<kThreads>& s, DepthRange range, int 
   const TurboEntry low = TurboEntry{range.low} << depth_at;
   static_assert(kTurboIndexBits >= kKeyBits);
   const int shift = depth_at + 32 - __clz(static_cast<int>(range.high - range.low)) - kKeyBits;
-  // Of the thread's entries: the key, of its bin and its place in the bin; then the fine bin and the place in that.
+  // Of the thread's entries: the key, of its bin and its place in the bin; then the fine bin and the place in that; in
+  // the end the place among all.
   std::uint32_t key[kPerThread];
 #pragma unroll
   for (std::uint32_t j = 0; j < kPerThread; ++j) {
@@ -181,6 +182,7 @@ template <int kThreads>
 __device__ inline void deal_out(const Shared<kThreads>& s, const TurboArrays& a, int dropped) {
   constexpr std::uint32_t kWarps = Shared<kThreads>::kWarps, kOwn = (kTurboCells + kWarps - 1) / kWarps;
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, below = (1u << lane) - 1;
+  // Cells are a power of two: all warps have kOwn, or the first ones one.
   if (kTurboCells % kWarps != 0 && warp + (kOwn - 1) * kWarps >= kTurboCells) return;
   std::uint32_t at[kOwn];
 #pragma unroll
@@ -227,8 +229,8 @@ __device__ inline void deal_out_short(Shared<kThreads>& s, const TurboArrays& a,
   if (s.fits) deal_out(s, a, dropped);
 }
 
-// Cuts s.part into equal shares by a sample, and leaves the unit's own; all blocks compute the same. Entries are unique,
-// so equal depths are cut too.
+// Narrows s.part to the unit's share: a sample cuts it into equal ones, the same in all blocks. Entries are unique, so
+// equal depths are cut too.
 __device__ inline void cut_share(Unit& s, const TurboArrays& a, int dropped) {
   DepthRange range;
   for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kUnitThreads) {

@@ -25,7 +25,8 @@
 // 1, q = lane % 4, of four products. Column c of product j is Gaussian 4 c + j, so each half of a lane's registers has
 // four consecutive Gaussians, a chain, and a pixel's 32 Gaussians are eight chains. Transmittance is multiplied down
 // each chain and then over the chains (it is associative). The lanes' values are then the left operand of the product
-// with colours. A batch's last Gaussians take as few products n as hold them; column c of product j is Gaussian n c + j.
+// with colours. The last Gaussians of a batch, or of what a warp lists of it, take as few products n as hold them:
+// column c of product j is Gaussian n c + j.
 //
 // Gaussians of long lists are small, and most touch the pixels of one or two warps: of what the block stages, a warp
 // lists what touches its own, and ldmatrix gathers it. The same for segments. Elsewhere it costs more than it saves.
@@ -49,7 +50,7 @@ constexpr int kWarpColumns = kTurboCellWidth / kWarpWidth;
 constexpr int kWarps = kWarpColumns * kTurboCellHeight / kWarpHeight;
 constexpr int kRows = kWarpHeight / 2;  // of products: two rows of pixels each
 constexpr int kThreads = 32 * kWarps;
-// 56 registers where Gaussians are culled, and before 9.0, where 48 spill; else 48.
+// 56 registers where Gaussians are culled, in the sparse kernel, and before 9.0, where 48 spill; else 48.
 constexpr int kResidentLong = resident_blocks(1152 / kThreads, kThreads);
 constexpr int kResident = resident_before_90(1) != 0 ? kResidentLong : resident_blocks(1280 / kThreads, kThreads);
 static_assert(kWarpWidth == 8, "two rows of a warp's pixels are the 16 rows of a product's left operand");
@@ -121,7 +122,7 @@ __device__ inline __half2 counts(__half2 exponent) {
 
 // Gaussians that a block blends at a time, as right operands, eight numbers in a slot, as ldmatrix gathers them.
 struct Staging {
-  static constexpr std::uint32_t kNone = kThreads;  // the slot of no Gaussian
+  static constexpr std::uint32_t kNone = kThreads;  // the slot of no Gaussian, where they are culled
   // Of the first product: high and low halves of the coefficients; the last two are multiplied by zeros. Of the second:
   // the colour times kAlphaMax; columns without a channel are not used.
   uint4 high[kThreads + 1], low[kThreads + 1], color[kThreads + 1];
@@ -162,11 +163,12 @@ __device__ inline std::uint32_t touched_warps(const ScreenSplat& splat, float u,
   return warps;
 }
 
-// Slot of a batch's Gaussian k, such that those of 4 c + j for the eight c of a product lie in different banks.
+// Where Gaussians are culled, slot of a batch's Gaussian k, such that those of 4 c + j for the eight c of a product lie
+// in different banks.
 __device__ inline std::uint32_t slot_of(std::uint32_t k) {
   return k / 32 * 32 + k % 4 * 8 + k % 32 / 4;
 }
-// The Gaussian in the thread's slot, if all are listed for the warps.
+// There, the Gaussian in the thread's slot.
 __device__ inline std::uint32_t own_gaussian() {
   return threadIdx.x / 32 * 32 + threadIdx.x % 8 * 4 + threadIdx.x % 32 / 8;
 }
@@ -290,7 +292,7 @@ struct Row {
   __device__ void blend(const uint2 (&coefficients)[4], const uint4& colors);
 };
 
-// Blends the Gaussians of the first Products products.
+// Blends the Gaussians of the first Products products, 1 to 4.
 template <int Products>
 __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& colors) {
   const __half2 one = __float2half2_rn(1.0F), scale = __float2half2_rn(-kAlphaScale);
