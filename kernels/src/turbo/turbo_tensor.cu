@@ -101,23 +101,21 @@ __device__ inline void multiply_add(float (&d)[4], const __half2 (&a0)[2], const
 #endif
 }
 
-__device__ inline __half2 exp2_approximate(__half2 x) {
-  __half2 y;
-  asm("ex2.approx.f16x2 %0, %1;"
-      : "=r"(reinterpret_cast<std::uint32_t&>(y))
-      : "r"(reinterpret_cast<const std::uint32_t&>(x)));
-  return y;
-}
-// Opacities are kept divided by kAlphaMax as FP16 rounds it, so that saturation at 1 clamps them.
+// Exponents are biased such that FP16's normal numbers end where opacities do: below 1/255 the exponential is subnormal
+// and flushed to zero. What undoes the bias saturates at 1, so opacities are kept divided by kAlphaMax as FP16 rounds it.
 inline constexpr float kAlphaScale = 0.990234375F;
-// The exponential's mean relative error over [-8, 0] is -2.9e-4 (measured on 9.0 alone), which 4.2e-4 of the exponent
-// corrects. The rest is -log2(kAlphaScale).
-inline constexpr float kExponentBias = 4.2e-4F + 0.01415806F;
+inline constexpr float kUnbiased = 65.0625F;
+// log2(1 / (kAlphaScale kUnbiased)) and 4.2e-4, since the exponential's mean relative error is -2.9e-4 over eight octaves
+// (measured on 9.0 alone). That is such that log2(1 / 255) + kExponentBias = -14.0035 is half a step of FP16 below -14.
+inline constexpr float kExponentBias = 4.2e-4F + 0.01415806F - 6.0237540F;
 
-// 1 if the exponent is at least kLog2AlphaMin + kExponentBias = -7.9798, else 0; FP16's neighbours are -7.9766 and
-// -7.9805.
-__device__ inline __half2 counts(__half2 exponent) {
-  return __hfma2_sat(exponent, __float2half2_rn(256.0F), __float2half2_rn(2043.0F));
+// Opacities over kAlphaScale.
+__device__ inline __half2 opacities(__half2 exponents) {
+  __half2 y;
+  asm("{.reg .b32 e; ex2.approx.f16x2 e, %1; mul.ftz.sat.f16x2 %0, e, %2;}"
+      : "=r"(reinterpret_cast<std::uint32_t&>(y))
+      : "r"(bits_of(exponents)), "r"(bits_of(__float2half2_rn(kUnbiased))));
+  return y;
 }
 
 // Gaussians that a block blends at a time, as right operands, eight numbers in a slot, as ldmatrix gathers them.
@@ -303,7 +301,7 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
     multiply(weight[j], basis, coefficients[j]);
 #pragma unroll
     for (int p = 0; p < 2; ++p) {
-      const __half2 opacity = __hmul2_sat(exp2_approximate(weight[j][p]), counts(weight[j][p]));
+      const __half2 opacity = opacities(weight[j][p]);
       weight[j][p] = j == 0 ? opacity : __hmul2(opacity, chain[p]);
       chain[p] = __hfma2(scale, weight[j][p], chain[p]);
     }
@@ -476,12 +474,12 @@ __device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t nu
   if (x >= a.width || y >= a.height) return;
   TurboPixel pixel{0, 0, 0, 1};
   if (cell.n > 0) {
-    const std::uint32_t front = turbo_front(a.arrays.state->counters.instances);
+    const std::uint32_t front = Culls ? turbo_front(a.arrays.state->counters.instances) : cell.n;
     Rows rows(x, y, a.width, a.height);
     const bool opaque = rows.blend<Culls>(a.splats, a.arrays.cell_gaussians + cell.begin, math::min(cell.n, front),
                                           static_cast<float>(x), static_cast<float>(y), staging);
     pixel = rows.own_pixel(staging);
-    if (cell.n > front && !opaque) {
+    if (Culls && cell.n > front && !opaque) {
       leave(a, pixel, number, cell.n, front);
       return;
     }
