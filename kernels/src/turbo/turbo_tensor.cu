@@ -34,6 +34,7 @@
 
 #include <bit>
 #include <cstdint>
+#include <type_traits>
 
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
@@ -120,13 +121,19 @@ __device__ inline __half2 opacities(__half2 exponents) {
 
 // Gaussians that a block blends at a time, as right operands, eight numbers in a slot, as ldmatrix gathers them.
 struct Staging {
-  static constexpr std::uint32_t kNone = kThreads;  // the slot of no Gaussian, where they are culled
   // Of the first product: high and low halves of the coefficients; the last two are multiplied by zeros. Of the second:
   // the colour times kAlphaMax; columns without a channel are not used.
   uint4 high[kThreads + 1], low[kThreads + 1], color[kThreads + 1];
-  std::uint16_t warps[kThreads];             // whose pixels the Gaussian may touch, a bit each
-  std::uint16_t touching[kWarps][kThreads];  // slots of what touches a warp's pixels, in order
+  TurboPixel pixels[kThreads];
 };
+// Where Gaussians are culled.
+struct CullingStaging : Staging {
+  static constexpr std::uint32_t kNone = kThreads;  // the slot of no Gaussian
+  std::uint16_t warps[kThreads];                    // whose pixels the Gaussian may touch, a bit each
+  std::uint16_t touching[kWarps][kThreads];         // slots of what touches a warp's pixels, in order
+};
+template <bool Culls>
+using StagingOf = std::conditional_t<Culls, CullingStaging, Staging>;
 
 // Two numbers as sums of two FP16 numbers each.
 __device__ inline uint2 split(float a, float b) {
@@ -174,17 +181,15 @@ __device__ inline std::uint32_t own_gaussian() {
 __device__ inline std::uint32_t products_of(std::uint32_t n) {
   return math::min((n + 7) / 8, 4u);
 }
-__device__ inline void stage_none(Staging& staging, std::uint32_t slot) {
-  staging.high[slot] = {0xE3D0, 0, 0, 0};  // an exponent of -1000
-  staging.low[slot] = staging.color[slot] = {};
-}
 
-// Stages the thread's Gaussian.
+// Stages a Gaussian in the thread's slot, or one without opacity.
 template <bool Culls>
-__device__ inline void stage(const ScreenSplat splat, float corner_x, float corner_y, Staging& staging) {
+__device__ inline void stage(const ScreenSplat splat, bool is_any, float corner_x, float corner_y,
+                             StagingOf<Culls>& staging) {
   const float u = splat.mean.u - corner_x, v = splat.mean.v - corner_y;
   if constexpr (Culls) staging.warps[own_gaussian()] = static_cast<std::uint16_t>(touched_warps(splat, u, v));
-  const auto f = math::fold(splat.conic, {u - kCenterX, v - kCenterY}, splat.log2_opacity + kExponentBias);
+  const auto f =
+      math::fold(splat.conic, {u - kCenterX, v - kCenterY}, is_any ? splat.log2_opacity + kExponentBias : -1000.0F);
   const uint2 pairs[3] = {split(f.one, f.x), split(f.y, f.xx), split(f.xy, f.yy)};
   staging.high[threadIdx.x] = {pairs[0].x, pairs[1].x, pairs[2].x, 0};
   staging.low[threadIdx.x] = {pairs[0].y, pairs[1].y, pairs[2].y, 0};
@@ -197,7 +202,7 @@ __device__ inline void stage(const ScreenSplat splat, float corner_x, float corn
 }
 
 // Lists those of the n staged Gaussians that touch the warp's pixels, and returns their number.
-__device__ inline std::uint32_t list_touching(Staging& staging, std::uint32_t n) {
+__device__ inline std::uint32_t list_touching(CullingStaging& staging, std::uint32_t n) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, below = (1u << lane) - 1;
   std::uint32_t n_touching = 0;
   for (std::uint32_t first = 0; first < n; first += 32) {
@@ -278,13 +283,9 @@ struct Row {
   __half2 t;       // transmittance of pixel g of both
   float color[4];  // channels 2q and 2q + 1 of pixel g of the first row, then of the second; the fourth is unused
 
-  // (x, y): pixel g of the first row.
-  __device__ Row(int x, int y, int row, int width, int height) {
+  __device__ explicit Row(int row) : t{__float2half2_rn(1.0F)}, color{} {
     const auto& own = kBases.pixel[threadIdx.x][row];
     basis = {own[0], own[1]};
-    // A pixel outside the image counts as finished.
-    t = __floats2half2_rn(x < width && y < height ? 1.0F : 0.0F, x < width && y + 1 < height ? 1.0F : 0.0F);
-    for (float& sum : color) sum = 0;
   }
   template <int Products>
   __device__ void blend(const uint2 (&coefficients)[4], const uint4& colors);
@@ -331,12 +332,23 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
 struct Rows {
   Row rows[kRows];
 
-  __device__ Rows(int x, int y, int width, int height)
-      : rows{Row(x + own_x(), y + own_y(), 0, width, height), Row(x + own_x(), y + own_y() + 2, 1, width, height)} {}
+  __device__ Rows(int x, int y, int width, int height) : rows{Row(0), Row(1)} {
+    static_assert(kRows == 2, "rows");
+    if (x + kTurboCellWidth <= width && y + kTurboCellHeight <= height) return;
+    // A pixel outside the image counts as finished.
+    const TurboCorner first = first_pixel(threadIdx.x / 32);
+    const bool is_left = x + static_cast<int>(first.x + threadIdx.x % 32 / 4) < width;  // pixel g of each row
+    const int height_left = height - y - static_cast<int>(first.y);
+#pragma unroll
+    for (int k = 0; k < kRows; ++k) {
+      rows[k].t = __floats2half2_rn(is_left && 2 * k < height_left ? 1.0F : 0.0F,
+                                    is_left && 2 * k + 1 < height_left ? 1.0F : 0.0F);
+    }
+  }
   // Blends gaussians[0 .. n - 1] of the cell. True once all warps' pixels are opaque.
   template <bool Culls>
   __device__ bool blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x, float y,
-                        Staging& staging);
+                        StagingOf<Culls>& staging);
   // The thread's own pixel. Call after blend().
   __device__ TurboPixel own_pixel(Staging& staging) const;
 
@@ -347,45 +359,42 @@ struct Rows {
     for (const Row& row : rows) largest = __hmax2(largest, row.t);
     return __all_sync(kFullWarp, __hblt2(largest, __float2half2_rn(kOpaque))) != 0;
   }
-  // Pixel g of the first row, within the cell.
-  __device__ static int own_x() {
-    return static_cast<int>(first_pixel(threadIdx.x / 32).x + threadIdx.x % 32 / 4);
-  }
-  __device__ static int own_y() {
-    return static_cast<int>(first_pixel(threadIdx.x / 32).y);
-  }
 };
 
 template <bool Culls>
 __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x,
-                                   float y, Staging& staging) {
+                                   float y, StagingOf<Culls>& staging) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, column = lane % 8;
-  if (Culls && threadIdx.x == 0) stage_none(staging, Staging::kNone);
-  // What the thread stages of the batch that starts at `begin`.
-  constexpr std::uint32_t kNothing = ~0u;
-  const auto next_of = [&](std::uint32_t begin) {
-    const std::uint32_t first = begin + 32 * warp, n_products = Culls ? 4 : products_of(n - math::min(first, n));
-    const std::uint32_t k = first + n_products * column + lane / 8;
-    return lane / 8 < n_products && k < n ? gaussians[k] : kNothing;
-  };
-  std::uint32_t next = next_of(0);
-  bool opaque = is_opaque();
-  for (std::uint32_t begin = 0; begin < n; begin += kThreads) {
-    if (next != kNothing) {
-      stage<Culls>(splats[next], x, y, staging);
-    } else if (!Culls) {
-      stage_none(staging, threadIdx.x);
+  if constexpr (Culls) {
+    if (threadIdx.x == 0) {
+      staging.high[CullingStaging::kNone] = {0xE3D0, 0, 0, 0};  // an exponent of -1000
+      staging.low[CullingStaging::kNone] = staging.color[CullingStaging::kNone] = {};
     }
-    if (begin + kThreads < n) next = next_of(begin + kThreads);
+  }
+  // What the thread stages of the batch that starts at `begin`. Its warp stages nothing if it would begin at n.
+  std::uint32_t k = 0, next = 0;
+  const auto prefetch = [&](std::uint32_t begin) {
+    const std::uint32_t first = begin + 32 * warp;
+    if (first >= n) return;
+    k = first + (Culls ? 4 : products_of(n - first)) * column + lane / 8;
+    next = gaussians[math::min(k, n - 1)];
+  };
+  prefetch(0);
+  bool opaque = Culls && is_opaque();
+  for (std::uint32_t begin = 0; begin < n; begin += kThreads) {
+    if (begin + 32 * warp < n) stage<Culls>(splats[next], k < n, x, y, staging);
+    if (begin + kThreads < n) prefetch(begin + kThreads);
     __syncthreads();
     const std::uint32_t left = math::min(n - begin, static_cast<std::uint32_t>(kThreads));
-    const std::uint32_t n_blended = !Culls ? left : opaque ? 0 : list_touching(staging, left);
+    std::uint32_t n_blended = left;
+    if constexpr (Culls) n_blended = opaque ? 0 : list_touching(staging, left);
     std::uint32_t first = 0;
     const auto blend_next = [&]<int Products>() {
-      const std::uint32_t k = Products * column + lane / 8;
-      const std::uint32_t slot = !Culls                                         ? first + lane
-                                 : lane / 8 < Products && first + k < n_blended ? staging.touching[warp][first + k]
-                                                                                : Staging::kNone;
+      std::uint32_t slot = first + lane;
+      if constexpr (Culls) {
+        const std::uint32_t at = first + Products * column + lane / 8;
+        slot = lane / 8 < Products && at < n_blended ? staging.touching[warp][at] : CullingStaging::kNone;
+      }
       const uint4 high = load_matrices(staging.high + slot), low = load_matrices(staging.low + slot);
       const uint2 coefficients[4] = {{high.x, low.x}, {high.y, low.y}, {high.z, low.z}, {high.w, low.w}};
       const uint4 colors = load_transposed(staging.color + slot);
@@ -402,16 +411,17 @@ __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_
         default: blend_next.template operator()<1>();
       }
     }
+    if (!Culls && begin + kThreads >= n) break;
     if (__syncthreads_and(opaque)) return true;
   }
   return false;
 }
 
 __device__ inline TurboPixel Rows::own_pixel(Staging& staging) const {
-  // Through the warp's part of shared memory, which no warp reads any more: lanes q = 0 hold red and green, q = 1 blue.
+  // Through the warp's part of shared memory: lanes q = 0 hold red and green, q = 1 blue.
   static_assert(sizeof(TurboPixel) == sizeof(uint4), "a lane a pixel");
   const std::uint32_t lane = threadIdx.x % 32, q = lane % 4;
-  auto* const pixels = reinterpret_cast<float2*>(staging.high + (threadIdx.x - lane));
+  auto* const pixels = reinterpret_cast<float2*>(staging.pixels + (threadIdx.x - lane));
   if (q < 2) {
 #pragma unroll
     for (std::uint32_t k = 0; k < kRows; ++k) {
@@ -422,7 +432,7 @@ __device__ inline TurboPixel Rows::own_pixel(Staging& staging) const {
     }
   }
   __syncwarp();
-  return reinterpret_cast<const TurboPixel*>(pixels)[lane];
+  return staging.pixels[threadIdx.x];
 }
 
 __device__ inline void store(const TurboBlendArguments& a, int x, int y, const TurboPixel& p) {
@@ -468,7 +478,7 @@ __device__ inline void leave(const TurboBlendArguments& a, const TurboPixel& pix
 }
 
 template <bool Culls>
-__device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t number, Staging& staging) {
+__device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t number, StagingOf<Culls>& staging) {
   const TurboCell cell = a.arrays.cells[number];
   const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
   if (x >= a.width || y >= a.height) return;
@@ -502,7 +512,7 @@ __global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_sparse_k
   }
 }
 __global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_long_kernel(TurboBlendArguments a) {
-  __shared__ Staging staging;
+  __shared__ CullingStaging staging;
   __shared__ std::uint32_t next;
   const std::uint32_t n = kTurboCells * a.arrays.state->n_long_lists;
   for (std::uint32_t number = blockIdx.x; number < n;) {
@@ -604,7 +614,7 @@ __device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& c
 }
 
 __global__ void __launch_bounds__(kThreads, kResidentLong) turbo_segment_kernel(TurboBlendArguments a) {
-  __shared__ Staging staging;
+  __shared__ CullingStaging staging;
   __shared__ TurboSegment segment;
   __shared__ bool is_any, is_wanted;
   const TurboArrays& arrays = a.arrays;
