@@ -66,16 +66,28 @@ constexpr float kCenterX = 0.5F * (kTurboCellWidth - 1), kCenterY = 0.5F * (kTur
 constexpr int kTurboCellSide = math::max(kTurboCellWidth, kTurboCellHeight);
 static_assert((kTurboCellSide - 1) * (kTurboCellSide - 1) < 1 << 11, "the basis is exact in FP16's 11 bits");
 
-// D = A B, FP16, [16, 8] x [8, 8], where B is b.x + b.y, the latter smaller. Two products of depth 8: one of depth 16
-// would take each register of A twice, four in a row.
-__device__ inline void multiply(__half2 (&d)[2], uint2 a, uint2 b) {
+// D = A B, FP16, [16, 8] x [8, 8], where B is b.x + b.y, the latter smaller. `Deep`: one product of depth 16, for operands
+// in neighbouring registers: the left one is A twice.
+template <bool Deep>
+__device__ inline void multiply(__half2 (&d)[2], const uint4& a, uint2 b) {
   std::uint32_t low, high;
-  asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%5, %5};"
-      : "=r"(low), "=r"(high)
-      : "r"(a.x), "r"(a.y), "r"(b.y), "r"(0u));
-  asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%0, %1};"
-      : "+r"(low), "+r"(high)
-      : "r"(a.x), "r"(a.y), "r"(b.x));
+#if __CUDA_ARCH__ >= 800
+  constexpr bool is_deep = Deep;
+#else
+  constexpr bool is_deep = false;
+#endif
+  if constexpr (is_deep) {
+    asm("mma.sync.aligned.m16n8k16.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3, %4, %5}, {%6, %7}, {%8, %8};"
+        : "=r"(low), "=r"(high)
+        : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "r"(b.x), "r"(b.y), "r"(0u));
+  } else {
+    asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%5, %5};"
+        : "=r"(low), "=r"(high)
+        : "r"(a.x), "r"(a.y), "r"(b.y), "r"(0u));
+    asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%0, %1};"
+        : "+r"(low), "+r"(high)
+        : "r"(a.x), "r"(a.y), "r"(b.x));
+  }
   d[0] = reinterpret_cast<const __half2&>(low), d[1] = reinterpret_cast<const __half2&>(high);
 }
 
@@ -119,21 +131,33 @@ __device__ inline __half2 opacities(__half2 exponents) {
   return y;
 }
 
-// Gaussians that a block blends at a time, as right operands, eight numbers in a slot, as ldmatrix gathers them.
+// Gaussians that a block blends at a time, as right operands, eight numbers in a row, as ldmatrix gathers them. Of the
+// first product high and low halves of the coefficients, of which the last two are multiplied by zeros; of the second the
+// colour times kAlphaMax, whose columns without a channel are not used.
+template <bool Culls>
 struct Staging {
-  // Of the first product: high and low halves of the coefficients; the last two are multiplied by zeros. Of the second:
-  // the colour times kAlphaMax; columns without a channel are not used.
-  uint4 high[kThreads + 1], low[kThreads + 1], color[kThreads + 1];
+  // Where a slot's operands are. Of four times eight slots that are read in turn, such that pairs of high and low halves
+  // come in neighbouring registers: those of two products, of two more, colours.
+  static constexpr std::uint32_t kRowsOf32 = 96;
+  __device__ uint4& high(std::uint32_t slot) { return rows[slot / 32 * kRowsOf32 + slot % 32 / 8 * 16 + slot % 8]; }
+  __device__ uint4& low(std::uint32_t slot) { return (&high(slot))[8]; }
+  __device__ uint4& color(std::uint32_t slot) { return rows[slot / 32 * kRowsOf32 + 64 + slot % 32]; }
+
+  uint4 rows[3 * kThreads];
   TurboPixel pixels[kThreads];
 };
-// Where Gaussians are culled.
-struct CullingStaging : Staging {
+template <>
+struct Staging<true> {
   static constexpr std::uint32_t kNone = kThreads;  // the slot of no Gaussian
-  std::uint16_t warps[kThreads];                    // whose pixels the Gaussian may touch, a bit each
-  std::uint16_t touching[kWarps][kThreads];         // slots of what touches a warp's pixels, in order
+  __device__ uint4& high(std::uint32_t slot) { return rows[0][slot]; }
+  __device__ uint4& low(std::uint32_t slot) { return rows[1][slot]; }
+  __device__ uint4& color(std::uint32_t slot) { return rows[2][slot]; }
+
+  uint4 rows[3][kThreads + 1];
+  TurboPixel pixels[kThreads];
+  std::uint16_t warps[kThreads];             // whose pixels the Gaussian may touch, a bit each
+  std::uint16_t touching[kWarps][kThreads];  // slots of what touches a warp's pixels, in order
 };
-template <bool Culls>
-using StagingOf = std::conditional_t<Culls, CullingStaging, Staging>;
 
 // Two numbers as sums of two FP16 numbers each.
 __device__ inline uint2 split(float a, float b) {
@@ -185,24 +209,24 @@ __device__ inline std::uint32_t products_of(std::uint32_t n) {
 // Stages a Gaussian in the thread's slot, or one without opacity.
 template <bool Culls>
 __device__ inline void stage(const ScreenSplat splat, bool is_any, float corner_x, float corner_y,
-                             StagingOf<Culls>& staging) {
+                             Staging<Culls>& staging) {
   const float u = splat.mean.u - corner_x, v = splat.mean.v - corner_y;
   if constexpr (Culls) staging.warps[own_gaussian()] = static_cast<std::uint16_t>(touched_warps(splat, u, v));
   const auto f =
       math::fold(splat.conic, {u - kCenterX, v - kCenterY}, is_any ? splat.log2_opacity + kExponentBias : -1000.0F);
   const uint2 pairs[3] = {split(f.one, f.x), split(f.y, f.xx), split(f.xy, f.yy)};
-  staging.high[threadIdx.x] = {pairs[0].x, pairs[1].x, pairs[2].x, 0};
-  staging.low[threadIdx.x] = {pairs[0].y, pairs[1].y, pairs[2].y, 0};
+  staging.high(threadIdx.x) = {pairs[0].x, pairs[1].x, pairs[2].x, 0};
+  staging.low(threadIdx.x) = {pairs[0].y, pairs[1].y, pairs[2].y, 0};
   // Finite even if the colour is not, so that a weight of 0 leaves a pixel as it is.
   const auto scaled = [](float c) { return kAlphaScale * math::min(c, kHalfMax); };
   const __half2 red_green = __floats2half2_rn(scaled(splat.color.x), scaled(splat.color.y));
   const __half2 blue = __floats2half2_rn(scaled(splat.color.z), 0);
-  staging.color[threadIdx.x] = {reinterpret_cast<const std::uint32_t&>(red_green),
+  staging.color(threadIdx.x) = {reinterpret_cast<const std::uint32_t&>(red_green),
                                 reinterpret_cast<const std::uint32_t&>(blue), 0, 0};
 }
 
 // Lists those of the n staged Gaussians that touch the warp's pixels, and returns their number.
-__device__ inline std::uint32_t list_touching(CullingStaging& staging, std::uint32_t n) {
+__device__ inline std::uint32_t list_touching(Staging<true>& staging, std::uint32_t n) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, below = (1u << lane) - 1;
   std::uint32_t n_touching = 0;
   for (std::uint32_t first = 0; first < n; first += 32) {
@@ -250,8 +274,8 @@ __device__ inline TurboCorner own_corner() {
 
 // A lane's part of the left operands of its warp's rows, in FP16: pixel g of two rows of pixels, and by q (1, X), (Y,
 // X^2), (XY, Y^2) or zeros. A table, since it depends on the thread alone.
-struct Bases {
-  std::uint32_t pixel[kThreads][kRows][2];
+struct alignas(16) Bases {
+  std::uint32_t pixel[kThreads][kRows][4];
 };
 // n / 4 as bits of FP16, |n| < 2^11.
 constexpr std::uint32_t half_of_quarters(int n) {
@@ -270,7 +294,8 @@ constexpr Bases bases() {
       const int y = 2 * (static_cast<int>(first.y) + k) - (kTurboCellHeight - 1);
       const int low = q == 0 ? 4 : q == 1 ? 2 * y : q == 2 ? x * y : 0;
       const int high = q == 0 ? 2 * x : q == 1 ? x * x : q == 2 ? y * y : 0;
-      all.pixel[thread][k / 2][k % 2] = half_of_quarters(low) | half_of_quarters(high) << 16;
+      all.pixel[thread][k / 2][k % 2] = all.pixel[thread][k / 2][k % 2 + 2] =
+          half_of_quarters(low) | half_of_quarters(high) << 16;
     }
   }
   return all;
@@ -279,27 +304,26 @@ __device__ constexpr Bases kBases = bases();
 
 // Two rows of 8 pixels, as lane (g, q) holds them.
 struct Row {
-  uint2 basis;     // left operand of the first product
+  uint4 basis;     // left operand of the first product
   __half2 t;       // transmittance of pixel g of both
   float color[4];  // channels 2q and 2q + 1 of pixel g of the first row, then of the second; the fourth is unused
 
   __device__ explicit Row(int row) : t{__float2half2_rn(1.0F)}, color{} {
-    const auto& own = kBases.pixel[threadIdx.x][row];
-    basis = {own[0], own[1]};
+    basis = reinterpret_cast<const uint4&>(kBases.pixel[threadIdx.x][row]);
   }
-  template <int Products>
+  template <int Products, bool Deep>
   __device__ void blend(const uint2 (&coefficients)[4], const uint4& colors);
 };
 
 // Blends the Gaussians of the first Products products, 1 to 4.
-template <int Products>
+template <int Products, bool Deep>
 __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& colors) {
   const __half2 one = __float2half2_rn(1.0F), scale = __float2half2_rn(-kAlphaScale);
   __half2 weight[Products][2];    // [index in the chain][pixel], two chains each; opacities at first
   __half2 chain[2] = {one, one};  // transmittance of each chain
 #pragma unroll
   for (int j = 0; j < Products; ++j) {
-    multiply(weight[j], basis, coefficients[j]);
+    multiply<Deep>(weight[j], basis, coefficients[j]);
 #pragma unroll
     for (int p = 0; p < 2; ++p) {
       const __half2 opacity = opacities(weight[j][p]);
@@ -348,27 +372,28 @@ struct Rows {
   // Blends gaussians[0 .. n - 1] of the cell. True once all warps' pixels are opaque.
   template <bool Culls>
   __device__ bool blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x, float y,
-                        StagingOf<Culls>& staging);
+                        Staging<Culls>& staging);
   // The thread's own pixel. Call after blend().
-  __device__ TurboPixel own_pixel(Staging& staging) const;
+  __device__ TurboPixel own_pixel(TurboPixel (&pixels)[kThreads]) const;
 
  private:
   __device__ bool is_opaque() const {  // the warp's pixels
-    __half2 largest = rows[0].t;
+    // Whether all are below 2^-11 their four upper bits tell.
+    std::uint32_t bits = 0;
 #pragma unroll
-    for (const Row& row : rows) largest = __hmax2(largest, row.t);
-    return __all_sync(kFullWarp, __hblt2(largest, __float2half2_rn(kOpaque))) != 0;
+    for (const Row& row : rows) bits |= bits_of(row.t);
+    return __any_sync(kFullWarp, (bits & 0xF000F000u) != 0) == 0;
   }
 };
 
 template <bool Culls>
 __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x,
-                                   float y, StagingOf<Culls>& staging) {
+                                   float y, Staging<Culls>& staging) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32, column = lane % 8;
   if constexpr (Culls) {
     if (threadIdx.x == 0) {
-      staging.high[CullingStaging::kNone] = {0xE3D0, 0, 0, 0};  // an exponent of -1000
-      staging.low[CullingStaging::kNone] = staging.color[CullingStaging::kNone] = {};
+      staging.high(staging.kNone) = {0xE3D0, 0, 0, 0};  // an exponent of -1000
+      staging.low(staging.kNone) = staging.color(staging.kNone) = {};
     }
   }
   // What the thread stages of the batch that starts at `begin`. Its warp stages nothing if it would begin at n.
@@ -390,16 +415,27 @@ __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_
     if constexpr (Culls) n_blended = opaque ? 0 : list_touching(staging, left);
     std::uint32_t first = 0;
     const auto blend_next = [&]<int Products>() {
-      std::uint32_t slot = first + lane;
+      uint2 coefficients[4];
+      uint4 colors;
       if constexpr (Culls) {
         const std::uint32_t at = first + Products * column + lane / 8;
-        slot = lane / 8 < Products && at < n_blended ? staging.touching[warp][at] : CullingStaging::kNone;
+        const std::uint32_t slot = lane / 8 < Products && at < n_blended ? staging.touching[warp][at] : staging.kNone;
+        const uint4 high = load_matrices(&staging.high(slot)), low = load_matrices(&staging.low(slot));
+        coefficients[0] = {high.x, low.x}, coefficients[1] = {high.y, low.y};
+        coefficients[2] = {high.z, low.z}, coefficients[3] = {high.w, low.w};
+        colors = load_transposed(&staging.color(slot));
+      } else {
+        const uint4* const row = staging.rows + staging.kRowsOf32 / 32 * first + lane;
+        const uint4 front = load_matrices(row);
+        coefficients[0] = {front.x, front.y}, coefficients[1] = {front.z, front.w};
+        if constexpr (Products > 2) {
+          const uint4 back = load_matrices(row + 32);
+          coefficients[2] = {back.x, back.y}, coefficients[3] = {back.z, back.w};
+        }
+        colors = load_transposed(row + 64);
       }
-      const uint4 high = load_matrices(staging.high + slot), low = load_matrices(staging.low + slot);
-      const uint2 coefficients[4] = {{high.x, low.x}, {high.y, low.y}, {high.z, low.z}, {high.w, low.w}};
-      const uint4 colors = load_transposed(staging.color + slot);
 #pragma unroll
-      for (Row& row : rows) row.blend<Products>(coefficients, colors);
+      for (Row& row : rows) row.blend<Products, !Culls>(coefficients, colors);
       opaque = is_opaque();
       first += 32;
     };
@@ -417,22 +453,21 @@ __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_
   return false;
 }
 
-__device__ inline TurboPixel Rows::own_pixel(Staging& staging) const {
+__device__ inline TurboPixel Rows::own_pixel(TurboPixel (&pixels)[kThreads]) const {
   // Through the warp's part of shared memory: lanes q = 0 hold red and green, q = 1 blue.
-  static_assert(sizeof(TurboPixel) == sizeof(uint4), "a lane a pixel");
+  static_assert(sizeof(TurboPixel) == 2 * sizeof(float2));
   const std::uint32_t lane = threadIdx.x % 32, q = lane % 4;
-  auto* const pixels = reinterpret_cast<float2*>(staging.pixels + (threadIdx.x - lane));
   if (q < 2) {
 #pragma unroll
     for (std::uint32_t k = 0; k < kRows; ++k) {
       const Row& row = rows[k];
-      float2* const to = pixels + 2 * (16 * k + lane / 4) + q;
+      float2* const to = reinterpret_cast<float2*>(pixels + (threadIdx.x - lane) + 16 * k + lane / 4) + q;
       to[0] = {row.color[0], q == 0 ? row.color[1] : __low2float(row.t)};
       to[16] = {row.color[2], q == 0 ? row.color[3] : __high2float(row.t)};
     }
   }
   __syncwarp();
-  return staging.pixels[threadIdx.x];
+  return pixels[threadIdx.x];
 }
 
 __device__ inline void store(const TurboBlendArguments& a, int x, int y, const TurboPixel& p) {
@@ -478,7 +513,7 @@ __device__ inline void leave(const TurboBlendArguments& a, const TurboPixel& pix
 }
 
 template <bool Culls>
-__device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t number, StagingOf<Culls>& staging) {
+__device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t number, Staging<Culls>& staging) {
   const TurboCell cell = a.arrays.cells[number];
   const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
   if (x >= a.width || y >= a.height) return;
@@ -488,7 +523,7 @@ __device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t nu
     Rows rows(x, y, a.width, a.height);
     const bool opaque = rows.blend<Culls>(a.splats, a.arrays.cell_gaussians + cell.begin, math::min(cell.n, front),
                                           static_cast<float>(x), static_cast<float>(y), staging);
-    pixel = rows.own_pixel(staging);
+    pixel = rows.own_pixel(staging.pixels);
     if (Culls && cell.n > front && !opaque) {
       leave(a, pixel, number, cell.n, front);
       return;
@@ -499,12 +534,12 @@ __device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t nu
 }
 
 __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_kernel(TurboBlendArguments a) {
-  __shared__ Staging staging;
+  __shared__ Staging<false> staging;
   if (blockIdx.x >= kTurboCells * a.arrays.state->n_long_lists) blend_cell<false>(a, blockIdx.x, staging);
 }
 // For a filled picture, whose tiles without Gaussians are done.
 __global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_sparse_kernel(TurboBlendArguments a) {
-  __shared__ Staging staging;
+  __shared__ Staging<false> staging;
   const std::uint32_t first = kTurboCells * a.arrays.state->n_long_lists, end = kTurboCells * listed_tiles(a.arrays);
   for (std::uint32_t number = first + blockIdx.x; number < end; number += gridDim.x) {
     blend_cell<false>(a, number, staging);
@@ -512,7 +547,7 @@ __global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_sparse_k
   }
 }
 __global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_long_kernel(TurboBlendArguments a) {
-  __shared__ CullingStaging staging;
+  __shared__ Staging<true> staging;
   __shared__ std::uint32_t next;
   const std::uint32_t n = kTurboCells * a.arrays.state->n_long_lists;
   for (std::uint32_t number = blockIdx.x; number < n;) {
@@ -614,7 +649,7 @@ __device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& c
 }
 
 __global__ void __launch_bounds__(kThreads, kResidentLong) turbo_segment_kernel(TurboBlendArguments a) {
-  __shared__ CullingStaging staging;
+  __shared__ Staging<true> staging;
   __shared__ TurboSegment segment;
   __shared__ bool is_any, is_wanted;
   const TurboArrays& arrays = a.arrays;
@@ -645,7 +680,7 @@ __global__ void __launch_bounds__(kThreads, kResidentLong) turbo_segment_kernel(
                      math::min(cell.n - begin, long_cell.segment_n), static_cast<float>(x), static_cast<float>(y),
                      staging);
     TurboPixel* const to = arrays.segment_pixels + std::uint64_t{kPixels} * (long_cell.first_segment + in_cell);
-    to[threadIdx.x] = rows.own_pixel(staging);
+    to[threadIdx.x] = rows.own_pixel(staging.pixels);
     publish();
     const std::uint32_t wave = 31 - static_cast<std::uint32_t>(__clz(static_cast<int>(in_cell + 1)));
     const std::uint32_t first = (1u << wave) - 1;
