@@ -32,8 +32,8 @@ struct ViewParameters {
 struct alignas(16) ScreenSplat {
   math::PixelPoint<float> mean;  ///< px
   math::Conic<float> conic;
+  float log2_opacity;  // beside conic.c: turbo_tensor.cu loads both at once
   float opacity;
-  float log2_opacity;
   float z;  ///< camera depth
   math::Vec3<float> color;
   float cutoff;  ///< math::power_cutoff(opacity)

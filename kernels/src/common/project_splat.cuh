@@ -52,7 +52,7 @@ __device__ inline math::TileSpan place_copy(const ViewParameters& v, std::uint32
 __device__ inline ScreenSplat screen_splat(const math::Projected<float>& p, float cutoff,
                                            const math::Vec3<float>& color) {
   const float log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;
-  return {p.mean, p.footprint.conic, p.footprint.opacity, log2_opacity, p.z, color, cutoff};
+  return {p.mean, p.footprint.conic, log2_opacity, p.footprint.opacity, p.z, color, cutoff};
 }
 
 }  // namespace rgs::cuda

@@ -55,7 +55,7 @@ inline DeviceFrame blend_on_device(const BlendInput& input, math::Exponent expon
 inline cuda::ScreenSplat screen_splat(math::PixelPoint<float> mean, math::Conic<float> conic, float opacity,
                                       math::Vec3<float> color = {1, 1, 1}, float z = 1) {
   const float cutoff = math::power_cutoff(opacity);
-  return {mean, conic, opacity, math::kLog2AlphaMin - math::kLog2E * cutoff, z, color, cutoff};
+  return {mean, conic, math::kLog2AlphaMin - math::kLog2E * cutoff, opacity, z, color, cutoff};
 }
 
 /// Conic of a Gaussian with these standard deviations (px), its major axis rotated by `angle` from u to v.
