@@ -53,7 +53,7 @@ constexpr int kRows = kWarpHeight / 2;  // of products: two rows of pixels each
 constexpr int kThreads = 32 * kWarps;
 // 56 registers where Gaussians are culled, in the sparse kernel, and before 9.0, where 48 spill; else 48.
 constexpr int kResidentLong = resident_blocks(1152 / kThreads, kThreads);
-constexpr int kResident = resident_before_90(1) != 0 ? kResidentLong : resident_blocks(1280 / kThreads, kThreads);
+constexpr int kResident = resident_before_90(1) != 0 ? kResidentLong : resident_blocks(1152 / kThreads, kThreads);
 static_assert(kWarpWidth == 8, "two rows of a warp's pixels are the 16 rows of a product's left operand");
 static_assert(kWarpWidth * kWarpHeight == 32, "a lane a pixel");
 static_assert(kTurboCellWidth % kWarpWidth == 0 && kTurboCellHeight % kWarpHeight == 0, "a cell has whole warps");
@@ -65,31 +65,6 @@ constexpr float kCenterX = 0.5F * (kTurboCellWidth - 1), kCenterY = 0.5F * (kTur
 // Squares and products are odd numbers over 4.
 constexpr int kTurboCellSide = math::max(kTurboCellWidth, kTurboCellHeight);
 static_assert((kTurboCellSide - 1) * (kTurboCellSide - 1) < 1 << 11, "the basis is exact in FP16's 11 bits");
-
-// D = A B, FP16, [16, 8] x [8, 8], where B is b.x + b.y, the latter smaller. `Deep`: one product of depth 16, for operands
-// in neighbouring registers: the left one is A twice.
-template <bool Deep>
-__device__ inline void multiply(__half2 (&d)[2], const uint4& a, uint2 b) {
-  std::uint32_t low, high;
-#if __CUDA_ARCH__ >= 800
-  constexpr bool is_deep = Deep;
-#else
-  constexpr bool is_deep = false;
-#endif
-  if constexpr (is_deep) {
-    asm("mma.sync.aligned.m16n8k16.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3, %4, %5}, {%6, %7}, {%8, %8};"
-        : "=r"(low), "=r"(high)
-        : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "r"(b.x), "r"(b.y), "r"(0u));
-  } else {
-    asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%5, %5};"
-        : "=r"(low), "=r"(high)
-        : "r"(a.x), "r"(a.y), "r"(b.y), "r"(0u));
-    asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%0, %1};"
-        : "+r"(low), "+r"(high)
-        : "r"(a.x), "r"(a.y), "r"(b.x));
-  }
-  d[0] = reinterpret_cast<const __half2&>(low), d[1] = reinterpret_cast<const __half2&>(high);
-}
 
 __device__ inline std::uint32_t bits_of(const __half2& h) {
   return reinterpret_cast<const std::uint32_t&>(h);
@@ -114,20 +89,46 @@ __device__ inline void multiply_add(float (&d)[4], const __half2 (&a0)[2], const
 #endif
 }
 
+// D = A B, FP16 to FP32, [16, 8] x [8, 8], where B is b.x + b.y. `Deep`: one product of depth 16, for operands in
+// neighbouring registers: the left one is A twice.
+template <bool Deep>
+__device__ inline void multiply(float (&d)[4], const uint4& a, uint2 b) {
+#if __CUDA_ARCH__ >= 800
+  constexpr bool is_deep = Deep;
+#else
+  constexpr bool is_deep = false;
+#endif
+  if constexpr (is_deep) {
+    asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%10, %10, "
+        "%10, %10};"
+        : "=f"(d[0]), "=f"(d[1]), "=f"(d[2]), "=f"(d[3])
+        : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "r"(b.x), "r"(b.y), "f"(0.0F));
+  } else {
+    for (float& x : d) x = 0;
+    const __half2 left[2] = {reinterpret_cast<const __half2&>(a.x), reinterpret_cast<const __half2&>(a.y)};
+    multiply_add(d, left, b.y);
+    multiply_add(d, left, b.x);
+  }
+}
+
+__device__ inline float exp2_approximate(float x) {
+  float y;
+  asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
 // Exponents are biased such that FP16's normal numbers end where opacities do: below 1/255 the exponential is subnormal
 // and flushed to zero. What undoes the bias saturates at 1, so opacities are kept divided by kAlphaMax as FP16 rounds it.
 inline constexpr float kAlphaScale = 0.990234375F;
-inline constexpr float kUnbiased = 65.0625F;
-// log2(1 / (kAlphaScale kUnbiased)) and 4.2e-4, since the exponential's mean relative error is -2.9e-4 over eight octaves
-// (measured on 9.0 alone). That is such that log2(1 / 255) + kExponentBias = -14.0035 is half a step of FP16 below -14.
-inline constexpr float kExponentBias = 4.2e-4F + 0.01415806F - 6.0237540F;
+inline constexpr float kUnbiased = 64.875F;
+inline constexpr float kExponentBias = -6.0054331F;  // -log2(kAlphaScale kUnbiased)
 
 // Opacities over kAlphaScale.
-__device__ inline __half2 opacities(__half2 exponents) {
+__device__ inline __half2 opacities(float a, float b) {
+  const __half2 biased = __floats2half2_rn(exp2_approximate(a), exp2_approximate(b));
   __half2 y;
-  asm("{.reg .b32 e; ex2.approx.f16x2 e, %1; mul.ftz.sat.f16x2 %0, e, %2;}"
+  asm("mul.ftz.sat.f16x2 %0, %1, %2;"
       : "=r"(reinterpret_cast<std::uint32_t&>(y))
-      : "r"(bits_of(exponents)), "r"(bits_of(__float2half2_rn(kUnbiased))));
+      : "r"(bits_of(biased)), "r"(bits_of(__float2half2_rn(kUnbiased))));
   return y;
 }
 
@@ -319,14 +320,15 @@ struct Row {
 template <int Products, bool Deep>
 __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& colors) {
   const __half2 one = __float2half2_rn(1.0F), scale = __float2half2_rn(-kAlphaScale);
-  __half2 weight[Products][2];    // [index in the chain][pixel], two chains each; opacities at first
+  __half2 weight[Products][2];    // [index in the chain][pixel], two chains each
   __half2 chain[2] = {one, one};  // transmittance of each chain
 #pragma unroll
   for (int j = 0; j < Products; ++j) {
-    multiply<Deep>(weight[j], basis, coefficients[j]);
+    float exponents[4];
+    multiply<Deep>(exponents, basis, coefficients[j]);
 #pragma unroll
     for (int p = 0; p < 2; ++p) {
-      const __half2 opacity = opacities(weight[j][p]);
+      const __half2 opacity = opacities(exponents[2 * p], exponents[2 * p + 1]);
       weight[j][p] = j == 0 ? opacity : __hmul2(opacity, chain[p]);
       chain[p] = __hfma2(scale, weight[j][p], chain[p]);
     }
