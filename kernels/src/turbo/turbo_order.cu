@@ -15,7 +15,6 @@
 #include <bit>
 #include <cstdint>
 
-#include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
 #include "turbo/place_cells.cuh"

@@ -4,7 +4,7 @@
 // Math    rgs/math/blend.hpp: fold(); docs/format/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
 // Cost    a Gaussian of a cell: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
-//         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each.
+//         products, padding included, and one exponential; two pairs: about five instructions on two FP16 numbers each.
 //         Of long lists and segments only where the Gaussian's box meets the warp's pixels
 // Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has 8x4 pixels. For cells of long
 //         lists, then for the rest of long cells, as many blocks as the device holds at a time, which take them in turn
@@ -18,8 +18,8 @@
 //   weights   [16 px, 32]  =  alpha T, T the product of 1 - alpha over the Gaussians before
 //   colours   [16 px, 3]  +=  weights  x  colours [32, 3]
 //
-// The basis about the cell's centre is exact in FP16; each coefficient is the sum of two FP16 numbers, 22 bits, in two
-// products of depth 8. Exponents, opacities and weights are FP16; colours accumulate in FP32.
+// The basis about the cell's centre is exact in FP16; each coefficient is the sum of two FP16 numbers, 22 bits, in one
+// product of depth 16. Exponents and colours accumulate in FP32; opacities and weights are FP16.
 //
 // The 16 pixels are two rows of 8. mma gives a lane pixel g of both, g = lane / 4, and Gaussians in columns 2q and 2q +
 // 1, q = lane % 4, of four products. Column c of product j is Gaussian 4 c + j, so each half of a lane's registers has
@@ -51,16 +51,15 @@ constexpr int kWarpColumns = kTurboCellWidth / kWarpWidth;
 constexpr int kWarps = kWarpColumns * kTurboCellHeight / kWarpHeight;
 constexpr int kRows = kWarpHeight / 2;  // of products: two rows of pixels each
 constexpr int kThreads = 32 * kWarps;
-// 56 registers where Gaussians are culled, in the sparse kernel, and before 9.0, where 48 spill; else 48.
-constexpr int kResidentLong = resident_blocks(1152 / kThreads, kThreads);
-constexpr int kResident = resident_before_90(1) != 0 ? kResidentLong : resident_blocks(1152 / kThreads, kThreads);
+constexpr int kResident = resident_blocks(1152 / kThreads, kThreads);  // with 56 registers the two rows' work overlaps
 static_assert(kWarpWidth == 8, "two rows of a warp's pixels are the 16 rows of a product's left operand");
 static_assert(kWarpWidth * kWarpHeight == 32, "a lane a pixel");
 static_assert(kTurboCellWidth % kWarpWidth == 0 && kTurboCellHeight % kWarpHeight == 0, "a cell has whole warps");
 static_assert(kWarps <= 16, "a bit for each warp");
 // Transmittance below which a warp's pixels are finished: the rest adds less to 1 than half of FP16's step there, an
-// eighth of an 8-bit step.
+// eighth of an 8-bit step. FP16 below it has no bit of kNotOpaque.
 constexpr float kOpaque = 1.0F / 2048;
+constexpr std::uint32_t kNotOpaque = 0xF000F000;  // of two
 constexpr float kCenterX = 0.5F * (kTurboCellWidth - 1), kCenterY = 0.5F * (kTurboCellHeight - 1);
 // Squares and products are odd numbers over 4.
 constexpr int kTurboCellSide = math::max(kTurboCellWidth, kTurboCellHeight);
@@ -89,26 +88,12 @@ __device__ inline void multiply_add(float (&d)[4], const __half2 (&a0)[2], const
 #endif
 }
 
-// D = A B, FP16 to FP32, [16, 8] x [8, 8], where B is b.x + b.y. `Deep`: one product of depth 16, for operands in
-// neighbouring registers: the left one is A twice.
-template <bool Deep>
+// D = A B, FP16 to FP32, [16, 8] x [8, 8], where B is b.x + b.y: one product of depth 16, whose left operand `a` is A
+// twice.
 __device__ inline void multiply(float (&d)[4], const uint4& a, uint2 b) {
-#if __CUDA_ARCH__ >= 800
-  constexpr bool is_deep = Deep;
-#else
-  constexpr bool is_deep = false;
-#endif
-  if constexpr (is_deep) {
-    asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%10, %10, "
-        "%10, %10};"
-        : "=f"(d[0]), "=f"(d[1]), "=f"(d[2]), "=f"(d[3])
-        : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "r"(b.x), "r"(b.y), "f"(0.0F));
-  } else {
-    for (float& x : d) x = 0;
-    const __half2 left[2] = {reinterpret_cast<const __half2&>(a.x), reinterpret_cast<const __half2&>(a.y)};
-    multiply_add(d, left, b.y);
-    multiply_add(d, left, b.x);
-  }
+  for (float& x : d) x = 0;
+  const auto half2 = [](const std::uint32_t& bits) { return reinterpret_cast<const __half2&>(bits); };
+  multiply_add(d, {half2(a.x), half2(a.y)}, {half2(a.z), half2(a.w)}, b.x, b.y);
 }
 
 __device__ inline float exp2_approximate(float x) {
@@ -116,8 +101,8 @@ __device__ inline float exp2_approximate(float x) {
   asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
   return y;
 }
-// Exponents are biased such that FP16's normal numbers end where opacities do: below 1/255 the exponential is subnormal
-// and flushed to zero. What undoes the bias saturates at 1, so opacities are kept divided by kAlphaMax as FP16 rounds it.
+// Exponents are biased such that FP16's normal numbers end where opacities do: that of 1/255 is 2^-14, and what is less
+// is flushed to zero. What undoes the bias saturates at 1: opacities are kept divided by kAlphaMax as FP16 rounds it.
 inline constexpr float kAlphaScale = 0.990234375F;
 inline constexpr float kUnbiased = 64.875F;
 inline constexpr float kExponentBias = -6.0054331F;  // -log2(kAlphaScale kUnbiased)
@@ -133,12 +118,12 @@ __device__ inline __half2 opacities(float a, float b) {
 }
 
 // Gaussians that a block blends at a time, as right operands, eight numbers in a row, as ldmatrix gathers them. Of the
-// first product high and low halves of the coefficients, of which the last two are multiplied by zeros; of the second the
-// colour times kAlphaMax, whose columns without a channel are not used.
+// first product high and low halves of the coefficients, of which the last two are multiplied by zeros; of the second
+// the colour times kAlphaMax, whose columns without a channel are not used.
 template <bool Culls>
 struct Staging {
-  // Where a slot's operands are. Of four times eight slots that are read in turn, such that pairs of high and low halves
-  // come in neighbouring registers: those of two products, of two more, colours.
+  // Of each 32 slots, which are read in turn: eight high and eight low halves for each of four products, so that those
+  // of a Gaussian come in neighbouring registers, then the colours.
   static constexpr std::uint32_t kRowsOf32 = 96;
   __device__ uint4& high(std::uint32_t slot) { return rows[slot / 32 * kRowsOf32 + slot % 32 / 8 * 16 + slot % 8]; }
   __device__ uint4& low(std::uint32_t slot) { return (&high(slot))[8]; }
@@ -165,7 +150,7 @@ __device__ inline uint2 split(float a, float b) {
   const __half2 high = __floats2half2_rn(a, b);
   const float2 back = __half22float2(high);
   const __half2 low = __floats2half2_rn(a - back.x, b - back.y);
-  return {reinterpret_cast<const std::uint32_t&>(high), reinterpret_cast<const std::uint32_t&>(low)};
+  return {bits_of(high), bits_of(low)};
 }
 
 // Of the warps' pixels, those that the bounding box of the Gaussian's ellipse meets; (u, v) is its mean from the cell's
@@ -202,7 +187,7 @@ __device__ inline std::uint32_t slot_of(std::uint32_t k) {
 __device__ inline std::uint32_t own_gaussian() {
   return threadIdx.x / 32 * 32 + threadIdx.x % 8 * 4 + threadIdx.x % 32 / 8;
 }
-// Products of depth 8 that the first 32 of n Gaussians need.
+// Products, of eight Gaussians each, that the first 32 of n need.
 __device__ inline std::uint32_t products_of(std::uint32_t n) {
   return math::min((n + 7) / 8, 4u);
 }
@@ -222,8 +207,7 @@ __device__ inline void stage(const ScreenSplat splat, bool is_any, float corner_
   const auto scaled = [](float c) { return kAlphaScale * math::min(c, kHalfMax); };
   const __half2 red_green = __floats2half2_rn(scaled(splat.color.x), scaled(splat.color.y));
   const __half2 blue = __floats2half2_rn(scaled(splat.color.z), 0);
-  staging.color(threadIdx.x) = {reinterpret_cast<const std::uint32_t&>(red_green),
-                                reinterpret_cast<const std::uint32_t&>(blue), 0, 0};
+  staging.color(threadIdx.x) = {bits_of(red_green), bits_of(blue), 0, 0};
 }
 
 // Lists those of the n staged Gaussians that touch the warp's pixels, and returns their number.
@@ -273,8 +257,8 @@ __device__ inline TurboCorner own_corner() {
   return {first.x + threadIdx.x % kWarpWidth, first.y + threadIdx.x % 32 / kWarpWidth};
 }
 
-// A lane's part of the left operands of its warp's rows, in FP16: pixel g of two rows of pixels, and by q (1, X), (Y,
-// X^2), (XY, Y^2) or zeros. A table, since it depends on the thread alone.
+// A lane's part of the left operands of its warp's rows, in FP16, twice: pixel g of two rows of pixels, and by q (1,
+// X), (Y, X^2), (XY, Y^2) or zeros. A table, since it depends on the thread alone.
 struct alignas(16) Bases {
   std::uint32_t pixel[kThreads][kRows][4];
 };
@@ -305,19 +289,19 @@ __device__ constexpr Bases kBases = bases();
 
 // Two rows of 8 pixels, as lane (g, q) holds them.
 struct Row {
-  uint4 basis;     // left operand of the first product
+  uint4 basis;     // left operand of the first product, twice
   __half2 t;       // transmittance of pixel g of both
   float color[4];  // channels 2q and 2q + 1 of pixel g of the first row, then of the second; the fourth is unused
 
   __device__ explicit Row(int row) : t{__float2half2_rn(1.0F)}, color{} {
     basis = reinterpret_cast<const uint4&>(kBases.pixel[threadIdx.x][row]);
   }
-  template <int Products, bool Deep>
+  template <int Products>
   __device__ void blend(const uint2 (&coefficients)[4], const uint4& colors);
 };
 
 // Blends the Gaussians of the first Products products, 1 to 4.
-template <int Products, bool Deep>
+template <int Products>
 __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& colors) {
   const __half2 one = __float2half2_rn(1.0F), scale = __float2half2_rn(-kAlphaScale);
   __half2 weight[Products][2];    // [index in the chain][pixel], two chains each
@@ -325,7 +309,7 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
 #pragma unroll
   for (int j = 0; j < Products; ++j) {
     float exponents[4];
-    multiply<Deep>(exponents, basis, coefficients[j]);
+    multiply(exponents, basis, coefficients[j]);
 #pragma unroll
     for (int p = 0; p < 2; ++p) {
       const __half2 opacity = opacities(exponents[2 * p], exponents[2 * p + 1]);
@@ -380,11 +364,10 @@ struct Rows {
 
  private:
   __device__ bool is_opaque() const {  // the warp's pixels
-    // Whether all are below 2^-11 their four upper bits tell.
     std::uint32_t bits = 0;
 #pragma unroll
     for (const Row& row : rows) bits |= bits_of(row.t);
-    return __any_sync(kFullWarp, (bits & 0xF000F000u) != 0) == 0;
+    return __any_sync(kFullWarp, (bits & kNotOpaque) != 0) == 0;
   }
 };
 
@@ -402,7 +385,7 @@ __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_
   std::uint32_t k = 0, next = 0;
   const auto prefetch = [&](std::uint32_t begin) {
     const std::uint32_t first = begin + 32 * warp;
-    if (first >= n) return;
+    if (!Culls && first >= n) return;  // where it culls, a branch more would spill
     k = first + (Culls ? 4 : products_of(n - first)) * column + lane / 8;
     next = gaussians[math::min(k, n - 1)];
   };
@@ -437,17 +420,16 @@ __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_
         colors = load_transposed(row + 64);
       }
 #pragma unroll
-      for (Row& row : rows) row.blend<Products, !Culls>(coefficients, colors);
+      for (Row& row : rows) row.blend<Products>(coefficients, colors);
       opaque = is_opaque();
       first += 32;
     };
     while (first + 24 < n_blended && !opaque) blend_next.template operator()<4>();
     if (first < n_blended && !opaque) {
-      switch (products_of(n_blended - first)) {
-        case 3: blend_next.template operator()<3>(); break;
-        case 2: blend_next.template operator()<2>(); break;
-        default: blend_next.template operator()<1>();
-      }
+      const std::uint32_t n_products = products_of(n_blended - first);
+      if (n_products == 3) blend_next.template operator()<3>();
+      if (n_products == 2) blend_next.template operator()<2>();
+      if (n_products == 1) blend_next.template operator()<1>();
     }
     if (!Culls && begin + kThreads >= n) break;
     if (__syncthreads_and(opaque)) return true;
@@ -540,7 +522,7 @@ __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_kernel(Turbo
   if (blockIdx.x >= kTurboCells * a.arrays.state->n_long_lists) blend_cell<false>(a, blockIdx.x, staging);
 }
 // For a filled picture, whose tiles without Gaussians are done.
-__global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_sparse_kernel(TurboBlendArguments a) {
+__global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_sparse_kernel(TurboBlendArguments a) {
   __shared__ Staging<false> staging;
   const std::uint32_t first = kTurboCells * a.arrays.state->n_long_lists, end = kTurboCells * listed_tiles(a.arrays);
   for (std::uint32_t number = first + blockIdx.x; number < end; number += gridDim.x) {
@@ -548,7 +530,7 @@ __global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_sparse_k
     __syncthreads();
   }
 }
-__global__ void __launch_bounds__(kThreads, kResidentLong) turbo_tensor_long_kernel(TurboBlendArguments a) {
+__global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_long_kernel(TurboBlendArguments a) {
   __shared__ Staging<true> staging;
   __shared__ std::uint32_t next;
   const std::uint32_t n = kTurboCells * a.arrays.state->n_long_lists;
@@ -650,7 +632,7 @@ __device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& c
   }
 }
 
-__global__ void __launch_bounds__(kThreads, kResidentLong) turbo_segment_kernel(TurboBlendArguments a) {
+__global__ void __launch_bounds__(kThreads, kResident) turbo_segment_kernel(TurboBlendArguments a) {
   __shared__ Staging<true> staging;
   __shared__ TurboSegment segment;
   __shared__ bool is_any, is_wanted;
