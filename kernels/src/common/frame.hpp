@@ -32,7 +32,7 @@ struct ViewParameters {
 struct alignas(16) ScreenSplat {
   math::PixelPoint<float> mean;  ///< px
   math::Conic<float> conic;
-  float log2_opacity;  // beside conic.c: turbo_tensor.cu loads both at once
+  float log2_opacity;  ///< after conic.c, so that turbo_tensor.cu loads both at once
   float opacity;
   float z;  ///< camera depth
   math::Vec3<float> color;

@@ -107,10 +107,10 @@ RGS_HD constexpr std::uint32_t turbo_shares(std::uint32_t n) {
   return shares < kTurboRound / 2 ? shares : kTurboRound / 2;
 }
 
-/// A cell with more Gaussians than a block blends. After its front, if any transmittance is left, the rest is blended
-/// in segments side by side, each as if nothing preceded it. Transmittance is associative: two neighbouring segments
-/// combine to one, and that is put behind what precedes it. Segments come in waves of 1, 2, 4, ..., so that when one
-/// starts it is mostly known whether the ones before left any transmittance.
+/// A cell of a long list with more Gaussians than its front. After that, if any transmittance is left, the rest is
+/// blended in segments side by side, each as if nothing preceded it. Transmittance is associative: two neighbouring
+/// segments combine to one, and that is put behind what precedes it. Segments come in waves of 1, 2, 4, ..., so that
+/// when one starts it is mostly known whether the ones before left any transmittance.
 struct alignas(16) TurboLongCell {
   std::uint32_t cell;           ///< in TurboArrays::cells
   std::uint32_t front;          ///< Gaussians before the first segment
@@ -127,8 +127,8 @@ struct alignas(16) TurboLongCell {
 inline constexpr std::uint32_t kTurboSegment = RGS_TURBO_SEGMENT;
 inline constexpr std::uint32_t kTurboWaves = 10;
 inline constexpr std::uint32_t kTurboMaxSegments = (1u << kTurboWaves) - 1;  ///< of a cell
-/// Gaussians of a cell that its own block blends, in a frame of so many entries: as many as keep all blocks of a large
-/// device busy, since segments cost more. The same on every device, because a frame's bytes depend on it.
+/// Gaussians of a long list's cell that its own block blends, in a frame of so many entries: as many as keep all blocks
+/// of a large device busy, since segments cost more. The same on every device, because a frame's bytes depend on it.
 RGS_HD constexpr std::uint32_t turbo_front(std::uint64_t entries) {
   const std::uint64_t share = entries / RGS_TURBO_FRONT_SHARE / kTurboSegment * kTurboSegment;
   return share > kTurboSegment ? static_cast<std::uint32_t>(share) : kTurboSegment;

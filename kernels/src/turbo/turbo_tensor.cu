@@ -3,12 +3,12 @@
 //
 // Math    rgs/math/blend.hpp: fold(); docs/format/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
-// Cost    a Gaussian of a cell: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
-//         products, padding included, and one exponential; two pairs: about five instructions on two FP16 numbers each.
-//         Of long lists and segments only where the Gaussian's box meets the warp's pixels
+// Cost    a Gaussian of a cell: 40 B gathered by one lane, 44 where it culls; a (pixel, Gaussian) pair: 24
+//         multiply-adds of matrix products, padding included, and one exponential; two pairs: about five instructions
+//         on two FP16 numbers each. Of long lists and segments only where the Gaussian's box meets the warp's pixels
 // Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has 8x4 pixels. For cells of long
 //         lists, then for the rest of long cells, as many blocks as the device holds at a time, which take them in turn
-// Shared  Staging: 128 Gaussians; 8 KiB (numbers for cells of 16x8)
+// Shared  Staging: 128 Gaussians and a pixel a thread; 8 KiB, 9.3 where it culls (numbers for cells of 16x8)
 // Order   that of the cells' lists: deterministic
 //
 // Blending 32 Gaussians into 16 pixels is two matrix products with a step in between, like attention (register reuse as
@@ -34,7 +34,6 @@
 
 #include <bit>
 #include <cstdint>
-#include <type_traits>
 
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
@@ -51,7 +50,8 @@ constexpr int kWarpColumns = kTurboCellWidth / kWarpWidth;
 constexpr int kWarps = kWarpColumns * kTurboCellHeight / kWarpHeight;
 constexpr int kRows = kWarpHeight / 2;  // of products: two rows of pixels each
 constexpr int kThreads = 32 * kWarps;
-constexpr int kResident = resident_blocks(1152 / kThreads, kThreads);  // with 56 registers the two rows' work overlaps
+// 36 warps, for cells of 16x8: with 56 registers the work of a warp's rows overlaps.
+constexpr int kResident = resident_blocks(1152 / kThreads, kThreads);
 static_assert(kWarpWidth == 8, "two rows of a warp's pixels are the 16 rows of a product's left operand");
 static_assert(kWarpWidth * kWarpHeight == 32, "a lane a pixel");
 static_assert(kTurboCellWidth % kWarpWidth == 0 && kTurboCellHeight % kWarpHeight == 0, "a cell has whole warps");
@@ -101,8 +101,9 @@ __device__ inline float exp2_approximate(float x) {
   asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
   return y;
 }
-// Exponents are biased such that FP16's normal numbers end where opacities do: that of 1/255 is 2^-14, and what is less
-// is flushed to zero. What undoes the bias saturates at 1: opacities are kept divided by kAlphaMax as FP16 rounds it.
+// Exponents are lowered so that an opacity of 1/255, the least that counts, is 2^-14 (within 2e-4), FP16's smallest
+// normal number. The product that raises opacities again flushes what is below to zero and saturates at 1: they are
+// kept divided by kAlphaMax as FP16 rounds it.
 inline constexpr float kAlphaScale = 0.990234375F;
 inline constexpr float kUnbiased = 64.875F;
 inline constexpr float kExponentBias = -6.0054331F;  // -log2(kAlphaScale kUnbiased)
@@ -117,13 +118,14 @@ __device__ inline __half2 opacities(float a, float b) {
   return y;
 }
 
-// Gaussians that a block blends at a time, as right operands, eight numbers in a row, as ldmatrix gathers them. Of the
-// first product high and low halves of the coefficients, of which the last two are multiplied by zeros; of the second
-// the colour times kAlphaMax, whose columns without a channel are not used.
+// Gaussians that a block blends at a time, as right operands, eight numbers in a row, as ldmatrix gathers them. For the
+// first product a Gaussian has two rows, the high and the low halves of its coefficients, whose last two numbers are
+// multiplied by zeros; for the second one row, its colour times kAlphaMax, whose columns without a channel are not
+// used.
 template <bool Culls>
 struct Staging {
-  // Of each 32 slots, which are read in turn: eight high and eight low halves for each of four products, so that those
-  // of a Gaussian come in neighbouring registers, then the colours.
+  // Every 32 slots take 96 rows: for each of four products eight rows of high halves and eight of low ones, so that
+  // ldmatrix puts both halves of a Gaussian in neighbouring registers; then 32 rows of colours.
   static constexpr std::uint32_t kRowsOf32 = 96;
   __device__ uint4& high(std::uint32_t slot) { return rows[slot / 32 * kRowsOf32 + slot % 32 / 8 * 16 + slot % 8]; }
   __device__ uint4& low(std::uint32_t slot) { return (&high(slot))[8]; }
@@ -158,7 +160,7 @@ __device__ inline uint2 split(float a, float b) {
 __device__ inline std::uint32_t touched_warps(const ScreenSplat& splat, float u, float v) {
   const math::Conic<float>& q = splat.conic;
   const float product = q.a * q.c, determinant = fmaf(-q.b, q.b, product) - 4e-7F * product;
-  // math::Ellipse::level, more than FP16 can add to an exponent, over the determinant.
+  // math::Ellipse::level, enlarged by more than rounding can add to an exponent, over the determinant.
   const float scale = __fdividef(-2.04F * splat.cutoff + 0.02F, determinant);
   // NaN if the determinant is not positive; then no comparison is true.
   const auto root = [](float x) { return x * rsqrtf(x); };
@@ -192,7 +194,7 @@ __device__ inline std::uint32_t products_of(std::uint32_t n) {
   return math::min((n + 7) / 8, 4u);
 }
 
-// Stages a Gaussian in the thread's slot, or one without opacity.
+// Stages a Gaussian in the thread's slot, without opacity unless `is_any`.
 template <bool Culls>
 __device__ inline void stage(const ScreenSplat splat, bool is_any, float corner_x, float corner_y,
                              Staging<Culls>& staging) {
@@ -343,7 +345,7 @@ struct Rows {
   Row rows[kRows];
 
   __device__ Rows(int x, int y, int width, int height) : rows{Row(0), Row(1)} {
-    static_assert(kRows == 2, "rows");
+    static_assert(kRows == 2, "both are made above");
     if (x + kTurboCellWidth <= width && y + kTurboCellHeight <= height) return;
     // A pixel outside the image counts as finished.
     const TurboCorner first = first_pixel(threadIdx.x / 32);
@@ -355,7 +357,7 @@ struct Rows {
                                     is_left && 2 * k + 1 < height_left ? 1.0F : 0.0F);
     }
   }
-  // Blends gaussians[0 .. n - 1] of the cell. True once all warps' pixels are opaque.
+  // Blends gaussians[0 .. n - 1] of the cell. Where it culls, true once all warps' pixels are opaque.
   template <bool Culls>
   __device__ bool blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x, float y,
                         Staging<Culls>& staging);
@@ -381,11 +383,11 @@ __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_
       staging.low(staging.kNone) = staging.color(staging.kNone) = {};
     }
   }
-  // What the thread stages of the batch that starts at `begin`. Its warp stages nothing if it would begin at n.
+  // What the thread stages of the batch that starts at `begin`. A warp whose part begins at n or later stages nothing.
   std::uint32_t k = 0, next = 0;
   const auto prefetch = [&](std::uint32_t begin) {
     const std::uint32_t first = begin + 32 * warp;
-    if (!Culls && first >= n) return;  // where it culls, a branch more would spill
+    if (!Culls && first >= n) return;  // where it culls, one more branch would spill
     k = first + (Culls ? 4 : products_of(n - first)) * column + lane / 8;
     next = gaussians[math::min(k, n - 1)];
   };
