@@ -120,12 +120,11 @@ constexpr double kTurboSharedBytes = 2 * 16;  // six coefficients, colour in FP1
 
 // By matrix products, whose exponents and colours are not counted: they have units of their own, which are busy for a
 // shorter time than those of the exponentials (docs/records/MEASUREMENTS.md, "Roofline"). A lane has 16 (pixel,
-// Gaussian) pairs of 16 pixels and 32 Gaussians, two in an instruction: eight times the test's FMA, opacity, weight and
-// what it lets through, but the first of a chain has its weight already; eight products with the chain's transmittance;
-// seven products and two selections over the chains. ex2.approx.f16x2 takes the special function units twice, once a
-// pair.
+// Gaussian) pairs of 16 pixels and 32 Gaussians, two in an instruction but for the exponential: eight times conversion
+// to FP16, opacity, weight and what it lets through, but the first of a chain has its weight already; eight products
+// with the chain's transmittance; seven products and two selections over the chains.
 constexpr double kLanePairs = 16;
-constexpr Ops kTensorOps{(2 * (8 * (2 + 1 + 1 + 2 + 1) - 2) + 2 * 7) / kLanePairs,
+constexpr Ops kTensorOps{(2 * (8 * (1 + 1 + 2 + 1) - 2) + 2 * 7) / kLanePairs,
                          (8 * (1 + 1 + 1 + 1 + 1) - 2 + 7 + 2) / kLanePairs + 1, 1};
 // For 32 pixels and 32 Gaussians a warp reads coefficients, twice, and colours.
 constexpr double kTensorLoads = 3, kTensorLoadPairs = 2 * 16 * 32;

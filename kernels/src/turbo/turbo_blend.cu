@@ -19,6 +19,7 @@
 #include "common/launch.cuh"
 #include "common/store_pixel.cuh"
 #include "rgs/quantize.hpp"
+#include "turbo/exp2_approximate.cuh"
 #include "turbo/turbo.hpp"
 
 namespace rgs::cuda {
@@ -35,12 +36,6 @@ struct Staged {
   float4 quadratic;  // xx, xy, yy, x
   float4 rest;       // y, one, colour in FP16: r g, b
 };
-
-__device__ inline float exp2_approximate(float x) {
-  float y;
-  asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
-  return y;
-}
 
 struct Accumulated {
   float r = 0, g = 0, b = 0, depth = 0;

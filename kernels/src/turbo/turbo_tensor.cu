@@ -39,6 +39,7 @@
 #include "common/launch.cuh"
 #include "common/store_pixel.cuh"
 #include "rgs/quantize.hpp"
+#include "turbo/exp2_approximate.cuh"
 #include "turbo/place_cells.cuh"
 #include "turbo/turbo.hpp"
 
@@ -96,11 +97,6 @@ __device__ inline void multiply(float (&d)[4], const uint4& a, uint2 b) {
   multiply_add(d, {half2(a.x), half2(a.y)}, {half2(a.z), half2(a.w)}, b.x, b.y);
 }
 
-__device__ inline float exp2_approximate(float x) {
-  float y;
-  asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
-  return y;
-}
 // Exponents are lowered so that an opacity of 1/255, the least that counts, is 2^-14 (within 2e-4), FP16's smallest
 // normal number. The product that raises opacities again flushes what is below to zero and saturates at 1: they are
 // kept divided by kAlphaMax as FP16 rounds it.

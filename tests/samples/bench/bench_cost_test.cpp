@@ -72,7 +72,7 @@ TEST_CASE("bytes and operations of turbo's stages") {
   CHECK(blend.special == 512);  // an exponential per pair, blended or not
   // 16 pairs of a lane: 38 packed instructions, 7 products and 2 selections over the chains, and the exponentials.
   CHECK(blend.operations == 512 * (47 / 16.0 + 1));
-  CHECK(blend.flops == 512 * 7.625);
+  CHECK(blend.flops == 512 * 5.625);
   // An entry is in at least one cell.
   w.stats.evaluated = 0;
   CHECK(of(stage_costs(w), Stage::sort).bytes == of(costs, Stage::sort).bytes - 4);
