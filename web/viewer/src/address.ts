@@ -43,5 +43,6 @@ export function showLink(page: Page): void {
   store.subscribe(({ view }) => [view === undefined], ([isGone], before) => {
     if (isGone && before) history.replaceState(null, "", location.pathname + location.search);
   });
-  window.addEventListener("hashchange", () => restore(store, readLink(location.hash)), { signal: page.signal });
+  // Not location.hash: the page may have written its own address since.
+  window.addEventListener("hashchange", ({ newURL }) => restore(store, readLink(new URL(newURL).hash)), { signal: page.signal });
 }

@@ -845,6 +845,20 @@ inBrowser("a PLY that declares Mip-Splatting is drawn as the .rgs made of it", {
 const far = (way, times = 1) => ({ at: [-1, -2, -1 - 38 * way * times], axes: [way, 0, 0, 0, 1, 0, 0, 0, way], lens: [0.866, 1, 0, 0], pivot: [-1, -2, -1] });
 const twice = { view: two.view, files: { ...two.files(), "scenes/1/low.rgs": join(scenes(), "packed.rgs") } };
 
+inBrowser("a link is followed, although the page writes its own address before it reads the link", twice, async ({ page, context }) => {
+  await context.grantPermissions(["clipboard-write"]);
+  await page.evaluate((link) => {
+    const read = new Promise((resolve) => addEventListener("hashchange", resolve, { once: true }));
+    const { hash } = location;
+    location.hash = link;
+    history.replaceState(null, "", hash);
+    return read;
+  }, new URLSearchParams(far(1)).toString());
+  // Writes the address of the view that there is.
+  await page.locator("#link").click();
+  assert.equal(new URLSearchParams((await hashOf(page)).slice(1)).get("at"), "-1,-2,-39");
+});
+
 inBrowser("a camera that moves while the Gaussians are sorted gets an order of its own", twice, async ({ page }) => {
   await page.addInitScript(() => {
     const { postMessage } = Worker.prototype;
